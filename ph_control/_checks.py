@@ -1,0 +1,198 @@
+"""Validation of user input: the one place that does it.
+
+Each function returns a fresh, read-only double array or raises `StructureError` with what was
+measured, what is allowed and what to do.  All tolerances are relative.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .exceptions import StructureError
+
+Array = NDArray[np.float64]
+
+EPS = float(np.finfo(float).eps)
+
+
+def readonly(array: NDArray[Any]) -> NDArray[Any]:
+    """Lock an array against writing, and return it."""
+    array.flags.writeable = False
+    return array
+
+
+def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
+    """Convert to a fresh array of finite doubles with `ndim` dimensions."""
+    try:
+        raw = np.asarray(value)
+    except ValueError as error:
+        raise StructureError(f"{name} is not a rectangular array of numbers: {error}") from None
+    if raw.dtype.kind == "c":
+        largest = float(np.max(np.abs(raw.imag), initial=0.0))
+        if largest > 0:
+            raise StructureError(
+                f"{name} is complex: largest imaginary part {largest:.3g}, allowed 0; "
+                "pass its real part if that is meant"
+            )
+        raw = raw.real
+    if raw.dtype.kind not in "biuf":
+        raise StructureError(f"{name} does not hold real numbers: its type is {raw.dtype}; pass an array of floats")
+    array = np.array(raw, dtype=float)
+    if ndim is not None and array.ndim != ndim:
+        raise StructureError(
+            f"{name} has {array.ndim} dimensions (shape {array.shape}), needed {ndim}; "
+            "reshape it so that nothing is guessed"
+        )
+    finite(name, array)
+    return array
+
+
+def finite(name: str, array: Array) -> None:
+    """Refuse NaN and infinity, naming the first place."""
+    bad = ~np.isfinite(array)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        place = where[0] if len(where) == 1 else where
+        raise StructureError(
+            f"{name} is not finite: {int(bad.sum())} of {array.size} entries are NaN or infinite, "
+            f"the first at index {place}; remove or replace them"
+        )
+
+
+def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", definite: bool = False, rtol: float | None = None) -> Array:
+    """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite (or definite)."""
+    array = real_array(name, Q, 2)
+    rows, columns = array.shape
+    if rows != columns:
+        raise StructureError(f"{name} is not square: its shape is {array.shape}; it must be (2n, 2n)")
+    if rows % 2:
+        raise StructureError(
+            f"{name} has odd size {rows}; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)"
+        )
+    size = float(np.max(np.abs(array), initial=0.0))
+    asymmetry = float(np.max(np.abs(array - array.T), initial=0.0))
+    allowed = 1000 * rows * EPS if rtol is None else rtol
+    if asymmetry > allowed * size:
+        raise StructureError(
+            f"{name} is not symmetric: max |{name} - {name}.T| / max |{name}| = {asymmetry / size:.1e}, "
+            f"allowed {allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant"
+        )
+    smallest, tolerance = smallest_scaled_eigenvalue(array)
+    if smallest < -tolerance:
+        raise StructureError(
+            f"{name} is indefinite: smallest eigenvalue after scaling to unit diagonal {smallest:.3g}, "
+            f"allowed >= {-tolerance:.1e}; a stored energy cannot be negative, so check the signs in {name}"
+        )
+    if definite and smallest <= tolerance:
+        raise StructureError(
+            f"{name} is only positive semidefinite: smallest eigenvalue after scaling to unit diagonal {smallest:.3g}, "
+            f"needed > {tolerance:.1e}; Williamson's normal form with d > 0 needs a positive definite {name}: "
+            "ground the rigid-body mode or remove it"
+        )
+    return array
+
+
+def unit_diagonal(Q: Array) -> tuple[Array, Array]:
+    """Return `(Q_ij / sqrt(Q_ii Q_jj), sqrt(diag Q))`: definiteness does not depend on units."""
+    scale = np.sqrt(np.abs(np.diag(Q)))
+    # a zero diagonal is left unscaled: then any entry in its row shows up as a negative eigenvalue
+    size = float(np.max(scale, initial=0.0))
+    scale = np.where(scale > 0, scale, size if size > 0 else 1.0)
+    scaled = (0.5 * (Q + Q.T)) / scale[:, None] / scale[None, :]
+    return scaled, scale
+
+
+def smallest_scaled_eigenvalue(Q: Array) -> tuple[float, float]:
+    """Smallest eigenvalue of `Q` scaled to unit diagonal, and what counts as zero there."""
+    if Q.size == 0:
+        return np.inf, 0.0
+    scaled, _ = unit_diagonal(Q)
+    return float(np.linalg.eigvalsh(scaled)[0]), 8 * len(Q) * EPS
+
+
+def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
+    """Check an input matrix: `(rows,)` becomes one column, `(rows, m)` stays."""
+    array = real_array(name, B)
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2 or array.shape[0] != rows:
+        raise StructureError(
+            f"{name} has shape {np.shape(B)}; with Q of shape ({rows}, {rows}) it must be ({rows},) or "
+            f"({rows}, number of ports)"
+        )
+    if array.shape[1] == 0:
+        raise StructureError(f"{name} has no columns; a port-Hamiltonian system needs at least one port")
+    return array
+
+
+def natural_frequencies(d: ArrayLike) -> Array:
+    """Check a vector of natural frequencies: positive and finite."""
+    array = np.atleast_1d(real_array("d", d))
+    if array.ndim != 1:
+        raise StructureError(f"d has shape {array.shape}; it must be a vector of n natural frequencies")
+    if array.size and array.min() <= 0:
+        worst = int(array.argmin())
+        raise StructureError(f"d is not positive: d[{worst}] = {array[worst]:.6g}; natural frequencies are > 0 (rad/s)")
+    return array
+
+
+def residue_weights(r: ArrayLike, n: int) -> Array:
+    """Check a vector of residue weights: n numbers, none negative."""
+    array = np.atleast_1d(real_array("r", r))
+    if array.shape != (n,):
+        raise StructureError(f"r has shape {array.shape}; with {n} natural frequencies it must be ({n},)")
+    if n and array.min() < 0:
+        worst = int(array.argmin())
+        raise StructureError(
+            f"r is negative: r[{worst}] = {array[worst]:.6g}, allowed >= 0; a negative residue is not passive"
+        )
+    return array
+
+
+def time_vector(time: ArrayLike, *, name: str = "the time vector") -> tuple[Array, float]:
+    """Check a uniform, increasing time vector; return it with its step (0 for a single sample)."""
+    t = real_array(name, time, 1)
+    if t.size == 0:
+        raise StructureError(f"{name} is empty; give at least one instant")
+    if t.size == 1:
+        return t, 0.0
+    step = (t[-1] - t[0]) / (t.size - 1)
+    gaps = np.diff(t)
+    if gaps.min() <= 0:
+        k = int(np.argmax(gaps <= 0))
+        raise StructureError(
+            f"{name} does not increase: samples {k} and {k + 1} are at {t[k]:.9g} and {t[k + 1]:.9g}; "
+            "sort it and drop repeats"
+        )
+    deviation = np.abs(t - (t[0] + step * np.arange(t.size)))
+    # printed times are often rounded to a few digits: a hundredth of a step does not make a grid unequal
+    allowed = 0.01 * step
+    if deviation.max() > allowed:
+        k = int(np.argmax(np.abs(gaps - np.median(gaps))))
+        raise StructureError(
+            f"{name} is not equally spaced: the step from sample {k} to {k + 1} is {gaps[k]:.6g}, the median step "
+            f"{np.median(gaps):.6g}; instants may be off the grid by {allowed:.1g}; "
+            "resample the record to a uniform grid"
+        )
+    return t, float(step)
+
+
+def sampling_step(dt: Any, *, name: str = "dt") -> float:
+    """Check a sampling step: one positive finite number."""
+    try:
+        step = float(dt)
+    except (TypeError, ValueError):
+        raise StructureError(f"{name} is {dt!r}; it must be one positive number, the time between samples") from None
+    if isinstance(dt, bool) or not np.isfinite(step) or step <= 0:
+        raise StructureError(f"{name} is {dt!r}; it must be one positive number, the time between samples")
+    return step
+
+
+def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
+    """Check a keyword that names one of a few ways."""
+    if value not in allowed:
+        raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
+    return str(value)

@@ -1,0 +1,70 @@
+"""Error-free transformations: a number as the unevaluated sum of two doubles.
+
+`(hi, lo)` carries about 106 bits.  Two places need them: the phase of a mode after many time steps,
+and the frequency response near a transmission zero, where large terms cancel.
+The algorithms are those of Dekker and Knuth; all work elementwise on arrays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Pair = tuple[Array, Array]
+
+_SPLITTER = 134217729.0  # 2^27 + 1
+
+
+def two_sum(a: Array, b: Array) -> Pair:
+    """Return `(s, e)` with `s = fl(a + b)` and `s + e = a + b` exactly."""
+    s = a + b
+    t = s - a
+    return s, (a - (s - t)) + (b - t)
+
+
+def two_prod(a: Array, b: Array) -> Pair:
+    """Return `(p, e)` with `p = fl(a b)` and `p + e = a b` exactly (short of over- and underflow)."""
+    p = a * b
+    a_hi, a_lo = _split(a)
+    b_hi, b_lo = _split(b)
+    return p, ((a_hi * b_hi - p) + a_hi * b_lo + a_lo * b_hi) + a_lo * b_lo
+
+
+def _split(a: Array) -> Pair:
+    c = _SPLITTER * a
+    hi = c - (c - a)
+    return hi, a - hi
+
+
+def add(x: Pair, y: Pair) -> Pair:
+    """Sum of two pairs."""
+    s, e = two_sum(x[0], y[0])
+    return two_sum(s, e + x[1] + y[1])
+
+
+def multiply(x: Pair, y: Pair) -> Pair:
+    """Product of two pairs."""
+    p, e = two_prod(x[0], y[0])
+    return two_sum(p, e + x[0] * y[1] + x[1] * y[0])
+
+
+def divide(x: Pair, y: Pair) -> Pair:
+    """Quotient of two pairs: long division, two digits of base 2^53."""
+    q = x[0] / y[0]
+    p, e = two_prod(q, y[0])
+    rest = ((x[0] - p) - e + x[1]) - q * y[1]
+    return two_sum(q, rest / y[0])
+
+
+def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Return `exp(i k step)` for integers `k`, shape `step.shape + k.shape`.
+
+    The phase `k * step` is formed without rounding, so the result is right to a few units in the
+    last place however large `k` is; `k * hi` in doubles alone would lose `log2(k)` bits.
+    """
+    hi, lo = step[0][..., None], step[1][..., None]
+    phase, rest = two_prod(hi, np.broadcast_to(k, np.broadcast_shapes(hi.shape, k.shape)))
+    rest = rest + k * lo
+    result: NDArray[np.complex128] = np.exp(1j * phase) * (1.0 + 1j * rest)
+    return result
