@@ -1,0 +1,415 @@
+"""The core: lossless systems as lists of modes.
+
+A mode is a pole `-i d` with one complex state `x' = -i d x + nu u` and the output `Re(d conj(nu) x)`; a
+rigid-body mode is a pole at 0 with a real state.  Frequency responses, zeros and coefficients come from
+these lists in O(n) per value.  `propagation.py` moves them through time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks
+from . import _twofloat as tf
+from .exceptions import StructureError
+from .symplectic import skew_normal_form
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_CHUNK = 1 << 20  # entries of a (frequency x mode) table held at once
+
+
+@dataclass(frozen=True, eq=False)
+class ModalForm:
+    """A lossless system in modal (Foster) coordinates; made by `modes`.
+
+    For one port its transfer function is `sum_l kappa_l s / (s^2 + d_l^2) + kappa_0 / s`, `kappa_l = r_l d_l`.
+
+    Attributes
+    ----------
+    d : ndarray, shape (n,)
+        Natural frequencies in rad per unit time, positive, ascending.
+    nu : ndarray, shape (n, m)
+        Complex input weights, `nu_l = v_l + i v_{n+l}` with `v = S B`, for m ports.
+    rigid : ndarray, shape (k, m)
+        Real input weights of the rigid-body modes (poles at 0); usually empty.
+    r : ndarray, shape (n,) or (n, m)
+        `|nu|^2`; a vector for one port.  With `d` the paper's unique identification coordinates.
+
+    Notes
+    -----
+    Compare two modal forms by their arrays; `==` compares identity.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> chain = phc.modes([0.5, 2.0], [1.0, 0.25])
+    >>> chain.kappa
+    array([0.5, 0.5])
+    >>> chain.freqresp([1.0])
+    array([0.-0.5j])
+    """
+
+    d: Array
+    nu: ComplexArray
+    rigid: Array
+    r: Array = field(default=None)  # type: ignore[arg-type]
+
+    def __post_init__(self) -> None:
+        if self.r is None:
+            r = np.abs(self.nu) ** 2
+            object.__setattr__(self, "r", r[:, 0] if self.nports == 1 else r)
+        for array in (self.d, self.nu, self.rigid, self.r):
+            _checks.readonly(array)
+
+    def __repr__(self) -> str:
+        text = f"ModalForm(d={np.array2string(self.d, threshold=8)}, r={np.array2string(self.r, threshold=8)}"
+        if len(self.rigid):
+            text += f", rigid={np.array2string(self.rigid, threshold=8)}"
+        return text + ")"
+
+    def __reduce__(self) -> tuple[type[ModalForm], tuple[Array, ComplexArray, Array, Array]]:
+        return type(self), (self.d.copy(), self.nu.copy(), self.rigid.copy(), self.r.copy())
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom: oscillating and rigid-body modes."""
+        return len(self.d) + len(self.rigid)
+
+    @property
+    def nports(self) -> int:
+        """Number of ports m."""
+        return int(self.nu.shape[1])
+
+    @cached_property
+    def kappa(self) -> Array:
+        """Residues `kappa_l = r_l d_l` of the pole pairs, shape (n,) or (n, m): those of the diagonal of G."""
+        return _checks.readonly((self.r.T * self.d).T)
+
+    @cached_property
+    def kappa_0(self) -> Array | float:
+        """Residue of the pole at 0: a number for one port, an (m, m) matrix for more."""
+        residue = self.rigid.T @ self.rigid
+        return float(residue[0, 0]) if self.nports == 1 else _checks.readonly(residue)
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles `-i d, +i d` and 0 (once for each rigid-body mode), ascending imaginary part."""
+        return imaginary(np.concatenate([-self.d[::-1], np.zeros(len(self.rigid)), self.d]))
+
+    @cached_property
+    def zeros(self) -> ComplexArray:
+        """Zeros, all on the imaginary axis, ascending imaginary part.
+
+        One port: 0 and `±i sqrt(x)` for the eigenvalues `x` of `diag(d^2)` compressed to the orthogonal complement
+        of `sqrt(kappa)`, each then refined between the poles that enclose it (Foster: poles and zeros interlace).
+        More ports: the eigenvalues of the skew dynamics compressed to where the output vanishes.
+        A mode that no port reaches is a zero as well as a pole.  Cost O(n^3).
+        """
+        w = self._zeros_one_port() if self.nports == 1 else self._zeros_many_ports()
+        return _checks.readonly(imaginary(w))
+
+    def _zeros_one_port(self) -> Array:
+        rigid = len(self.rigid) > 0
+        live = self.kappa > 0
+        d, copies = np.unique(self.d[live], return_counts=True)
+        kappa = np.add.reduceat(self.kappa[live], np.cumsum(copies) - copies) if len(d) else d
+        # unreached modes, and all but one of several at the same frequency, are cancelled by a zero each
+        cancelled = np.concatenate([self.d[~live], np.repeat(d, copies - 1)])
+        if rigid:
+            d, kappa = np.concatenate([[0.0], d]), np.concatenate([[self.kappa_0], kappa])
+        if len(d) > 1:
+            # singular values of diag(d) V: the square roots of the eigenvalues, without squaring the frequencies
+            V = _complement(np.sqrt(kappa / kappa.max())[:, None])
+            w = np.sort(np.linalg.svd(d[:, None] * V, compute_uv=False))
+            cancelled = np.concatenate([cancelled, _refine_between_poles(w, d, kappa)])
+        w = np.sort(cancelled)
+        at_zero = [] if rigid or not len(d) else [0.0]
+        return np.concatenate([-w[::-1], at_zero, w])
+
+    def _zeros_many_ports(self) -> Array:
+        eta = np.sqrt(self.d)[:, None] * self.nu
+        B = np.concatenate([eta.real, eta.imag, self.rigid])
+        n = len(self.d)
+        V = _complement(B)
+        rotated = np.concatenate([self.d[:, None] * V[n : 2 * n], -self.d[:, None] * V[:n], 0 * V[2 * n :]])
+        K = V.T @ rotated
+        w, _, _ = skew_normal_form(0.5 * (K - K.T))
+        return np.sort(np.concatenate([-w, w, np.zeros(len(K) - 2 * len(w))]))
+
+    @cached_property
+    def _symmetric_residues(self) -> tuple[Array, Array]:
+        """Per mode `d Re(conj(nu_i) nu_j)` and `d Im(conj(nu_i) nu_j)`, shape (n, m, m)."""
+        product = self.d[:, None, None] * self.nu.conj()[:, :, None] * self.nu[:, None, :]
+        return product.real, product.imag
+
+    def evaluate(self, s: ArrayLike) -> ComplexArray:
+        """Transfer function at complex points.
+
+        Parameters
+        ----------
+        s : array_like, shape (N,)
+            Points of the complex plane.
+
+        Returns
+        -------
+        ndarray, shape (m, m, N)
+            `G(s)`; `inf` at a pole, never NaN.
+
+        Notes
+        -----
+        O(n) per point and entry.  On the imaginary axis the values of a one-port are exactly imaginary and
+        right to about 1e-14 relative, next to a pole and next to a zero alike: where terms cancel, the sum is
+        repeated with twice the digits.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.modes(1.0, 2.0).evaluate([1.0])
+        array([[[1.+0.j]]])
+        """
+        points = np.atleast_1d(np.asarray(s, dtype=complex))
+        out = np.empty((self.nports, self.nports, points.size), complex)
+        step = max(1, _CHUNK // max(1, self.n * self.nports))
+        for start in range(0, points.size, step):
+            part = slice(start, start + step)
+            out[:, :, part] = self._evaluate(points[part])
+        return out
+
+    def _evaluate(self, s: ComplexArray) -> ComplexArray:
+        alpha, beta = self._symmetric_residues
+        if self.nports == 1 and not s.real.any():
+            return self._on_axis(s.imag)[None, None, :]
+        denominator = (s[:, None] - 1j * self.d) * (s[:, None] + 1j * self.d)
+        at_pole = denominator == 0
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            inverse = np.where(at_pole, 0.0, 1.0 / np.where(at_pole, 1.0, denominator))
+        out = np.tensordot(alpha, (s[:, None] * inverse).T, axes=(0, 0))
+        out = out + np.tensordot(beta, (self.d * inverse).T, axes=(0, 0))
+        return self._with_infinities(out, s, at_pole, (alpha != 0) | (beta != 0))
+
+    def _with_infinities(
+        self, out: ComplexArray, s: ComplexArray, at_pole: NDArray[np.bool_], visible: NDArray[np.bool_]
+    ) -> ComplexArray:
+        """Add the pole at 0 and set the entries whose mode is hit exactly to infinity."""
+        residue = self.rigid.T @ self.rigid
+        at_zero = s == 0
+        out = out + residue[:, :, None] / np.where(at_zero, 1.0, s)
+        infinite = np.einsum("lij,kl->ijk", visible, at_pole) | ((residue != 0)[:, :, None] & at_zero)
+        return np.where(infinite, complex(np.inf, 0.0), out)
+
+    def _on_axis(self, w: Array) -> ComplexArray:
+        """One port at `s = i w`: `i sum_l kappa_l w / ((d_l - w)(d_l + w)) - i kappa_0 / w`."""
+        live = self.r > 0
+        d, r, kappa = self.d[live], self.r[live], self.kappa[live]
+        x = w[:, None]
+        product = (d - x) * (d + x)
+        at_pole = product == 0
+        terms = np.where(at_pole, 0.0, kappa * x / np.where(at_pole, 1.0, product))
+        residue = float(np.sum(self.rigid**2))
+        at_zero = (w == 0) & (residue > 0)
+        pole_term = np.where(at_zero, 0.0, -residue / np.where(w == 0, 1.0, w)) * (residue > 0)
+        value = terms.sum(axis=1) + pole_term
+        weight = np.abs(terms).sum(axis=1) + np.abs(pole_term)
+        cancelled = weight > 8 * np.abs(value)
+        if cancelled.any():
+            value[cancelled] = _sum_with_twice_the_digits(d, r, residue, w[cancelled])
+        return np.where(at_pole.any(axis=1) | at_zero, complex(np.inf, 0.0), imaginary(value))
+
+    def freqresp(self, omega: ArrayLike) -> ComplexArray:
+        """Frequency response `G(i omega)`.
+
+        Parameters
+        ----------
+        omega : array_like
+            Angular frequencies, rad per unit time; any shape for one port.
+
+        Returns
+        -------
+        ndarray
+            Shape of `omega` for one port, else (m, m, N).
+
+        Raises
+        ------
+        StructureError
+            If `omega` is not real and finite, or not a vector where there are several ports.
+
+        Notes
+        -----
+        Accuracy and cost as for `evaluate`.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.modes(2.0, 0.5).freqresp([0.0, 1.0])
+        array([0.+0.j        , 0.+0.33333333j])
+        """
+        w = _checks.real_array("omega", omega)
+        if self.nports > 1 and w.ndim > 1:
+            raise StructureError(f"omega has shape {w.shape}; for several ports it must be a vector")
+        values = self.evaluate(imaginary(w.ravel()))
+        return values[0, 0].reshape(w.shape) if self.nports == 1 else values
+
+    def coefficients(self) -> tuple[Array, Array]:
+        """Coefficients of the transfer function of a one-port, all of full relative accuracy.
+
+        Returns
+        -------
+        a : ndarray, shape (2n,)
+            `(a_0 .. a_{2n-1})` of the denominator `s^{2n} + sum a_i s^i`; odd ones are exactly 0.
+        c : ndarray, shape (n,)
+            `(c_1, c_3 .. c_{2n-1})` of the numerator `sum c_{2k+1} s^{2k+1}`.
+
+        Raises
+        ------
+        StructureError
+            If there are several ports or rigid-body modes, or a coefficient exceeds the range of doubles.
+
+        Notes
+        -----
+        Binary product tree of `(x + d_l^2, kappa_l)`: every term is positive, so nothing cancels.  Time is scaled
+        first.  O(n^2).
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> a, c = phc.modes([1.0, 2.0], [1.0, 1.0]).coefficients()
+        >>> a, c
+        (array([4., 0., 5., 0.]), array([6., 3.]))
+        """
+        if self.nports != 1 or len(self.rigid):
+            raise StructureError(
+                f"coefficients are those of a one-port without rigid-body modes; this one has {self.nports} ports "
+                f"and {len(self.rigid)} rigid-body modes"
+            )
+        n = len(self.d)
+        # a power of two, so that scaling rounds nothing
+        scale = 2.0 ** np.round(np.mean(np.log2(self.d))) if n else 1.0
+        pairs = [(np.array([(d / scale) ** 2, 1.0]), np.array([k])) for d, k in zip(self.d, self.kappa, strict=True)]
+        while len(pairs) > 1:
+            pairs = [_merge(*pairs[i : i + 2]) if i + 1 < len(pairs) else pairs[i] for i in range(0, len(pairs), 2)]
+        P, N = pairs[0] if pairs else (np.ones(1), np.zeros(0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            a = np.zeros(2 * n)
+            a[0::2] = P[:-1] * scale ** (2.0 * np.arange(n, 0, -1))
+            c = N * scale ** (2.0 * np.arange(n - 1, -1, -1))
+        if not (np.isfinite(a).all() and np.isfinite(c).all()):
+            raise StructureError(
+                f"the coefficients of {n} modes up to {self.d.max():.3g} rad/s exceed the range of doubles; "
+                "scale time, or work with d and r"
+            )
+        return a, c
+
+    @property
+    def is_minimal(self) -> bool:
+        """Whether every mode is reached and no frequency repeats: `minimal` would change nothing."""
+        return self.minimal().n == self.n
+
+    def minimal(self, *, rtol: float | None = None) -> ModalForm:
+        """Merge equal frequencies and drop modes that no port reaches: the same transfer function.
+
+        Parameters
+        ----------
+        rtol : float, optional
+            Frequencies closer than `rtol * d` are one; residues below `rtol` times the largest are dropped.
+            Default `8 n eps` for frequencies, and exact zeros only for residues.
+
+        Returns
+        -------
+        ModalForm
+            The minimal form; with m ports a frequency stays up to m times.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
+        ModalForm(d=[1.], r=[0.75])
+        """
+        close = 8 * max(1, self.n) * _checks.EPS if rtol is None else rtol
+        weight = np.linalg.norm(np.sqrt(self.d)[:, None] * self.nu, axis=1) ** 2
+        live = weight > (0.0 if rtol is None else rtol * weight.max(initial=0.0))
+        d, nu, r = self.d[live], self.nu[live], self.r[live]
+        first = np.flatnonzero(np.diff(d, prepend=-np.inf) > close * d)
+        if self.nports == 1:
+            merged = np.add.reduceat(r, first) if len(first) else r[:0]
+            rigid = np.full((1, 1), np.linalg.norm(self.rigid)) if self.rigid.any() else self.rigid[:0]
+            return ModalForm(d[first].copy(), np.sqrt(merged).astype(complex)[:, None], rigid, merged)
+        groups = np.split(np.arange(len(d)), first[1:]) if len(d) else []
+        rows = [_row_space(nu[g]) for g in groups]
+        repeated = np.concatenate([np.zeros(0), *[np.full(len(x), d[g[0]]) for g, x in zip(groups, rows, strict=True)]])
+        return ModalForm(repeated, np.concatenate([nu[:0], *rows]), _row_space(self.rigid))
+
+
+def imaginary(w: Array) -> ComplexArray:
+    """`i w` with real parts exactly +0."""
+    out = np.zeros(np.shape(w), complex)
+    out.imag = w
+    return out
+
+
+def _complement(B: Array) -> Array:
+    """Orthonormal basis of the complement of the columns of `B`."""
+    U, sigma, _ = np.linalg.svd(B)
+    rank = int(np.sum(sigma > max(B.shape) * _checks.EPS * sigma.max(initial=0.0)))
+    return U[:, rank:]
+
+
+def _row_space(rows: NDArray) -> NDArray:
+    """Fewest rows `X` with `X^H X = rows^H rows`."""
+    _, sigma, Vh = np.linalg.svd(rows, full_matrices=False)
+    kept = sigma > max(rows.shape) * _checks.EPS * sigma.max(initial=0.0)
+    return sigma[kept, None] * Vh[kept]
+
+
+def _merge(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Add two fractions `N/P` in ascending powers of `x = s^2`."""
+    (P1, N1), (P2, N2) = first, second
+    return np.convolve(P1, P2), np.convolve(N1, P2) + np.convolve(N2, P1)
+
+
+def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:
+    """Safeguarded Newton steps on `sum kappa / (d^2 - w^2) = 0`, each root kept between its poles."""
+    low, high = d[:-1], d[1:]
+    w = np.where((w > low) & (w < high), w, 0.5 * (low + high))
+    for _ in range(100):
+        gap = (d - w[:, None]) * (d + w[:, None])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            terms = kappa / gap
+            value = terms.sum(axis=1)
+            newton = w - value / ((terms / gap).sum(axis=1) * 2 * w)
+        low, high = np.where(value < 0, w, low), np.where(value < 0, high, w)
+        new = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
+        if np.all(np.abs(new - w) <= 2 * _checks.EPS * w):
+            break
+        w = new
+    return w
+
+
+def _sum_with_twice_the_digits(d: Array, r: Array, residue: float, w: Array) -> Array:
+    """`sum_l d_l r_l w / (d_l^2 - w^2) - residue / w` in pairs of doubles."""
+    zero = np.zeros_like(w)
+    total = (zero, zero)
+    for frequency, weight in zip(d, r, strict=True):
+        one = np.full_like(w, frequency)
+        kappa = tf.two_prod(one, np.full_like(w, weight))
+        denominator = tf.multiply(tf.two_sum(one, -w), tf.two_sum(one, w))
+        safe = np.where(denominator[0] == 0, 1.0, denominator[0])
+        term = tf.divide(tf.multiply(kappa, (w, zero)), (safe, denominator[1]))
+        total = tf.add(total, term)
+    if residue > 0:
+        total = tf.add(total, tf.divide((zero - residue, zero), (np.where(w == 0, 1.0, w), zero)))
+    return total[0] + total[1]
+
+
+def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:
+    """Check `(d, r)` of a one-port, sort them, and make a modal form."""
+    frequencies = _checks.natural_frequencies(d)
+    weights = _checks.residue_weights(r, len(frequencies))
+    order = np.argsort(frequencies, kind="stable")
+    frequencies, weights = frequencies[order], weights[order]
+    return ModalForm(frequencies, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights)
