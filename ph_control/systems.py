@@ -1,0 +1,469 @@
+"""Port-Hamiltonian systems that are `control.StateSpace` systems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import control as ct
+import numpy as np
+from control.nlsys import NonlinearIOSystem
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks, realization
+from .exceptions import StructureError
+from .modal import ModalForm, from_frequencies, imaginary
+from .symplectic import apply_form, energy_coordinates, williamson
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class _View:
+    """A matrix computed on first access, kept, and locked against rebinding and writing."""
+
+    def __init__(self, compute: Callable[[Any], Any]) -> None:
+        self.compute = compute
+        self.__doc__ = compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, system: Any, owner: type | None = None) -> Any:
+        if system is None:
+            return self
+        if self.name not in system._views:
+            value = self.compute(system)
+            system._views[self.name] = _checks.readonly(value) if isinstance(value, np.ndarray) else value
+        return system._views[self.name]
+
+    def __set__(self, system: Any, value: Any) -> None:
+        raise AttributeError(
+            f"{self.name} of a {type(system).__name__} cannot be changed: the system would no longer be lossless; "
+            "make a new one with ph(Q, B), or a free StateSpace with control.ss(sys)"
+        )
+
+
+class PortHamiltonian(ct.StateSpace):
+    """Linear port-Hamiltonian system `z' = J Q z + B u`, `y = B^T Q z`.
+
+    A `control.StateSpace`: every function of python-control takes it.  Use `ph` to make one from matrices, from
+    a modal form or from any lossless system.
+
+    Parameters
+    ----------
+    Q : array_like, shape (2n, 2n)
+        Hamiltonian matrix, symmetric positive semidefinite: the stored energy is `z^T Q z / 2`,
+        `z = (q_1 .. q_n, p_1 .. p_n)`.
+    B : array_like, shape (2n,) or (2n, m)
+        Input matrix for m ports.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Raises
+    ------
+    StructureError
+        If `Q` is not square, even, symmetric, finite, real and positive semidefinite, `B` does not fit it, or the
+        names do not fit the sizes.
+
+    See Also
+    --------
+    ph
+
+    Notes
+    -----
+    The matrices are computed on first access, locked, and never copied from user arrays that may change.
+    Frequency responses, poles and zeros run on modal coordinates.  `+` of two PH systems and multiplication by a
+    positive number stay PH; `0 + sys` is `sys`; every other operation gives a plain `StateSpace`.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> oscillator = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
+    >>> oscillator.d, oscillator.r
+    (array([2.]), array([0.5]))
+    >>> oscillator([1j])
+    array([0.+0.33333333j])
+    """
+
+    _modes: ModalForm | None
+    _given: tuple[Array, Array] | None
+
+    def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
+        matrix = _checks.hamiltonian_matrix(Q)
+        ports = _checks.port_matrix(B, len(matrix))
+        self._setup((_checks.readonly(matrix), _checks.readonly(ports)), None, names)
+
+    def _setup(self, given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> None:
+        if "dt" in names:
+            raise StructureError(
+                "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
+            )
+        self._views: dict[str, Any] = {}
+        self._given = given
+        self._modes = modes
+        if given is not None:
+            size, ports = given[1].shape
+        else:
+            assert modes is not None
+            size, ports = 2 * modes.n, modes.nports
+        sizes = {"inputs": ports, "outputs": ports, "states": size}
+        for kind, count in sizes.items():
+            if names.get(kind) is None and names.get(kind[:-1]) is None:
+                names[kind] = count
+        # StateSpace.__init__ would build and store dense matrices; its base class keeps the names and the timebase
+        NonlinearIOSystem.__init__(
+            self,
+            lambda t, x, u, params: self.A @ np.atleast_1d(x) + self.B @ np.atleast_1d(u),
+            lambda t, x, u, params: self.C @ np.atleast_1d(x),
+            dt=0,
+            **names,
+        )
+        for kind, count in sizes.items():
+            found = getattr(self, "n" + kind)
+            if found != count:
+                raise StructureError(f"{found} names given for {count} {kind}; give one name for each")
+
+    @classmethod
+    def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
+        """System in Williamson coordinates, its matrices not built until somebody looks."""
+        self = cls.__new__(cls)
+        self._setup(None, modes, names)
+        return self
+
+    @classmethod
+    def _from_matrices(cls, Q: Array, B: Array, **names: Any) -> PortHamiltonian:
+        """System from arrays that are known to be valid."""
+        self = cls.__new__(cls)
+        self._setup((_checks.readonly(Q), _checks.readonly(B)), None, names)
+        return self
+
+    # --- matrices ------------------------------------------------------------------------------------------------
+
+    @_View
+    def Q(self) -> Array:
+        """Hamiltonian matrix, shape (2n, 2n), read-only."""
+        if self._given is not None:
+            return self._given[0]
+        return np.diag(
+            np.concatenate([np.zeros(len(self.modes.rigid)), self.d, np.ones(len(self.modes.rigid)), self.d])
+        )
+
+    @_View
+    def B(self) -> Array:
+        """Input matrix, shape (2n, m), read-only."""
+        if self._given is not None:
+            return self._given[1]
+        modes = self.modes
+        return np.concatenate([0 * modes.rigid, modes.nu.real, modes.rigid, modes.nu.imag])
+
+    @_View
+    def A(self) -> Array:
+        """Dynamics matrix `J Q`, shape (2n, 2n), read-only."""
+        return apply_form(self.Q)
+
+    @_View
+    def C(self) -> Array:
+        """Output matrix `B^T Q`, shape (m, 2n), read-only."""
+        return self.B.T @ self.Q
+
+    @_View
+    def D(self) -> Array:
+        """Feedthrough, zeros of shape (m, m), read-only."""
+        return np.zeros((self.ninputs, self.ninputs))
+
+    # --- modal coordinates -----------------------------------------------------------------------------------------
+
+    @_View
+    def _energy(self) -> tuple[Array, ComplexArray, Array]:
+        """`energy_coordinates` of Q: frequencies, complex rows and rigid rows."""
+        if self._given is not None:
+            return energy_coordinates(self._given[0])
+        d, k = self.d, len(self.modes.rigid)
+        root, n = np.sqrt(d), self.n
+        E = np.zeros((len(d), 2 * n), complex)
+        E[:, k:n], E[:, n + k :] = np.diag(root), 1j * np.diag(root)
+        E0 = np.zeros((k, 2 * n))
+        E0[:, n : n + k] = np.eye(k)
+        return d, E, E0
+
+    @property
+    def modes(self) -> ModalForm:
+        """Modal form: the truth behind the matrices, computed once (O(n^3)) and kept."""
+        if self._modes is None:
+            d, E, E0 = self._energy
+            self._modes = ModalForm(d.copy(), (E @ self.B) / np.sqrt(d)[:, None], E0 @ self.B)
+        return self._modes
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom; there are 2n states."""
+        return int(self.nstates) // 2
+
+    @property
+    def d(self) -> Array:
+        """Natural frequencies (symplectic eigenvalues of Q), ascending, rad per unit time; no rigid-body modes."""
+        return self.modes.d
+
+    @property
+    def r(self) -> Array:
+        """Weights `r_l = v_l^2 + v_{n+l}^2` in the order of `d`; (n, m) for several ports."""
+        return self.modes.r
+
+    @_View
+    def v(self) -> Array:
+        """Williamson input vector `v = S B`, shape (2n,), or (2n, m) for several ports."""
+        v = self.S @ self.B
+        return v[:, 0].copy() if self.ninputs == 1 else v
+
+    @_View
+    def S(self) -> Array:
+        """Symplectic matrix of Williamson's normal form, `Q = S^T diag(d, d) S`, shape (2n, 2n).
+
+        Raises `StructureError` if Q is only semidefinite.
+        """
+        if self._given is None and not len(self.modes.rigid):
+            return np.eye(2 * self.n)
+        return williamson(self.Q)[1]
+
+    @property
+    def is_canonical(self) -> bool:
+        """Whether the system is controllable, which is the same as observable: all `d` differ and all `r > 0`."""
+        return 2 * self.n == 2 * len(self.d) and self.modes.is_minimal
+
+    def hamiltonian(self, z: ArrayLike) -> Any:
+        """Stored energy `z^T Q z / 2`.
+
+        Parameters
+        ----------
+        z : array_like, shape (2n,) or (2n, T)
+            One state, or one state a column, as in the `states` of a time response.
+
+        Returns
+        -------
+        float or ndarray, shape (T,)
+            The energy of each.
+
+        Raises
+        ------
+        StructureError
+            If `z` has the wrong number of rows, or is not real and finite.
+
+        Notes
+        -----
+        A sum of squares in modal coordinates, so never negative.  O(n^2) for each state.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]).hamiltonian([[1.0, 0.0], [2.0, 1.0]])
+        array([4. , 0.5])
+        """
+        states = _checks.real_array("z", z)
+        if states.ndim not in (1, 2) or states.shape[0] != self.nstates:
+            raise StructureError(f"z has shape {states.shape}; it must be ({self.nstates},) or ({self.nstates}, T)")
+        _, E, E0 = self._energy
+        energy = 0.5 * (np.sum(np.abs(E @ states) ** 2, axis=0) + np.sum((E0 @ states) ** 2, axis=0))
+        return float(energy) if states.ndim == 1 else energy
+
+    # --- what python-control asks a system ------------------------------------------------------------------------
+
+    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
+
+        Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
+        """
+        points = np.atleast_1d(x).astype(complex, copy=False)
+        if points.ndim > 1:
+            raise StructureError(f"the points have shape {points.shape}; give a number or a vector")
+        return self.modes.evaluate(points)
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
+        d = self.d
+        return imaginary(np.concatenate([-d[::-1], np.zeros(2 * (self.n - len(d))), d]))
+
+    def zeros(self) -> ComplexArray:
+        """Zeros; all on the imaginary axis.  See `ModalForm.zeros`."""
+        return self.modes.zeros.copy()
+
+    def __add__(self, other: Any) -> Any:
+        """Parallel connection; PH with a PH system of the same number of ports, or with the number 0."""
+        if isinstance(other, PortHamiltonian) and other.ninputs == self.ninputs:
+            return PortHamiltonian._from_matrices(*_direct_sum(self, other))
+        if _is_number(other) and other == 0:
+            return self
+        return super().__add__(other)
+
+    def __radd__(self, other: Any) -> Any:
+        """Parallel connection; `0 + sys` is `sys`, so that `sum` of PH systems is PH."""
+        return self + other if _is_number(other) and other == 0 else super().__radd__(other)
+
+    def __mul__(self, other: Any) -> Any:
+        """Series connection; PH if `other` is a positive number: `B` is scaled by its square root."""
+        if _is_number(other) and 0 < other < np.inf:
+            return self._scaled(float(other))
+        return super().__mul__(other)
+
+    def __rmul__(self, other: Any) -> Any:
+        """Series connection; PH if `other` is a positive number."""
+        if _is_number(other) and 0 < other < np.inf:
+            return self._scaled(float(other))
+        return super().__rmul__(other)
+
+    def _scaled(self, factor: float) -> PortHamiltonian:
+        if self._given is not None:
+            return PortHamiltonian._from_matrices(self.Q, np.sqrt(factor) * self.B)
+        m = self.modes
+        root = np.sqrt(factor)
+        return PortHamiltonian._from_modes(ModalForm(m.d, root * m.nu, root * m.rigid, factor * m.r))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        names = {
+            "name": self.name,
+            "inputs": self.input_labels,
+            "outputs": self.output_labels,
+            "states": self.state_labels,
+        }
+        return _restore, (self._given, self._modes if self._given is None else None, names)
+
+    def _repr_eval_(self) -> str:
+        text = f"ph(\n{np.asarray(self.Q)!r},\n{np.asarray(self.B)!r}"
+        labels = self._label_repr()
+        return text + (f",\n{labels})" if labels else ")")
+
+
+def _restore(given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> PortHamiltonian:
+    if given is not None:
+        return PortHamiltonian._from_matrices(given[0].copy(), given[1].copy(), **names)
+    assert modes is not None
+    return PortHamiltonian._from_modes(modes, **names)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _direct_sum(first: PortHamiltonian, second: PortHamiltonian) -> tuple[Array, Array]:
+    """Q and B of two systems side by side, states `(q1, q2, p1, p2)`."""
+    n1, n = first.n, first.n + second.n
+    Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, first.ninputs))
+    ours = np.r_[0:n1, n : n + n1]
+    theirs = np.r_[n1:n, n + n1 : 2 * n]
+    Q[np.ix_(ours, ours)], Q[np.ix_(theirs, theirs)] = first.Q, second.Q
+    B[ours], B[theirs] = first.B, second.B
+    return Q, B
+
+
+def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
+    """Make a port-Hamiltonian system.
+
+    Parameters
+    ----------
+    Q : array_like, shape (2n, 2n), or a system
+        Hamiltonian matrix (see `PortHamiltonian`); or, without `B`, a system to convert: a `ModalForm`, a lossless
+        continuous-time `control.StateSpace` or `control.TransferFunction`, or one of `scipy.signal`.
+    B : array_like, shape (2n,) or (2n, m), optional
+        Input matrix.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; names of a given system are kept.
+
+    Returns
+    -------
+    PortHamiltonian
+        A state-space system that already is in PH normal form keeps its coordinates; any other arrives in
+        Williamson coordinates, minimal.
+
+    Raises
+    ------
+    NotLosslessError
+        If the system has no PH form; it names each offending pole and residue with its size and the tolerance.
+    StructureError
+        If the arguments are not of one of these kinds.
+
+    Notes
+    -----
+    Whether a system is lossless is decided by Foster's theorem: simple poles on the imaginary axis with positive
+    residues.  Every tolerance is a first-order bound of the rounding error of the pole or residue it is held
+    against.  A state-space system never passes through polynomials.  O(n^3).
+
+    Examples
+    --------
+    >>> import control as ct, ph_control as phc
+    >>> sys = phc.ph(ct.tf([2, 0], [1, 0, 4]))
+    >>> sys.d, sys.r
+    (array([2.]), array([1.]))
+    """
+    if B is not None:
+        return PortHamiltonian(Q, B, **names)
+    source = Q
+    if isinstance(source, ModalForm):
+        return PortHamiltonian._from_modes(source, **names)
+    if isinstance(source, ct.InputOutputSystem):
+        names = _inherited_names(source, names)
+    if isinstance(source, PortHamiltonian):
+        given, modes = source._given, source._modes
+        return _restore(given, modes if given is None else None, names | _state_names(source, names))
+    if isinstance(source, ct.StateSpace) and source.isctime() and (found := _normal_form(source)):
+        return PortHamiltonian(*found, **(names | _state_names(source, names)))
+    return PortHamiltonian._from_modes(realization.lossless_modes(source), **names)
+
+
+def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
+    """Modal form from natural frequencies and weights, or of any lossless system.
+
+    Parameters
+    ----------
+    d : array_like, shape (n,), or a system
+        Natural frequencies, positive, rad per unit time, in any order; or, without `r`, a system that `ph` takes.
+    r : array_like, shape (n,), optional
+        Weights, not negative.
+
+    Returns
+    -------
+    ModalForm
+        `d` ascending and `r` in the same order: the paper's unique identification coordinates.
+
+    Raises
+    ------
+    StructureError, NotLosslessError
+        If the arguments do not describe a lossless system.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.modes([3.0, 1.0], [0.5, 2.0])
+    ModalForm(d=[1. 3.], r=[2.  0.5])
+    """
+    if r is not None:
+        return from_frequencies(d, r)
+    return d if isinstance(d, ModalForm) else ph(d).modes
+
+
+def _inherited_names(source: ct.InputOutputSystem, names: dict[str, Any]) -> dict[str, Any]:
+    generic = source._generic_name_check()
+    kept = {} if generic else {"name": source.name}
+    kept |= {"inputs": source.input_labels, "outputs": source.output_labels}
+    return kept | {key: value for key, value in names.items() if value is not None}
+
+
+def _state_names(source: ct.StateSpace, names: dict[str, Any]) -> dict[str, Any]:
+    return {} if names.get("states") else {"states": source.state_labels}
+
+
+def _normal_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
+    """`(Q, B)` if the matrices of a system are `(J Q, B, B^T Q, 0)` already, else None."""
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (sys.A, sys.B, sys.C, sys.D))
+    if len(A) % 2 or len(A) == 0 or D.any() or B.shape != C.T.shape:
+        return None
+    Q = -apply_form(A)
+    close = 8 * len(A) * _checks.EPS
+    if np.max(np.abs(Q - Q.T)) > close * np.max(np.abs(Q)):
+        return None
+    expected = B.T @ Q
+    if np.max(np.abs(expected - C)) > close * np.max(np.abs(B), initial=0.0) * np.max(np.abs(Q)):
+        return None
+    try:
+        return _checks.hamiltonian_matrix(Q), B.copy()
+    except StructureError:
+        return None
