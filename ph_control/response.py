@@ -451,8 +451,8 @@ def _solve(
         y, x = simulate(discretize(modes, h, method, intersample), u, x0, states=states)
     if not np.isfinite(y).all():
         raise StructureError(
-            f"the response exceeds the range of doubles: with method={method!r} and step {h:.4g} the fastest mode grows "
-            f"by {np.sqrt(1 + (h * d.max(initial=0.0)) ** 2):.4g} a step; use method='exact' or a smaller step"
+            f"the response exceeds the range of doubles: with method={method!r} and step {h:.4g} the fastest mode "
+            f"grows by {np.sqrt(1 + (h * d.max(initial=0.0)) ** 2):.4g} a step; use method='exact' or a smaller step"
         )
     if x is None:
         return y, None
