@@ -66,5 +66,5 @@ def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
     hi, lo = step[0][..., None], step[1][..., None]
     phase, rest = two_prod(hi, np.broadcast_to(k, np.broadcast_shapes(hi.shape, k.shape)))
     rest = rest + k * lo
-    result: NDArray[np.complex128] = np.exp(1j * phase) * (1.0 + 1j * rest)
+    result: NDArray[np.complex128] = np.exp(1j * phase) * np.exp(1j * rest)
     return result
