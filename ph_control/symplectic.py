@@ -33,7 +33,7 @@ def symplectic_form(n: int) -> Array:
     Raises
     ------
     StructureError
-        If `n` is negative.
+        If `n` is not a whole number, or negative.
 
     Examples
     --------
@@ -42,8 +42,8 @@ def symplectic_form(n: int) -> Array:
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    if n < 0:
-        raise StructureError(f"n is {n}; the number of degrees of freedom cannot be negative")
+    if not isinstance(n, int | np.integer) or n < 0:
+        raise StructureError(f"n is {n!r}; the number of degrees of freedom is a whole number, not negative")
     J = np.zeros((2 * n, 2 * n))
     J[:n, n:] = np.eye(n)
     J[n:, :n] = -np.eye(n)
