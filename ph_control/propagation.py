@@ -110,7 +110,8 @@ def phi_functions(z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """`phi_1 = (e^z - 1)/z` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0."""
     small = np.abs(z) < 0.5
     safe = np.where(z == 0, 1.0, z)
-    phi_1 = np.where(z == 0, 1.0, np.expm1(safe) / safe)
+    # not expm1, whose complex version loses digits in some releases of numpy
+    phi_1 = np.where(z == 0, 1.0, np.exp(0.5 * safe) * np.sinh(0.5 * safe) / (0.5 * safe))
     phi_2 = (phi_1 - 1.0) / safe
     series = np.ones_like(z)
     for k in range(17, 2, -1):
