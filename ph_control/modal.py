@@ -126,8 +126,11 @@ class ModalForm:
         if len(d) > 1:
             # singular values of diag(d) V: the square roots of the eigenvalues, without squaring the frequencies
             V = _complement(np.sqrt(kappa / kappa.max())[:, None])
-            w = np.sort(np.linalg.svd(d[:, None] * V, compute_uv=False))
-            cancelled = np.concatenate([cancelled, _refine_between_poles(w, d, kappa)])
+            # a power of two for the unit of time, so that no square of a frequency leaves the range of doubles
+            unit = _power_of_two(d.max())
+            w = np.sort(np.linalg.svd(d[:, None] / unit * V, compute_uv=False))
+            w = unit * _refine_between_poles(w, d / unit, kappa / kappa.max())
+            cancelled = np.concatenate([cancelled, w])
         w = np.sort(cancelled)
         at_zero = [] if rigid or not len(d) else [0.0]
         return np.concatenate([-w[::-1], at_zero, w])
@@ -159,7 +162,7 @@ class ModalForm:
         Returns
         -------
         ndarray, shape (m, m, N)
-            `G(s)`; `inf` at a pole, never NaN.
+            `G(s)`; `inf` at a pole and 0 at infinity, never NaN for points that are numbers.
 
         Notes
         -----
@@ -182,15 +185,22 @@ class ModalForm:
         return out
 
     def _evaluate(self, s: ComplexArray) -> ComplexArray:
+        out = np.zeros((self.nports, self.nports, s.size), complex)
+        at_infinity = np.isinf(s)
+        on_axis = (s.real == 0) & ~at_infinity if self.nports == 1 else np.zeros(s.shape, bool)
+        elsewhere = ~on_axis & ~at_infinity
+        out[:, :, on_axis] = self._on_axis(s[on_axis].imag)
+        out[:, :, elsewhere] = self._off_axis(s[elsewhere])
+        return out
+
+    def _off_axis(self, s: ComplexArray) -> ComplexArray:
         alpha, beta = self._symmetric_residues
-        if self.nports == 1 and not s.real.any():
-            return self._on_axis(s.imag)[None, None, :]
-        denominator = (s[:, None] - 1j * self.d) * (s[:, None] + 1j * self.d)
-        at_pole = denominator == 0
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            inverse = np.where(at_pole, 0.0, 1.0 / np.where(at_pole, 1.0, denominator))
-        out = np.tensordot(alpha, (s[:, None] * inverse).T, axes=(0, 0))
-        out = out + np.tensordot(beta, (self.d * inverse).T, axes=(0, 0))
+        x = s[:, None]
+        at_pole = (x.real == 0) & (np.abs(x.imag) == self.d)
+        # divided one factor after the other: their product may leave the range of doubles
+        up, down = (np.where(at_pole, 1.0, x + sign * 1j * self.d) for sign in (1, -1))
+        out = np.tensordot(alpha, (np.where(at_pole, 0.0, x) / up / down).T, axes=(0, 0))
+        out = out + np.tensordot(beta, (np.where(at_pole, 0.0, self.d) / up / down).T, axes=(0, 0))
         return self._with_infinities(out, s, at_pole, (alpha != 0) | (beta != 0))
 
     def _with_infinities(
@@ -208,9 +218,9 @@ class ModalForm:
         live = self.r > 0
         d, r, kappa = self.d[live], self.r[live], self.kappa[live]
         x = w[:, None]
-        product = (d - x) * (d + x)
-        at_pole = product == 0
-        terms = np.where(at_pole, 0.0, kappa * x / np.where(at_pole, 1.0, product))
+        at_pole = np.abs(x) == d
+        down, up = (np.where(at_pole, 1.0, d + sign * x) for sign in (-1, 1))
+        terms = np.where(at_pole, 0.0, kappa * (x / up) / down)
         residue = float(np.sum(self.rigid**2))
         at_zero = (w == 0) & (residue > 0)
         pole_term = np.where(at_zero, 0.0, -residue / np.where(w == 0, 1.0, w)) * (residue > 0)
@@ -273,7 +283,7 @@ class ModalForm:
         Notes
         -----
         Binary product tree of `(x + d_l^2, kappa_l)`: every term is positive, so nothing cancels.  Time is scaled
-        first.  O(n^2).
+        first, and slow modes are paired with fast ones, so that few products leave the range of doubles.  O(n^2).
 
         Examples
         --------
@@ -288,20 +298,20 @@ class ModalForm:
                 f"and {len(self.rigid)} rigid-body modes"
             )
         n = len(self.d)
-        # a power of two, so that scaling rounds nothing
-        scale = 2.0 ** np.round(np.mean(np.log2(self.d))) if n else 1.0
-        pairs = [(np.array([(d / scale) ** 2, 1.0]), np.array([k])) for d, k in zip(self.d, self.kappa, strict=True)]
-        while len(pairs) > 1:
-            pairs = [_merge(*pairs[i : i + 2]) if i + 1 < len(pairs) else pairs[i] for i in range(0, len(pairs), 2)]
-        P, N = pairs[0] if pairs else (np.ones(1), np.zeros(0))
-        with np.errstate(over="ignore", invalid="ignore"):
+        if n == 0:
+            return np.zeros(0), np.zeros(0)
+        scale = 2.0 ** float(np.round(np.mean(np.log2(self.d))))
+        weight = _power_of_two(self.kappa.max(initial=0.0))
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            P, N = _sum_of_fractions((self.d / scale) ** 2, self.kappa / weight)
             a = np.zeros(2 * n)
             a[0::2] = P[:-1] * scale ** (2.0 * np.arange(n, 0, -1))
-            c = N * scale ** (2.0 * np.arange(n - 1, -1, -1))
-        if not (np.isfinite(a).all() and np.isfinite(c).all()):
+            c = N * scale ** (2.0 * np.arange(n - 1, -1, -1)) * weight
+        checked = np.concatenate([P, a[0::2], *([N, c] if self.kappa.any() else [])])
+        if not np.all((checked >= np.finfo(float).tiny) & (checked < np.inf)):
             raise StructureError(
-                f"the coefficients of {n} modes up to {self.d.max():.3g} rad/s exceed the range of doubles; "
-                "scale time, or work with d and r"
+                f"the coefficients of {n} modes from {self.d.min():.3g} to {self.d.max():.3g} rad/s exceed the range "
+                "of doubles; scale time, or work with d and r"
             )
         return a, c
 
@@ -366,10 +376,27 @@ def _row_space(rows: NDArray) -> NDArray:
     return sigma[kept, None] * Vh[kept]
 
 
+def _power_of_two(x: float) -> float:
+    """Power of two near `x > 0`, so that scaling by it rounds nothing; 1 for `x = 0`."""
+    return float(2.0 ** np.floor(np.log2(x))) if x > 0 else 1.0
+
+
+def _sum_of_fractions(x: Array, kappa: Array) -> tuple[Array, Array]:
+    """Denominator and numerator of `sum_l kappa_l / (s^2 + x_l)`, `x` ascending, in ascending powers of `s^2`."""
+    pairs = [(np.array([square, 1.0]), np.array([weight])) for square, weight in zip(x, kappa, strict=True)]
+    while len(pairs) > 1:
+        half, odd = divmod(len(pairs), 2)
+        middle = pairs[half : half + odd]
+        pairs = [_merge(slow, fast) for slow, fast in zip(pairs[:half], pairs[::-1], strict=False)] + middle
+    return pairs[0]
+
+
 def _merge(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
     """Add two fractions `N/P` in ascending powers of `x = s^2`."""
     (P1, N1), (P2, N2) = first, second
-    return np.convolve(P1, P2), np.convolve(N1, P2) + np.convolve(N2, P1)
+    P = np.convolve(P1, P2)
+    # digits lost to underflow must not come back as a small number times a large one: NaN stays
+    return np.where(P >= np.finfo(float).tiny, P, np.nan), np.convolve(N1, P2) + np.convolve(N2, P1)
 
 
 def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:
@@ -397,10 +424,8 @@ def _sum_with_twice_the_digits(d: Array, r: Array, residue: float, w: Array) -> 
     for frequency, weight in zip(d, r, strict=True):
         one = np.full_like(w, frequency)
         kappa = tf.two_prod(one, np.full_like(w, weight))
-        denominator = tf.multiply(tf.two_sum(one, -w), tf.two_sum(one, w))
-        safe = np.where(denominator[0] == 0, 1.0, denominator[0])
-        term = tf.divide(tf.multiply(kappa, (w, zero)), (safe, denominator[1]))
-        total = tf.add(total, term)
+        down, up = (tf.two_sum(one, np.where(np.abs(w) == frequency, 0.0, sign * w)) for sign in (-1, 1))
+        total = tf.add(total, tf.divide(tf.multiply(kappa, tf.divide((w, zero), up)), down))
     if residue > 0:
         total = tf.add(total, tf.divide((zero - residue, zero), (np.where(w == 0, 1.0, w), zero)))
     return total[0] + total[1]
