@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -12,18 +11,14 @@ from control.timeresp import TimeResponseList
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from .exceptions import ResolutionWarning, StructureError
+from ._instants import default_time_vector, time_step
+from .exceptions import StructureError
 from .propagation import INTERSAMPLE, METHODS, discretize, simulate
 from .symplectic import apply_form
 from .systems import PortHamiltonian
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-_PER_PERIOD = 20  # samples in the shortest period of a default time vector
-_PERIODS = 3  # of the slowest mode in it
-_LONGEST = 20_000  # samples of a default time vector
-_COARSEST = 8  # samples in the shortest period before a mode is given up
 
 
 def forced_response(
@@ -48,7 +43,7 @@ def forced_response(
     timepts : array_like, shape (T,)
         Equally spaced instants; default as in `step_response`.
     inputs : array_like, shape (T,) or (m, T), or a number
-        Input at these instants.
+        Input at these instants; shape (T, m) with `transpose`.
     initial_state : array_like, shape (2n,), or a number
         State `z` at the first instant.
     transpose, return_states, squeeze
@@ -125,6 +120,7 @@ def step_response(
     timepts : array_like, shape (T,), or a number
         Equally spaced instants, or the last one.  By default 20 samples in the shortest period and 3 of the
         longest; where that would be more than 20 000 samples, a `ResolutionWarning` names the modes not shown.
+        A number you give, the last instant or how many, is yours: no warning follows from it.
     initial_state : array_like, shape (2n,), or a number
         State `z` at the first instant.
     input_indices, output_indices : int, optional
@@ -276,57 +272,18 @@ def initial_response(
         "timepts_num": timepts_num, "return_states": return_states,
     }  # fmt: skip
     _resolve_aliases(named, aliases)
-    chosen = named["output_indices"]
 
     def run(sys: PortHamiltonian, t: Array) -> TimeResponseData:
+        picked, one = _selected("output", named, sys.noutputs)
         u = np.zeros((sys.ninputs, t.size))
         y, states = _solve(sys, t, u, named["initial_state"], method, "zoh", True)
-        picked = slice(None) if chosen is None else slice(chosen, chosen + 1)
         return TimeResponseData(
-            t, y[picked], states, issiso=sys.issiso() or chosen is not None, output_labels=sys.output_labels[picked],
+            t, y[picked], states, issiso=sys.issiso() or one, output_labels=sys.output_labels[picked],
             state_labels=sys.state_labels, title="Initial response for " + sys.name, transpose=transpose,
-            return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name,
+            return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
         )  # fmt: skip
 
     return _each(sysdata, run, named["timepts"], named["timepts_num"])
-
-
-def default_time_vector(d: Array, tfinal: float | None = None, samples: int | None = None) -> Array:
-    """Instants that resolve the fastest of the modes `d` and show the slowest, or a warning about those they do not."""
-    if d.size == 0:
-        return np.linspace(0.0, 10.0 if tfinal is None else tfinal, samples or 101)
-    shortest, longest = 2 * np.pi / float(d.max()), 2 * np.pi / float(d.min())
-    if tfinal is None:
-        affordable = (samples or _LONGEST) * shortest / _COARSEST
-        # fewer periods of the slowest mode before none, but never an unresolved fast one
-        tfinal = min(_PERIODS * longest, affordable)
-    count = samples or int(np.clip(np.ceil(tfinal / shortest * _PER_PERIOD) + 1, 101, _LONGEST))
-    t = np.linspace(0.0, tfinal, count)
-    _warn_unresolved(d, t)
-    return t
-
-
-def _warn_unresolved(d: Array, t: Array) -> None:
-    step = t[1] - t[0] if len(t) > 1 else np.inf
-    fast = d[d * step > 2 * np.pi / 3]
-    slow = d[d * t[-1] < 2 * np.pi * (1 - 1e-9)]
-    parts = []
-    if len(fast):
-        parts.append(f"too coarse for {_listed(fast)} (fewer than 3 samples a period)")
-    if len(slow):
-        parts.append(f"too short for {_listed(slow)} (less than one period)")
-    if parts:
-        warnings.warn(
-            f"the default time vector ({len(t)} samples to t = {t[-1]:.4g}) is {' and '.join(parts)}; "
-            "pass the instants you need as timepts",
-            ResolutionWarning,
-            stacklevel=6,
-        )
-
-
-def _listed(d: Array) -> str:
-    shown = ", ".join(f"{value:.4g}" for value in d[:3])
-    return f"{len(d)} mode{'s' if len(d) > 1 else ''} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
 
 
 _ALIASES = {
@@ -340,6 +297,9 @@ def _resolve_aliases(named: dict[str, Any], aliases: dict[str, Any]) -> None:
         name = _ALIASES.get(short)
         if name not in named:
             raise TypeError(f"unrecognized keyword: {short!r}")
+        default = {"inputs": 0.0, "initial_state": 0.0, "return_states": False}.get(name)
+        if named[name] is not None and not (np.ndim(named[name]) == 0 and named[name] == default):
+            raise TypeError(f"multiple values for {name!r}: also given as {short!r}")
         named[name] = value
 
 
@@ -366,8 +326,8 @@ def _instants(systems: list[PortHamiltonian], timepts: Any, samples: int | None)
     if timepts is not None and np.ndim(timepts) > 0:
         return _checks.time_vector(timepts)[0]
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
-    if samples is not None and samples < 2:
-        raise StructureError(f"timepts_num is {samples}; a response needs at least 2 instants")
+    if samples is not None and not (isinstance(samples, int | np.integer) and samples >= 2):
+        raise StructureError(f"timepts_num is {samples!r}; it must be a whole number of at least 2 instants")
     visible = [sys.modes.d[sys.modes.nu.any(axis=1)] for sys in systems]
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 
@@ -376,12 +336,13 @@ def _forced(
     sys: PortHamiltonian, t: Array, inputs: Any, initial_state: Any, method: str, intersample: str,
     keep: bool | None, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
-    u = _input_signal(inputs, sys.ninputs, t.size)
+    u = _input_signal(inputs, sys.ninputs, t.size, transpose)
     y, states = _solve(sys, t, u, initial_state, method, intersample, keep is not False)
     return TimeResponseData(
         t, y, states, u, issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
         state_labels=sys.state_labels if states is not None else None, title="Forced response for " + sys.name,
-        transpose=transpose, return_x=bool(keep), squeeze=squeeze, sysname=sys.name,
+        transpose=transpose, return_x=bool(keep), squeeze=squeeze, sysname=sys.name, trace_types=["forced"],
+        plot_inputs=True,
     )  # fmt: skip
 
 
@@ -390,13 +351,9 @@ def _traces(
     method: str, intersample: str, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
-    i, j = named["output_indices"], named["input_indices"]
-    for name, index, count in (("output", i, sys.noutputs), ("input", j, sys.ninputs)):
-        if index is not None and not (isinstance(index, int | np.integer) and 0 <= index < count):
-            raise StructureError(f"{name}_indices is {index!r}; it must be one number from 0 to {count - 1}")
-    rows = slice(None) if i is None else slice(i, i + 1)
-    ports = range(sys.ninputs) if j is None else [int(j)]
-    shown = slice(None) if j is None else slice(j, j + 1)
+    rows, one_output = _selected("output", named, sys.noutputs)
+    shown, one_input = _selected("input", named, sys.ninputs)
+    ports = range(sys.ninputs)[shown]
     y, x, u = [], [], []
     for port in ports:
         drive, state = one(port)
@@ -406,7 +363,7 @@ def _traces(
         u.append(drive[shown] if kind == "Step" else np.zeros_like(drive[shown]))
     return TimeResponseData(
         t, np.stack(y, axis=1), np.stack(x, axis=1), np.stack(u, axis=1),
-        issiso=sys.issiso() or (i is not None and j is not None),
+        issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown], state_labels=sys.state_labels,
         title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(named["return_states"]),
         squeeze=squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
@@ -414,14 +371,28 @@ def _traces(
     )  # fmt: skip
 
 
-def _input_signal(inputs: Any, ports: int, samples: int) -> Array:
+def _selected(kind: str, named: dict[str, Any], count: int) -> tuple[slice, bool]:
+    """Which inputs or outputs to show, and whether one was chosen: a number, or a list of one as python-control."""
+    index = named[f"{kind}_indices"]
+    if index is None:
+        return slice(None), False
+    chosen = index[0] if isinstance(index, list | tuple) and len(index) == 1 else index
+    if not (isinstance(chosen, int | np.integer) and 0 <= chosen < count):
+        raise StructureError(f"{kind}_indices is {index!r}; it must be one number from 0 to {count - 1}")
+    return slice(int(chosen), int(chosen) + 1), True
+
+
+def _input_signal(inputs: Any, ports: int, samples: int, transpose: bool) -> Array:
     u = _checks.real_array("the input", inputs)
     if u.ndim == 0:
         return np.full((ports, samples), float(u))
+    if transpose and u.ndim == 2:
+        u = u.T
     if u.ndim == 1 and ports == 1:
         u = u[None, :]
     if u.shape != (ports, samples):
         wanted = f"({samples},) or (1, {samples})" if ports == 1 else f"({ports}, {samples})"
+        wanted = f"{wanted[:-1]}), transposed" if transpose else wanted
         raise StructureError(f"the input has shape {np.shape(inputs)}; with {samples} instants it must be {wanted}")
     return u
 
@@ -441,29 +412,36 @@ def _solve(
     """Outputs (m, T) and, on request, states (2n, T)."""
     _checks.choice("method", method, METHODS)
     _checks.choice("intersample", intersample, INTERSAMPLE)
-    h = float((t[-1] - t[0]) / (t.size - 1)) if t.size > 1 else 1.0
+    h = time_step(t)
     z0 = _initial_state(initial_state, sys.nstates)
-    modes = sys.modes
     d, E, E0 = sys._energy
-    root = np.sqrt(d)
-    x0 = np.concatenate([(E @ z0) / root, (E0 @ z0).astype(complex)])
     with np.errstate(over="ignore", invalid="ignore"):
-        y, x = simulate(discretize(modes, h, method, intersample), u, x0, states=states)
-    if not np.isfinite(y).all():
+        x0 = np.concatenate([(E @ z0) / np.sqrt(d), (E0 @ z0).astype(complex)])
+        y, x = simulate(discretize(sys.modes, h, method, intersample), u, x0, states=states)
+        z = None if x is None else _states(sys, x[: len(d)], x0[: len(d)], z0, u, h, method, intersample)
+    if not (np.isfinite(y).all() and (z is None or np.isfinite(z).all())):
+        growth = np.hypot(1.0, h * d.max(initial=0.0)) if method == "euler" else 1.0
+        cure = "use method='exact' or a smaller step" if growth > 1 else "scale the input, the state or time"
         raise StructureError(
             f"the response exceeds the range of doubles: with method={method!r} and step {h:.4g} the fastest mode "
-            f"grows by {np.sqrt(1 + (h * d.max(initial=0.0)) ** 2):.4g} a step; use method='exact' or a smaller step"
+            f"grows by {growth:.4g} a step; {cure}"
         )
-    if x is None:
-        return y, None
-    oscillating = x[: len(d)]
+    return y, z
+
+
+def _states(
+    sys: PortHamiltonian, x: ComplexArray, x0: ComplexArray, z0: Array, u: Array, h: float, method: str,
+    intersample: str,
+) -> Array:  # fmt: skip
+    """Phase-space trajectory (2n, T) from that of the oscillating modes; rigid-body motion is integrated."""
+    d, E, E0 = sys._energy
+    root = np.sqrt(d)[:, None]
     if 2 * len(d) == sys.nstates:
-        return y, _phase_space(E / root[:, None], oscillating)
+        return _phase_space(E / root, x)
     U, W = _input_integrals(u, h, method, intersample)
-    eta = E @ sys.B
-    X = (eta @ U - root[:, None] * (oscillating - x0[: len(d), None])) / (1j * d[:, None])
-    X0 = np.outer(E0 @ z0, h * np.arange(t.size)) + (E0 @ sys.B) @ W
-    return y, z0[:, None] + apply_form((E.conj().T @ X).real + E0.T @ X0) + sys.B @ U
+    X = ((E @ sys.B) @ U - root * (x - x0[:, None])) / (1j * d[:, None])
+    X0 = np.outer(E0 @ z0, h * np.arange(u.shape[1])) + (E0 @ sys.B) @ W
+    return z0[:, None] + apply_form((E.conj().T @ X).real + E0.T @ X0) + sys.B @ U
 
 
 def _phase_space(rows: ComplexArray, x: ComplexArray) -> Array:

@@ -1,0 +1,69 @@
+"""Instants of a time response: the default ones, and the step of given ones."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _checks
+from .exceptions import ResolutionWarning
+
+Array = NDArray[np.float64]
+
+_PER_PERIOD = 20  # samples in the shortest period of a default time vector
+_PERIODS = 3  # of the slowest mode in it
+_LONGEST = 20_000  # samples of a default time vector
+_COARSEST = 8  # samples in the shortest period before a mode is given up
+
+
+def default_time_vector(d: Array, tfinal: float | None = None, samples: int | None = None) -> Array:
+    """Instants that resolve the fastest of the modes `d` and show the slowest, or a warning about those they do not."""
+    if d.size == 0:
+        return np.linspace(0.0, 10.0 if tfinal is None else tfinal, samples or 101)
+    shortest, longest = 2 * np.pi / float(d.max()), 2 * np.pi / float(d.min())
+    # fewer periods of the slowest mode before none, but never an unresolved fast one
+    affordable = (samples or _LONGEST) * shortest / _COARSEST
+    end = min(_PERIODS * longest, affordable) if tfinal is None else tfinal
+    count = samples or int(np.clip(np.ceil(end / shortest * _PER_PERIOD) + 1, 101, _LONGEST))
+    t = np.linspace(0.0, end, count)
+    # what the caller chose is no surprise to the caller
+    fast = d[d * (t[1] - t[0]) > 2 * np.pi / 3] if samples is None else d[:0]
+    slow = d[d * end < 2 * np.pi * (1 - 1e-9)] if tfinal is None else d[:0]
+    _warn_unresolved(t, fast, slow)
+    return t
+
+
+def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
+    parts = []
+    if len(fast):
+        parts.append(f"too coarse for {_listed(fast)} (fewer than 3 samples a period)")
+    if len(slow):
+        parts.append(f"too short for {_listed(slow)} (less than one period)")
+    if parts:
+        warnings.warn(
+            f"the default time vector ({len(t)} samples to t = {t[-1]:.4g}) is {' and '.join(parts)}; "
+            "pass the instants you need as timepts",
+            ResolutionWarning,
+            stacklevel=6,
+        )
+
+
+def _listed(d: Array) -> str:
+    shown = ", ".join(f"{value:.4g}" for value in d[:3])
+    return f"{len(d)} mode{'s' if len(d) > 1 else ''} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
+
+
+def time_step(t: Array) -> float:
+    """Time between samples.
+
+    Instants made as `t_0 + k h` are followed with that very `h`: their mean step may miss it by a unit in the last
+    place, and a mode would be off by `d t eps`.
+    """
+    if t.size == 1:
+        return 1.0
+    first = float(t[1] - t[0])
+    drift = np.abs(t[0] + first * np.arange(t.size) - t)
+    made_of_it = drift.max() <= 2 * _checks.EPS * np.abs(t).max()
+    return first if made_of_it else float((t[-1] - t[0]) / (t.size - 1))
