@@ -10,7 +10,11 @@ from .exceptions import (
     ResolutionWarning,
     StructureError,
 )
+from .identification.pem import pem
+from .identification.result import PEMResult
 from .modal import ModalForm
 from .response import forced_response, impulse_response, initial_response, step_response
 from .symplectic import is_hamiltonian_matrix, is_symplectic, symplectic_form, williamson
 from .systems import PortHamiltonian, modes, ph
+
+prediction_error_fit = pem

@@ -1,0 +1,1 @@
+"""Identification: from a recording to modal coordinates."""

@@ -1,0 +1,397 @@
+"""Prediction-error fitting: the public call, the forward path over orders, the verdict."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from ..exceptions import IdentifiabilityWarning, IdentificationError, StructureError
+from ..modal import ModalForm
+from ..propagation import INTERSAMPLE, METHODS
+from ..systems import PortHamiltonian
+from .data import Record, as_record
+from .regressors import Hold
+from .result import OrderRow, PEMResult, ljung_box, state_from_amplitudes
+from .solver import Problem, Projection, refine
+from .start import strongest_mode
+
+Array = NDArray[np.float64]
+
+_PATIENCE = 3  # orders without a better BIC before the forward path ends
+_WHITE = 1e-3  # p-value below which residuals are called coloured
+_GOOD_FIT = 90.0  # percent
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback is told after each iteration."""
+
+    order: int
+    max_order: int
+    iteration: int
+    loss: float
+
+
+def pem(
+    data: Any,
+    order: int | str = "auto",
+    *,
+    dt: float | None = None,
+    method: str = "exact",
+    intersample: str = "zoh",
+    initial_state: str = "estimate",
+    max_order: int = 20,
+    callback: Callable[[Progress], Any] | None = None,
+) -> PEMResult:
+    """Fit a lossless model to a recording, by prediction-error minimisation.
+
+    Finds `d`, `r >= 0` and the initial state that minimise the squared output error of a port-Hamiltonian model.
+    With white output noise this is the maximum-likelihood estimate.  No starting guess is needed.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, or pair (u, y) of array_like, shape (T,) each
+        One input and one output on a uniform grid; NaN outputs are missing samples.  Not modified.
+    order : int or 'auto'
+        Number of modes n; 'auto' takes the one with the smallest BIC.
+    dt : float, optional
+        Time between samples; needed with arrays.
+    method : {'exact', 'midpoint', 'euler'}
+        How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator.
+    intersample : {'zoh', 'foh'}
+        Input between samples: held, or linear.
+    initial_state : {'estimate', 'zero'}
+        Whether the record may start in motion.
+    max_order : int
+        Largest order tried by 'auto'.
+    callback : callable, optional
+        Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
+
+    Returns
+    -------
+    PEMResult
+        Model, uncertainty, quality and a verdict; see `PEMResult.summary`.
+
+    Raises
+    ------
+    StructureError
+        If the data or options are not of this form.
+    IdentificationError
+        If the record cannot carry the order, has no signal, or its input shows nothing.
+
+    Warns
+    -----
+    IdentifiabilityWarning
+        If some combination of weights and initial states leaves no trace in the output.
+
+    Notes
+    -----
+    Given `d` the prediction is linear in the rest: variable projection with the exact Jacobian.  The loss has many
+    minima in `d`, about `2 pi / (T dt)` wide, so modes are added one by one, each where a local fit around the bins of
+    the Fourier transform explains most of what is left, and all are refined jointly.  O(T n^2) an iteration.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> rng = np.random.default_rng(0)
+    >>> t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
+    >>> y = phc.forced_response(plant, t, u).outputs + 0.01 * rng.standard_normal(1000)
+    >>> result = phc.pem((u, y), dt=0.1)
+    >>> result.d.round(3)
+    array([0.5, 2. ])
+    """
+    _checks.choice("method", method, METHODS)
+    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("initial_state", initial_state, ("estimate", "zero"))
+    record = as_record(data, dt)
+    problem = Problem(
+        record.u, record.y, record.observed, Hold(record.dt, method, intersample), initial_state == "zero"
+    )
+    largest = _check_order(problem, order, max_order)
+    _check_signals(problem, record)
+    path = _forward_path(problem, largest, order == "auto", callback)
+    chosen = min(path, key=lambda step: step.row.bic) if order == "auto" else path[-1]
+    asked = chosen.row.order if order == "auto" else largest
+    at_limit = order == "auto" and chosen.row.order == max_order
+    return _result(problem, record, chosen, path, asked, at_limit)
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """One order of the forward path."""
+
+    projection: Projection
+    row: OrderRow
+    iterations: int
+    converged: bool
+
+
+def _check_order(problem: Problem, order: int | str, max_order: int) -> int:
+    """Largest order to try."""
+    observed = len(problem.target)
+    carried = max(0, (observed - 1) // (2 if problem.from_rest else 4))
+    for name, value in (("order", order), ("max_order", max_order)):
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
+        if not (whole or (name == "order" and value == "auto")):
+            allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
+            raise StructureError(f"{name} is {value!r}; it must be {allowed}")
+    if carried == 0:
+        raise IdentificationError(
+            f"the record has {observed} observed output samples; one mode alone has 4 unknowns, so at least 5 are needed"
+        )
+    if order == "auto":
+        return int(min(max_order, carried))
+    if int(order) > carried:
+        raise IdentificationError(
+            f"order {order} has {4 * int(order)} unknowns, more than the {observed} observed samples can carry; "
+            f"the largest order for this record is {carried}"
+        )
+    return int(order)
+
+
+def _check_signals(problem: Problem, record: Record) -> None:
+    if not problem.target.any():
+        raise IdentificationError("the output is zero throughout the record; there is nothing to model")
+    if np.all(record.u == record.u[0]) and not (problem.from_rest and record.u[0] != 0):
+        raise IdentificationError(
+            f"the input is constant ({record.u[0]:g}) throughout the record: a lossless model answers it like a free "
+            "motion, so no weight r can be told from the initial state; record with an input that varies, or pass "
+            "initial_state='zero' if a step was applied to a plant at rest"
+        )
+
+
+def _forward_path(
+    problem: Problem, largest: int, automatic: bool, callback: Callable[[Progress], Any] | None
+) -> list[_Stage]:
+    """Add one mode at a time and refine all; with `automatic`, stop when BIC has ceased to improve."""
+    path = [_stage(problem, problem.project(np.zeros(0)), 0, True)]
+    floor = _rounding_floor(problem)
+    for order in range(1, largest + 1):
+        before = path[-1].projection
+        if before.loss <= floor:
+            break
+        residual = np.zeros(len(problem.y))
+        residual[problem.observed] = before.residual
+        start = np.append(before.d, strongest_mode(problem, residual))
+
+        def report(iteration: int, loss: float, order: int = order) -> None:
+            if callback is not None:
+                callback(Progress(order, largest, iteration, loss / len(problem.target)))
+
+        refined = refine(problem, start, rtol=1e-9, progress=report)
+        path.append(_stage(problem, refined.projection, refined.iterations, refined.converged))
+        best = min(range(len(path)), key=lambda k: path[k].row.bic)
+        if automatic and order - best >= _PATIENCE:
+            break
+    return path
+
+
+def _rounding_floor(problem: Problem) -> float:
+    """Loss below which residuals are rounding: samples computed in doubles carry errors of a few units each."""
+    samples = len(problem.target)
+    return float(samples * (_checks.EPS * np.sqrt(samples)) ** 2 * np.max(np.abs(problem.target)) ** 2)
+
+
+def _stage(problem: Problem, projection: Projection, iterations: int, converged: bool) -> _Stage:
+    n = len(projection.d)
+    loglik, aic, bic = _criteria(problem, projection.loss, n)
+    row = OrderRow(n, projection.loss / len(problem.target), aic, bic, np.sort(projection.d))
+    return _Stage(projection, row, iterations, converged)
+
+
+def _criteria(problem: Problem, loss: float, n: int) -> tuple[float, float, float]:
+    """Gaussian log-likelihood at the best noise variance, AIC and BIC; the noise variance counts as a parameter."""
+    samples = len(problem.target)
+    parameters = (2 if problem.from_rest else 4) * n + 1
+    variance = max(loss / samples, np.finfo(float).tiny)
+    loglik = -0.5 * samples * (np.log(2 * np.pi * variance) + 1)
+    return loglik, 2 * parameters - 2 * loglik, parameters * np.log(samples) - 2 * loglik
+
+
+def _result(
+    problem: Problem, record: Record, chosen: _Stage, path: list[_Stage], order: int, at_limit: bool
+) -> PEMResult:
+    """Sort the modes, convert to `(d, r, initial state)`, and judge."""
+    best = refine(problem, chosen.projection.d, rtol=1e-15)
+    at = best.projection
+    n = len(at.d)
+    rank = np.argsort(at.d)
+    d, coefficients = at.d[rank], at.coefficients
+    kappa, alpha, beta = (coefficients[k * n : (k + 1) * n][rank] for k in range(3))
+    free = at.full_jacobian()[1][n : 2 * n][rank]
+    covariance, variance = _covariance(at, rank)
+    pads = _placeholders(problem, d, order - n)
+    modes = ModalForm(
+        np.concatenate([d, pads]),
+        np.sqrt(np.concatenate([kappa / d, 0 * pads])).astype(complex)[:, None],
+        np.zeros((0, 1)),
+    )
+    amplitudes = np.concatenate([alpha + 1j * beta, 0j * pads])
+    # the regressors count the initial state before the first sample acts through an interpolated input
+    jump = problem.hold.step(d).b1[:, 0] * kappa * problem.u[0]
+    state = state_from_amplitudes(modes, amplitudes + np.concatenate([jump, 0j * pads]))
+    predicted = at.regressors.columns() @ coefficients
+    residuals = record.y - predicted
+    centred = problem.target - problem.target.mean()
+    loglik, aic, bic = _criteria(problem, at.loss, n)
+    noiseless = at.loss <= _rounding_floor(problem)
+    verdict = _Verdict(
+        n=n,
+        order=order,
+        fit_percent=100.0 * (1 - np.sqrt(at.loss / max(float(centred @ centred), np.finfo(float).tiny))),
+        active=tuple(int(l) for l in np.flatnonzero(~free)),
+        deficiency=at.rank_deficiency,
+        whiteness=1.0 if noiseless else ljung_box(residuals, min(20, len(problem.target) // 5)),
+        converged=best.converged,
+        noiseless=noiseless,
+        at_limit=at_limit,
+    )
+    if verdict.deficiency:
+        warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
+    return PEMResult(
+        system=PortHamiltonian._from_modes(modes, inputs=[record.input_label], outputs=[record.output_label]),
+        initial_state=state,
+        free_amplitudes=amplitudes,
+        covariance=_in_user_parameters(covariance, modes, amplitudes, free, n),
+        noise_variance=variance,
+        loss=at.loss / len(problem.target),
+        loglik=loglik,
+        aic=aic,
+        bic=bic,
+        fit_percent=verdict.fit_percent,
+        active=verdict.active,
+        unseen=tuple(range(n, order)),
+        rank_deficiency=verdict.deficiency,
+        whiteness=verdict.whiteness,
+        order_table=tuple(stage.row for stage in path),
+        success=best.converged,
+        message=verdict.message(),
+        n_iterations=best.iterations + sum(stage.iterations for stage in path),
+        method=problem.hold.method,
+        intersample=problem.hold.intersample,
+        record=record,
+        predicted=predicted,
+        residuals=residuals,
+    )
+
+
+def _placeholders(problem: Problem, d: Array, count: int) -> Array:
+    """Frequencies for modes that the record does not show: distinct, above those it does."""
+    top = float(d.max()) if len(d) else problem.bin
+    return top * (2.0 + np.arange(count))
+
+
+def _covariance(at: Projection, rank: NDArray[np.intp]) -> tuple[Array, float]:
+    """Covariance of `(d, kappa, alpha, beta)` sorted by `rank`, NaN for what is held; and the noise variance."""
+    J, free = at.full_jacobian()
+    n = len(at.d)
+    size = 4 * n
+    known = np.zeros(size, bool)
+    known[: len(free)] = free
+    degrees = max(1, len(at.residual) - int(known.sum()))
+    variance = at.loss / degrees
+    columns = J[:, free]
+    lengths = np.where((norm := np.linalg.norm(columns, axis=0)) > 0, norm, 1.0)
+    covariance = np.full((size, size), np.nan)
+    information = np.linalg.pinv((columns / lengths).T @ (columns / lengths), rcond=size * _checks.EPS, hermitian=True)
+    covariance[np.ix_(known, known)] = variance * information / np.outer(lengths, lengths)
+    sorting = np.concatenate([rank + k * n for k in range(4)])
+    return covariance[np.ix_(sorting, sorting)], variance
+
+
+def _in_user_parameters(
+    covariance: Array, modes: ModalForm, amplitudes: NDArray[np.complex128], free: NDArray[np.bool_], n: int
+) -> Array:
+    """Propagate a covariance of `(d, kappa, alpha, beta)` to `(d, r, q, p)`, unseen modes NaN.
+
+    `r = kappa / d` and `q + i p = (alpha + i beta) / sqrt(d kappa)`.
+    """
+    d, kappa = modes.d[:n], modes.kappa[:n]
+    T = np.zeros((4 * n, 4 * n))
+    k = np.arange(n)
+    T[k, k] = 1.0
+    T[n + k, k], T[n + k, n + k] = -kappa / d**2, 1.0 / d
+    safe = np.where(free, kappa, 1.0)
+    root = 1.0 / np.sqrt(d * safe)
+    for offset, part in ((2 * n, amplitudes.real[:n]), (3 * n, amplitudes.imag[:n])):
+        T[offset + k, offset + k] = root
+        T[offset + k, k] = -0.5 * part * root / d
+        T[offset + k, n + k] = -0.5 * part * root / safe
+    held = np.concatenate([np.zeros(n, bool), ~free, ~free, ~free])
+    inner = T @ np.where(np.isnan(covariance), 0.0, covariance) @ T.T
+    inner[held] = np.nan
+    inner[:, held] = np.nan
+    total = modes.n
+    full = np.full((4 * total, 4 * total), np.nan)
+    places = np.concatenate([k + part * total for part in range(4)])
+    full[np.ix_(places, places)] = inner
+    return full
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """What to tell the user about a fit."""
+
+    n: int
+    order: int
+    fit_percent: float
+    active: tuple[int, ...]
+    deficiency: int
+    whiteness: float
+    converged: bool
+    noiseless: bool
+    at_limit: bool
+
+    @property
+    def blind(self) -> str:
+        """Sentence about what the record does not show."""
+        return (
+            f"{self.deficiency} combination{'s' * (self.deficiency != 1)} of weights r and initial states "
+            "leave no trace in this record, so r is not determined; use an input with more frequencies"
+        )
+
+    def message(self) -> str:
+        """All sentences."""
+        parts = []
+        if not self.converged:
+            parts.append("The refinement did not converge; the numbers above are the best found.")
+        if self.n == 0:
+            return "Nothing to model: no mode improves the BIC. " + " ".join(parts)
+        if self.order > self.n:
+            parts.append(
+                f"The record shows {self.n} mode{'s' * (self.n != 1)}, the residual is at rounding level; the other "
+                f"{self.order - self.n} of the {self.order} asked for have r = 0 and placeholder frequencies."
+            )
+        if self.at_limit:
+            parts.append(
+                f"The BIC still falls at the largest order tried ({self.order}): more modes would fit better yet, as they "
+                "do where one damped mode is mimicked by many lossless ones; raise max_order or doubt the model."
+            )
+        if self.active:
+            listed = ", ".join(str(l + 1) for l in self.active)
+            parts.append(
+                f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: there the record asks "
+                "for a residue that no lossless model with input and output at the same port has."
+            )
+        if self.deficiency:
+            parts.append(self.blind[0].upper() + self.blind[1:] + ".")
+        coloured = self.whiteness < _WHITE
+        if coloured:
+            p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
+            parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
+        if self.fit_percent < _GOOD_FIT and (self.active or coloured):
+            parts.append(
+                f"With a fit of {self.fit_percent:.1f} % a collocated lossless velocity model does not describe this "
+                "record: suspect damping, a sensor away from the actuator, or an output that is not the velocity "
+                "(displacement, acceleration)."
+            )
+        if not parts:
+            parts.append("The record is reproduced to rounding." if self.noiseless else "The residuals are white: the model explains the record.")
+        return " ".join(parts)
