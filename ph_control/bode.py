@@ -1,0 +1,349 @@
+"""What a Bode plot shows, as numbers: frequencies that resolve every resonance, responses, measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks
+from .exceptions import StructureError
+from .modal import ModalForm
+from .spectra import SpectralEstimate, spectral_estimate
+from .systems import PortHamiltonian, ph
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+_PER_DECADE = 200
+_CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
+_CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
+_NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
+_COHERENT = 0.5  # dots below this coherence say more about noise and leakage than about the system
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A response to draw, shape (p, m, N), at `omega`, shape (N,), rad/s.
+
+    `singular` holds its poles and zeros on the imaginary axis, ascending; `doubtful` marks what is mostly noise.
+    """
+
+    label: str
+    omega: Array
+    response: ComplexArray
+    singular: Array
+    nyquist: float | None = None
+    doubtful: Mask | None = None
+
+    def magnitude(self, i: int, j: int) -> Array:
+        """Decibels; NaN where infinite or zero."""
+        size = np.abs(self.response[i, j])
+        usable = np.isfinite(size) & (size > 0)
+        return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
+
+    def phase(self, i: int, j: int, *, unwrap: bool = True) -> Array:
+        """Degrees; NaN where the response is infinite or zero."""
+        values = self.response[i, j]
+        usable = np.isfinite(values) & (values != 0)
+        angle = np.full(values.shape, np.nan)
+        angle[usable] = np.angle(values[usable])
+        if unwrap:
+            # a pole on the axis turns the phase by half a turn in no time, which is not a wrap
+            angle[usable] = np.unwrap(angle[usable], discont=1.5 * np.pi)
+        return np.degrees(angle)
+
+    def visible(self, low: float, high: float, part: float) -> Mask:
+        """Where the curve counts for the range of a picture: inside, and not on an infinite peak."""
+        inside = (self.omega >= low) & (self.omega <= high)
+        return inside & away_from(self.omega, self.singular, part)
+
+
+@dataclass(frozen=True)
+class BodeData:
+    """All that a Bode plot draws: curves, dots, and the ends of the frequency axis in rad/s."""
+
+    curves: list[Curve]
+    measured: Curve | None
+    low: float
+    high: float
+    input_labels: list[str]
+    output_labels: list[str]
+    title: str
+
+    @property
+    def nyquist(self) -> list[float]:
+        """Nyquist frequencies inside the picture, ascending."""
+        everything = [*self.curves, *([self.measured] if self.measured else [])]
+        limits = {curve.nyquist for curve in everything if curve.nyquist is not None}
+        return sorted(limit for limit in limits if self.low <= limit <= self.high)
+
+
+def bode_data(
+    sysdata: Any,
+    omega: ArrayLike | None,
+    data: Any,
+    *,
+    segments: int,
+    intersample: str,
+    omega_limits: ArrayLike | None,
+    Hz: bool,
+    label: str | Sequence[str] | None,
+    data_label: str | None,
+) -> BodeData:
+    """Compute what `bode_plot` draws; the arguments are its arguments."""
+    systems = _systems(sysdata)
+    labels = _labels(systems, label)
+    measured = _measurement(data, systems[0], segments, intersample, data_label)
+    marks = np.concatenate([_marks(sys) for sys in systems])
+    grid, low, high = _frequencies(marks, measured, omega, omega_limits, Hz)
+    curves = [_curve(sys, name, grid, low, high) for sys, name in zip(systems, labels, strict=True)]
+    first = systems[0]
+    return BodeData(
+        curves, measured, low, high, first.input_labels, first.output_labels, _title(systems, label is not None)
+    )
+
+
+def _systems(sysdata: Any) -> list[Any]:
+    systems = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
+    if not systems:
+        raise StructureError("the list of systems is empty; give at least one")
+    systems = [ph(sys) if isinstance(sys, ModalForm) else sys for sys in systems]
+    for sys in systems:
+        if not isinstance(sys, ct.StateSpace | ct.TransferFunction | ct.FrequencyResponseData):
+            raise StructureError(
+                f"a {type(sys).__name__} has no frequency response; give LTI systems of python-control, "
+                "PortHamiltonian systems, modal forms or frequency response data"
+            )
+    shapes = [(sys.noutputs, sys.ninputs) for sys in systems]
+    if len(set(shapes)) > 1:
+        raise StructureError(f"the systems differ in (outputs, inputs): {shapes}; draw them in pictures of their own")
+    return systems
+
+
+def _labels(systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
+    if label is None:
+        return [sys.name for sys in systems]
+    labels = [label] if isinstance(label, str) else list(label)
+    if len(labels) != len(systems):
+        raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
+    return labels
+
+
+def _title(systems: list[Any], relabelled: bool) -> str:
+    named = [sys.name for sys in systems if not (relabelled or sys._generic_name_check())]
+    return "Bode plot of " + ", ".join(dict.fromkeys(named)) if 0 < len(named) == len(systems) <= 3 else "Bode plot"
+
+
+def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
+    """The dots: a frequency response as it is, or the spectral estimate of a record."""
+    if data is None:
+        return None
+    if isinstance(data, ct.TimeResponseData):
+        data = spectral_estimate(data, segments=segments, intersample=intersample)
+        label = label or f"data (spectral estimate, {data.segments} segments)"
+    if not isinstance(data, ct.FrequencyResponseData):
+        raise StructureError(
+            f"data is a {type(data).__name__}; pass a record as control.TimeResponseData, or a "
+            "control.FrequencyResponseData"
+        )
+    if (data.noutputs, data.ninputs) != (sys.noutputs, sys.ninputs):
+        raise StructureError(
+            f"the data have {data.noutputs} outputs and {data.ninputs} inputs, the systems {sys.noutputs} and "
+            f"{sys.ninputs}; select the same ones"
+        )
+    curve = _tabulated(data, label or "data")
+    if isinstance(data, SpectralEstimate) and data.segments > 1:
+        return Curve(label or "data", curve.omega, curve.response, curve.singular, curve.nyquist,
+                     data.coherence[data.omega > 0] < _COHERENT)  # fmt: skip
+    return curve
+
+
+def _tabulated(data: ct.FrequencyResponseData, label: str) -> Curve:
+    seen = data.omega > 0
+    if not seen.any():
+        raise StructureError("the frequency response data have no frequency above 0; nothing can be drawn")
+    return Curve(label, data.omega[seen], data.frdata[:, :, seen], np.zeros(0), _nyquist(data))
+
+
+def _curve(sys: Any, label: str, grid: Array | None, low: float, high: float) -> Curve:
+    """Response of a system at the given frequencies, or on a grid of its own."""
+    if isinstance(sys, ct.FrequencyResponseData):
+        return _tabulated(sys, label)
+    marks, singular = features(sys)
+    if grid is None:
+        closest = _CLOSEST_PH if isinstance(sys, PortHamiltonian) else _CLOSEST
+        grid = frequency_grid(marks, low, high, closest)
+    nyquist = _nyquist(sys)
+    if nyquist is None:
+        return Curve(label, grid, sys(1j * grid, squeeze=False, warn_infinite=False), singular)
+    grid = grid[grid <= nyquist]
+    points = np.exp(1j * grid * _timebase(sys))
+    return Curve(label, grid, sys(points, squeeze=False, warn_infinite=False), singular, nyquist)
+
+
+def _nyquist(sys: Any) -> float | None:
+    if isinstance(sys, SpectralEstimate):
+        return sys.nyquist
+    return float(np.pi) / _timebase(sys) if sys.isdtime(strict=True) else None
+
+
+def _timebase(sys: Any) -> float:
+    """Sampling time of a discrete-time system; 1 where it is unspecified, as python-control takes it."""
+    return 1.0 if sys.dt is True else float(sys.dt)
+
+
+# --- frequency axes --------------------------------------------------------------------------------------------------
+
+
+def _frequencies(
+    marks: Array, measured: Curve | None, omega: Any, omega_limits: Any, Hz: bool
+) -> tuple[Array | None, float, float]:
+    """Frequencies asked for, if any, and the ends of the axis, all in rad/s."""
+    given = None if omega is None else _ascending("omega", omega)
+    if given is not None and len(given) > 2:
+        ends = given[[0, -1]]
+    elif given is not None:
+        ends, given = given, None
+    else:
+        ends = _default_limits(marks, measured, Hz)
+    if omega_limits is not None:
+        ends = _ascending("omega_limits", omega_limits) * (2.0 * np.pi if Hz else 1.0)
+        if len(ends) != 2:
+            raise StructureError(f"omega_limits has {len(ends)} entries; give the lowest and the highest frequency")
+    return given, float(ends[0]), float(ends[1])
+
+
+def _ascending(name: str, value: Any) -> Array:
+    array = _checks.real_array(name, value, 1)
+    if len(array) < 2 or array[0] <= 0 or np.any(np.diff(array) <= 0):
+        raise StructureError(
+            f"{name} must be at least two positive, ascending frequencies; it has {len(array)} entries"
+            + (f" from {array.min():.6g} to {array.max():.6g}" if len(array) else "")
+        )
+    return array
+
+
+def _default_limits(marks: Array, measured: Curve | None, Hz: bool) -> Array:
+    """Full decades about all marks; with a measurement what it covers and the marks, without the rest of a decade."""
+    if measured is None:
+        return frequency_limits(marks, hz=Hz)
+    top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
+    lowest, highest = measured.omega[0] / 1.1, top * 1.1
+    return np.array([min([lowest, *(marks / 2.0)]), max([highest, *(marks * 1.5)])])
+
+
+def frequency_limits(marks: Array, *, hz: bool = False) -> Array:
+    """Full decades that hold all marks with at least a factor 2 on each side; 0.1 to 10 without any."""
+    unit = 2.0 * np.pi if hz else 1.0
+    if not len(marks):
+        return np.array([0.1, 10.0]) * unit
+    low = np.floor(np.log10(marks.min() / unit / 2.0))
+    high = np.ceil(np.log10(2.0 * marks.max() / unit))
+    return 10.0 ** np.array([low, high]) * unit
+
+
+def _marks(sys: Any) -> Array:
+    """Frequencies that the picture must show: poles and zeros, or the ends of tabulated data."""
+    if isinstance(sys, ct.FrequencyResponseData):
+        return _tabulated(sys, "").omega[[0, -1]]
+    return features(sys)[0]
+
+
+def features(sys: Any) -> tuple[Array, Array]:
+    """Frequencies of the poles and zeros of a system, ascending, positive, and those of them on the imaginary axis.
+
+    The second kind is where the response is infinite or zero; it includes every pole and zero of a PH system.
+    """
+    points = np.concatenate([np.zeros(0, complex), sys.poles(), _zeros(sys)])
+    if sys.isdtime(strict=True):
+        points = points[points != 0]
+        points = np.log(points.astype(complex)) / _timebase(sys)
+    points = points[np.isfinite(points)]
+    if isinstance(sys, PortHamiltonian):
+        on_axis = np.unique(points.imag[points.imag > 0])
+        return on_axis, on_axis
+    size = np.abs(points)
+    # eigenvalue solvers return zeros at infinity as huge numbers, and those at the origin as tiny ones
+    poles = np.abs(sys.poles())
+    scale = np.max(poles, initial=0.0) if sys.isctime() else np.pi / _timebase(sys)
+    points = points[(size > _NEGLIGIBLE * scale) & ((size < scale / _NEGLIGIBLE) | (scale == 0))]
+    on_axis = points[(np.abs(points.real) <= 1e-7 * np.abs(points)) & (points.imag > 0)].imag
+    peaks = points.imag[points.imag > _NEGLIGIBLE * np.abs(points)]
+    return np.unique(np.concatenate([np.abs(points), peaks])), np.unique(on_axis)
+
+
+def _zeros(sys: Any) -> ComplexArray:
+    try:
+        return np.asarray(sys.zeros(), dtype=complex)
+    except NotImplementedError:  # python-control: transfer functions with several ports
+        return np.zeros(0, complex)
+
+
+def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _CLOSEST) -> Array:
+    """Frequencies from `low` to `high`, dense on both sides of every mark and never on one.
+
+    Parameters
+    ----------
+    marks : array_like, shape (N,)
+        Frequencies of poles and zeros, positive.
+    low, high : float
+        Ends of the grid, `0 < low < high`.
+    closest : float
+        Distance of the nearest points to a mark, relative to its frequency.
+
+    Returns
+    -------
+    ndarray
+        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 30 points at geometrically
+        shrinking distances, from half way to the next mark down to `closest`.
+
+    Notes
+    -----
+    Marks closer than a tenth of `closest` count as one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ph_control.bode import frequency_grid
+    >>> grid = frequency_grid([1.0], 0.1, 10.0)
+    >>> bool(np.abs(grid - 1.0).min() > 0), bool(np.abs(grid - 1.0).min() < 1e-7)
+    (True, True)
+    """
+    base = np.geomspace(low, high, 2 + int(np.ceil(max(500.0, _PER_DECADE * np.log10(high / low)))))
+    base[0], base[-1] = low, high
+    marks = np.unique(np.asarray(marks, dtype=float))
+    if not len(marks):
+        return base
+    groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
+    fences = np.concatenate([[0.0], groups, [2 * max(high, groups[-1])]])
+    shrinking = np.geomspace(0.5, closest, 30)
+    parts = [base]
+    for side, gap in ((-1.0, groups - fences[:-2]), (1.0, fences[2:] - groups)):
+        distance = np.maximum(np.outer(gap, shrinking), np.minimum(closest * groups, 0.5 * gap)[:, None])
+        parts.append((groups[:, None] + side * distance).ravel())
+    grid = np.unique(np.concatenate(parts))
+    grid = grid[(grid >= low) & (grid <= high)]
+    return grid[_distance(grid, marks) > 0.1 * closest * grid]
+
+
+def _distance(x: Array, marks: Array) -> Array:
+    """Distance of each `x` to the nearest of the ascending marks."""
+    fenced = np.concatenate([[-np.inf], marks, [np.inf]])
+    above = np.searchsorted(fenced, x)
+    return np.minimum(x - fenced[above - 1], fenced[above] - x)
+
+
+def away_from(x: Array, marks: Array, part: float) -> NDArray[np.bool_]:
+    """Tell which `x` keep at least `part` of the gap between their two neighbouring marks from both of them."""
+    if not len(marks):
+        return np.ones(x.shape, bool)
+    fenced = np.concatenate([[0.0], marks, [2 * marks[-1]]])
+    above = np.clip(np.searchsorted(fenced, x), 1, len(fenced) - 1)
+    gap = fenced[above] - fenced[above - 1]
+    return _distance(x, marks) >= part * gap
