@@ -15,9 +15,9 @@ import control as ct
 import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
-from scipy.linalg import eig, matrix_balance
+from scipy.linalg import eig, matrix_balance, schur
+from scipy.linalg.lapack import ztrsen, ztrsyl
 from scipy.sparse.csgraph import connected_components
-from slycot import tb01pd
 
 from . import _checks
 from .exceptions import NotLosslessError, StructureError
@@ -27,20 +27,22 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _SAFETY = 32.0  # between a first-order error bound and what is called an error
+_PARALLEL = np.sqrt(_checks.EPS)  # eigenvectors that nearly coincide are those of a Jordan block
 
 
 @dataclass(frozen=True)
 class PoleResidueForm:
     """Poles (N,), residue matrices (N, p, m), error bounds of both (N,), feedthrough (p, m).
 
-    A defective pole is one of several at the same place that share an eigenvector.
+    `growth` (N,) is the coefficient of `1/(s - pole)^2`, or what stands for it in a higher pole: 0 where it is simple.
     """
 
     poles: ComplexArray
     residues: ComplexArray
     pole_error: Array
     residue_error: Array
-    defective: NDArray[np.bool_]
+    growth: Array
+    growth_error: Array
     feedthrough: Array
 
 
@@ -95,61 +97,152 @@ def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
 
 
 def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
-    """Poles and residues of `C (sI - A)^{-1} B + D` by eigenvectors of the balanced `A`.
+    """Poles and residues of `C (sI - A)^{-1} B + D`, with bounds for a backward error `n eps ||A||` of the balanced A.
 
-    Where `A` has no usable set of eigenvectors (Jordan blocks, most often in a part that no port sees), the
-    staircase algorithm of slycot first takes out what is not reachable or not observable.
+    Modes are first taken apart, each pole alone or, where eigenvectors nearly coincide, each cluster of poles as one
+    block.  So nothing is decided by rank: a part that no port sees has a residue of zero within its bound.
     """
     A, B, C, D = (_checks.real_array(name, M, 2) for name, M in zip("ABCD", (A, B, C, D), strict=True))
     if len(A) == 0 or not B.any() or not C.any():
         return _static(D)
-    form = _eigenvector_form(A, B, C, D)
-    if not form.defective.any():
-        return form
-    A, B, C = _staircase(A, B, C)
-    return _eigenvector_form(A, B, C, D) if len(A) else _static(D)
+    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    B, C = B / scale[:, None], C * scale
+    backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
+    blocks = _spectral_blocks(A, B, C, backward)
+    residue_error = _residue_errors(blocks, backward, B, C)
+    refined = [
+        _block_errors(block, backward / block.separation, error)
+        for block, error in zip(blocks, residue_error, strict=True)
+    ]
+    pole_error, growth, growth_error = np.array(refined).T
+    return PoleResidueForm(
+        np.array([block.center for block in blocks]),
+        np.array([block.outputs @ block.inputs for block in blocks]),
+        pole_error,
+        residue_error,
+        growth,
+        growth_error,
+        D,
+    )
 
 
 def _static(D: Array) -> PoleResidueForm:
     none = np.zeros(0)
-    return PoleResidueForm(none.astype(complex), np.zeros((0, *D.shape), complex), none, none, none.astype(bool), D)
+    return PoleResidueForm(none.astype(complex), np.zeros((0, *D.shape), complex), none, none, none, none, D)
 
 
-def _staircase(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
-    n, m, p = len(A), B.shape[1], C.shape[0]
-    B_work, C_work = np.zeros((n, max(m, p))), np.zeros((max(m, p), n))
-    B_work[:, :m], C_work[:p] = B, C
-    A, B_work, C_work, order = tb01pd(n, m, p, A.copy(), B_work, C_work, job="M", equil="S", tol=0.0)[:4]
-    return A[:order, :order], B_work[:order, :m], C_work[:p, :order]
+@dataclass(frozen=True)
+class _Block:
+    """The part `outputs (s - center - N)^{-1} inputs` of a transfer function, with k poles around a center.
+
+    `separation` is the cosine between the left and the right invariant subspace, 1 for a normal matrix: what a
+    perturbation of `A` may be divided by to bound the motion of the center.
+    """
+
+    center: complex
+    N: ComplexArray
+    outputs: ComplexArray
+    inputs: ComplexArray
+    separation: float
 
 
-def _eigenvector_form(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
-    """Modal decomposition; the bounds are first-order perturbations for a backward error `n eps ||A||`."""
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    B, C = B / scale[:, None], C * scale
-    values, left, right = eig(A, left=True, right=True)
-    overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    defective = overlap < len(A) * np.sqrt(_checks.EPS)
-    backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
-    condition = 1.0 / np.maximum(overlap, _checks.EPS)
-    inverse = np.linalg.pinv(right) if defective.any() else np.linalg.inv(right)
-    outputs, inputs = (C @ right).T, inverse @ B
-    distance = np.abs(values[:, None] - values)
-    # modes at the same place mix freely: only their sum is used, so they do not disturb one another
-    pole_error = np.minimum(backward * condition, _checks.EPS**0.25 * np.linalg.norm(A))
-    apart = distance > _SAFETY * (pole_error[:, None] + pole_error)
-    coupling = np.where(apart, backward / np.where(apart, distance, 1.0), 0.0)
-    out_size, in_size = np.linalg.norm(outputs, axis=1), np.linalg.norm(inputs, axis=1)
-    out_error = coupling @ (out_size * condition) + _checks.EPS * np.linalg.norm(C)
-    in_error = condition * (coupling @ in_size + _checks.EPS * np.linalg.norm(B))
-    return PoleResidueForm(
-        values,
-        outputs[:, :, None] * inputs[:, None, :],
-        pole_error,
-        out_error * in_size + out_size * in_error + out_error * in_error,
-        defective,
-        D,
-    )
+def _spectral_blocks(A: Array, B: Array, C: Array, backward: float) -> list[_Block]:
+    """One block for each eigenvalue; one for each cluster of eigenvalues where eigenvectors nearly coincide."""
+    T, Z = schur(A, output="complex")
+    # of a triangular matrix: the eigenvalues come in the order of its diagonal
+    values, left, right = eig(T, left=True, right=True)
+    B, C = Z.conj().T @ B, C @ Z
+    overlap = np.sum(left.conj() * right, axis=0)
+    separation = np.maximum(np.abs(overlap), _checks.EPS)
+    # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
+    radius = np.minimum(backward / separation, _checks.EPS**0.25 * np.linalg.norm(A))
+    blocks = []
+    for group in _clusters(values, 4 * radius):
+        while len(group) and separation[group].min() < len(A) * _PARALLEL:
+            worst = values[group[separation[group].argmin()]]
+            group = group[np.abs(values[group] - worst).argsort()]
+            joint = _well_separated_block(T, B, C, group)
+            blocks.append(joint)
+            group = group[len(joint.N) :]
+        for l in group:
+            inputs = left[None, :, l].conj() @ B / overlap[l]
+            blocks.append(_Block(values[l], np.zeros((1, 1), complex), C @ right[:, [l]], inputs, separation[l]))
+    return blocks
+
+
+def _well_separated_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
+    """Fewest of these eigenvalues, from the first on, whose block is about as well separated as any of them gives."""
+    candidates = [_joint_block(T, B, C, group[:k]) for k in range(1, len(group) + 1)]
+    best = max(block.separation for block in candidates)
+    return next(block for block in candidates if block.separation >= 0.1 * best)
+
+
+def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
+    """Split a cluster of eigenvalues off an upper triangular matrix: reorder, then solve a Sylvester equation."""
+    n, k = len(T), len(group)
+    select = np.zeros(n, np.int32)
+    select[group] = 1
+    T, Q, values, _, separation, _, _ = ztrsen(select, T, np.eye(n, dtype=complex), lwork=max(1, 2 * k * (n - k)))
+    B, C = Q.conj().T @ B, C @ Q
+    outputs, inputs = C[:, :k], B[:k]
+    if k < n:
+        X, scale, _ = ztrsyl(T[:k, :k], T[k:, k:], T[:k, k:], isgn=-1)
+        inputs = inputs + X @ B[k:] / scale
+    center = values[:k].mean()
+    N = T[:k, :k] - center * np.eye(k)
+    # a single visible pole r/(s - p) among hidden ones has the moments r, r (p - center): move the center to it
+    residue, moment = outputs @ inputs, outputs @ N @ inputs
+    size = np.vdot(residue, residue).real
+    shift = np.vdot(residue, moment) / size if size > 0 else 0.0
+    if abs(shift) > np.abs(values[:k] - center).max():
+        shift = 0.0
+    return _Block(center + shift, N - shift * np.eye(k), outputs, inputs, max(separation, _checks.EPS))
+
+
+def _residue_errors(blocks: list[_Block], backward: float, B: Array, C: Array) -> Array:
+    """First-order bounds: the backward error tilts each block towards the others, more the nearer they are."""
+    center = np.array([block.center for block in blocks])
+    separation = np.array([block.separation for block in blocks])
+    spread = np.array([np.linalg.norm(block.N) for block in blocks])
+    count = np.array([len(block.N) for block in blocks])
+    error = backward / separation
+    out_error = np.full(len(blocks), _checks.EPS * np.linalg.norm(C))
+    in_error = np.full(len(blocks), _checks.EPS * np.linalg.norm(B))
+    for j, other in enumerate(blocks):
+        gap = center - other.center
+        # modes at the same place mix freely: only their sum is used, so they do not disturb one another
+        apart = np.abs(gap) > _SAFETY * (error + error[j])
+        resolvent = np.linalg.inv(np.where(apart, gap, 1.0)[:, None, None] * np.eye(count[j]) - other.N)
+        x, y = other.outputs @ resolvent, resolvent @ other.inputs
+        # X -> (c_i + N_i) X - X (c_j + N_j) is inverted by a series that ends where powers of N_i do
+        for power in range(count.max()):
+            reached = apart & (power < count)
+            out_error += np.where(reached, spread**power * np.linalg.norm(x, axis=(1, 2)) * error[j], 0.0)
+            in_error += np.where(reached, spread**power * np.linalg.norm(y, axis=(1, 2)) * backward, 0.0)
+            x, y = x @ resolvent, resolvent @ y
+    in_error = in_error / separation
+    out_size = np.array([np.linalg.norm(block.outputs) for block in blocks])
+    in_size = np.array([np.linalg.norm(block.inputs) for block in blocks])
+    return out_error * in_size + out_size * in_error + out_error * in_error
+
+
+def _block_errors(block: _Block, pole_error: float, residue_error: float) -> tuple[float, float, float]:
+    """Error of the pole; and of the coefficients of its higher powers, the one that stands out most, with its error."""
+    spread = float(np.linalg.norm(block.N))
+    if spread == 0.0:
+        return pole_error, 0.0, 0.0
+    size = float(np.linalg.norm(block.outputs) * np.linalg.norm(block.inputs))
+    residue = float(np.linalg.norm(block.outputs @ block.inputs))
+    if residue > residue_error:
+        moved = pole_error + (residue_error * spread + size * pole_error) / residue
+    else:
+        moved = pole_error
+    moments = []
+    x = spread * block.inputs
+    for power in range(1, len(block.N) + 1):
+        x = block.N @ x / spread
+        moments.append((float(np.linalg.norm(block.outputs @ x)), residue_error * spread + power * size * pole_error))
+    return moved, *max(moments, key=lambda moment: moment[0] - _SAFETY * moment[1])
 
 
 # --- polynomials and zero-pole-gain ------------------------------------------------------------------------------
@@ -159,7 +252,7 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
     """Poles and residues of `num/den` (descending powers), in a time scaled to the size of the poles.
 
     Roots are polished and carry the bound that the rounding of the coefficients implies.  Where roots of the
-    denominator coincide within it, common factors go through a companion form and the staircase algorithm.
+    denominator coincide within it, a companion form takes clusters of them apart.
     """
     num = np.trim_zeros(_checks.real_array("the numerator", num, 1), "f")
     den = np.trim_zeros(_checks.real_array("the denominator", den, 1), "f")
@@ -194,19 +287,21 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         rounding = 2 * order * _checks.EPS * np.polyval(np.abs(num), size)
         slope_rounding = 2 * order * _checks.EPS * np.polyval(np.polyder(np.abs(den)), size) * np.abs(residues)
         error = (moved * pole_error + rounding + slope_rounding) / np.abs(derivative)
-        form = PoleResidueForm(poles, residues[:, None, None], pole_error, error, np.zeros(order, bool), D)
+        simple = np.zeros(order)
+        form = PoleResidueForm(poles, residues[:, None, None], pole_error, error, simple, simple, D)
     else:
         A = np.diag(np.ones(order - 1), -1)
         A[0] = -den[1:]
         B = np.eye(order)[:, :1]
-        form = from_state_space(*_staircase(A, B, num[None, :]), D)
+        form = from_state_space(A, B, num[None, :], D)
     # residues carry the unit of 1/time as the poles do
     return PoleResidueForm(
         form.poles * scale,
         form.residues * scale,
         form.pole_error * scale,
         form.residue_error * scale,
-        form.defective,
+        form.growth * scale**2,
+        form.growth_error * scale**2,
         D,
     )
 
@@ -253,42 +348,38 @@ def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResid
     if gain == 0 or len(p) == 0:
         return _static(D)
     gaps = np.abs(p[:, None] - p) + np.diag(np.full(len(p), np.inf))
-    defective = gaps.min(axis=1) <= close * np.abs(p)
+    repeated = gaps.min(axis=1) <= close * np.abs(p)
     residues = np.empty(len(p), complex)
     relative = np.empty(len(p))
     for l, pole in enumerate(p):
         others = np.delete(p, l)
-        down = np.where(pole == others, 1.0, pole - others)
+        # of a repeated pole this leaves the coefficient of its highest power
+        down = np.where(np.abs(pole - others) <= close * abs(pole), 1.0, pole - others)
         up = pole - z
         # interleaved so that long products neither over- nor underflow
         ratio = np.concatenate([up[: len(down)], np.ones(max(0, len(down) - len(up)))]) / down
         residues[l] = gain * np.prod(ratio) * np.prod(up[len(down) :])
         sizes = np.concatenate([np.abs(z / np.where(up == 0, 1.0, up)), np.abs(others / down)])
         relative[l] = _checks.EPS * (2 * len(p) + sizes.sum())
-    return PoleResidueForm(
-        p, residues[:, None, None], _checks.EPS * np.abs(p), relative * np.abs(residues), defective, D
-    )
+    size, error = np.abs(residues), relative * np.abs(residues)
+    growth, growth_error = np.where(repeated, size, 0.0), np.where(repeated, error, 0.0)
+    return PoleResidueForm(p, residues[:, None, None], _checks.EPS * np.abs(p), error, growth, growth_error, D)
 
 
 def _assemble(entries: list[list[PoleResidueForm]]) -> PoleResidueForm:
     """One form from those of the entries; `decide` merges the poles they share."""
     p, m = len(entries), len(entries[0])
-    poles, residues, pole_error, residue_error, defective = [], [], [], [], []
+    parts: list[tuple[NDArray[Any], ...]] = []
     D = np.zeros((p, m))
     for i, row in enumerate(entries):
         for j, entry in enumerate(row):
-            placed = np.zeros((len(entry.poles), p, m), complex)
-            placed[:, i, j] = entry.residues[:, 0, 0]
-            poles.append(entry.poles)
-            residues.append(placed)
-            pole_error.append(entry.pole_error)
-            residue_error.append(entry.residue_error)
-            defective.append(entry.defective)
+            residues = np.zeros((len(entry.poles), p, m), complex)
+            residues[:, i, j] = entry.residues[:, 0, 0]
+            parts.append(
+                (entry.poles, residues, entry.pole_error, entry.residue_error, entry.growth, entry.growth_error)
+            )
             D[i, j] = entry.feedthrough[0, 0]
-    return PoleResidueForm(
-        np.concatenate(poles), np.concatenate(residues), np.concatenate(pole_error), np.concatenate(residue_error),
-        np.concatenate(defective), D,
-    )  # fmt: skip
+    return PoleResidueForm(*(np.concatenate(part) for part in zip(*parts, strict=True)), D)
 
 
 # --- the decision ------------------------------------------------------------------------------------------------
@@ -309,11 +400,12 @@ def decide(form: PoleResidueForm) -> ModalForm:
     rows: list[ComplexArray] = []
     ports = form.residues.shape[1]
     rigid = np.zeros((0, ports))
-    for group in _clusters(form):
+    for group in _clusters(form.poles, _SAFETY * form.pole_error):
         R = form.residues[group].sum(axis=0)
         R_error = _SAFETY * float(form.residue_error[group].sum()) + _SAFETY * _checks.EPS * float(np.abs(R).max())
-        defective = form.defective[group].any()
-        if np.abs(R).max() <= R_error and not defective:
+        excess = form.growth[group] - _SAFETY * form.growth_error[group]
+        repeated = excess.max() > 0
+        if np.abs(R).max() <= R_error and not repeated:
             continue
         weight = np.abs(form.residues[group]).sum(axis=(1, 2))
         pole = complex(np.average(form.poles[group], weights=weight if weight.any() else None))
@@ -321,10 +413,11 @@ def decide(form: PoleResidueForm) -> ModalForm:
         if pole.imag < -pole_error:
             continue
         label = f"pole {_complex(pole)}"
-        if defective:
+        if repeated:
+            worst = group[excess.argmax()]
             violations.append(
-                f"{label} is repeated: {len(group)} poles within {pole_error:.1e} share an eigenvector, allowed 1; "
-                "the motion grows with time"
+                f"{label} is repeated: coefficient of 1/(s - pole)^2 is {form.growth[worst]:.3g}, allowed "
+                f"{_SAFETY * form.growth_error[worst]:.1e}; the motion grows with time"
             )
         elif abs(pole.real) > pole_error:
             violations.append(
@@ -366,10 +459,9 @@ def _positive_part(R: ComplexArray, error: float) -> tuple[Array, ComplexArray, 
     return sigma[kept], vectors * (np.abs(lead) / lead), offences
 
 
-def _clusters(form: PoleResidueForm) -> list[NDArray[np.intp]]:
-    """Groups of poles that their error bounds do not tell apart."""
-    radius = _SAFETY * form.pole_error
-    near = np.abs(form.poles[:, None] - form.poles) <= radius[:, None] + radius
+def _clusters(poles: ComplexArray, radius: Array) -> list[NDArray[np.intp]]:
+    """Groups of poles whose disks of these radii overlap."""
+    near = np.abs(poles[:, None] - poles) <= radius[:, None] + radius
     count, label = connected_components(near, directed=False)
     return [np.flatnonzero(label == k) for k in range(count)]
 
