@@ -156,8 +156,8 @@ def williamson(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array
     Notes
     -----
     Cholesky `Q = L L^T`; the skew matrix `L^T J L` goes by Householder reflections to a tridiagonal and,
-    shuffled, to a bidiagonal one, whose singular values are `d`; one Newton step takes `S` back to the
-    symplectic group.  Degrees of freedom that `Q` does not couple are treated apart, so that each keeps its
+    shuffled, to a bidiagonal one, whose singular values are `d`; Newton steps, as a rule one, take `S` back to
+    the symplectic group.  Degrees of freedom that `Q` does not couple are treated apart, so that each keeps its
     own relative accuracy.  Cost O(n^3); the residuals `S^T diag(d, d) S - Q` and `S J S^T - J` are of size
     `n eps` relative to `||Q||` and `||S||^2`.
 
@@ -173,10 +173,7 @@ def williamson(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array
     array = _checks.hamiltonian_matrix(Q, definite=True, rtol=rtol)
     d, rows, _ = energy_coordinates(array)
     rows = rows / np.sqrt(d)[:, None]
-    S = np.concatenate([rows.real, rows.imag])
-    # S J S^T = J + E with a small skew E: S + E J S / 2 is symplectic to first order in E
-    defect = S @ apply_form(S.T) - symplectic_form(len(d))
-    return d, S + 0.5 * defect @ apply_form(S)
+    return d, np.concatenate([rows.real, rows.imag])
 
 
 def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
@@ -230,7 +227,26 @@ def _reduce_block(Q: Array) -> tuple[Array, ComplexArray, Array]:
     zero = 0 if len(F) == F.shape[1] else int(np.sum(sigma <= 8 * len(F) * _checks.EPS * sigma.max(initial=0.0)))
     x = (left[:, zero:pairs] + 1j * right[:, zero:pairs]).T @ F.T
     still = np.concatenate([left[:, :zero], right[:, :zero], left[:, pairs:], right[:, pairs:]], axis=1)
-    return sigma[zero:], x, still.T @ F.T
+    return sigma[zero:], _back_to_symplectic(sigma[zero:], x), still.T @ F.T
+
+
+def _back_to_symplectic(d: Array, x: ComplexArray) -> ComplexArray:
+    """Newton steps on `S J S^T = J` for the rows `S` of `x / sqrt(d)`.
+
+    Rounding leaves a skew defect of about `eps d_max / sqrt(d_j d_l)`.  Of two rows the one with the smaller
+    `d` takes most of their correction, so that the energy `S^T diag(d, d) S` stays as it is.
+    """
+    weight = np.concatenate([d, d])
+    share = weight / (weight[:, None] + weight)
+    S = np.concatenate([x.real, x.imag]) / np.sqrt(weight)[:, None]
+    for _ in range(5):
+        defect = S @ apply_form(S.T) - symplectic_form(len(d))
+        S = S + (share * defect) @ apply_form(S)
+        # a step squares the defect
+        if np.max(np.abs(defect), initial=0.0) ** 2 <= _checks.EPS:
+            break
+    S = np.sqrt(weight)[:, None] * S
+    return S[: len(d)] + 1j * S[len(d) :]
 
 
 def _factor(Q: Array) -> Array:
