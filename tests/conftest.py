@@ -1,0 +1,44 @@
+"""What every test shares: no test may change global state, and where third-party data lies."""
+
+from pathlib import Path
+
+import control
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+matplotlib.use("Agg")
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def _global_state():
+    return {
+        "numpy.geterr()": np.geterr(),
+        "control.config.defaults": dict(control.config.defaults),
+        "matplotlib.rcParams": dict(matplotlib.rcParams.copy()),
+        "numpy.random": [
+            part.tolist() if isinstance(part, np.ndarray) else part
+            for part in np.random.get_state()  # noqa: NPY002
+        ],
+    }
+
+
+@pytest.fixture(autouse=True)
+def global_state_is_unchanged():
+    """Hold the global state after a test against that before it; close all figures."""
+    before = _global_state()
+    yield
+    plt.close("all")
+    after = _global_state()
+    changed = [name for name in before if before[name] != after[name]]
+    assert not changed, f"the test changed {', '.join(changed)}"
+
+
+@pytest.fixture(scope="session")
+def data_folder():
+    """Folder of third-party data; its tests are skipped where it is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"third-party data not found at {DATA}")
+    return DATA

@@ -1,0 +1,175 @@
+"""Slow, obvious, independent implementations that the fast ones must agree with.
+
+Nothing here uses the package: transfer functions in mpmath, exact fractions, dense matrices, recursions.
+"""
+
+from fractions import Fraction
+
+import mpmath as mp
+import numpy as np
+from scipy.linalg import expm
+
+EPS = float(np.finfo(float).eps)
+DIGITS = 60
+
+
+def symplectic_form(n):
+    return np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(n))
+
+
+def random_orthogonal_symplectic(n, rng):
+    """From a random unitary matrix: `[[Re, -Im], [Im, Re]]`."""
+    U, _ = np.linalg.qr(rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n)))
+    return np.block([[U.real, -U.imag], [U.imag, U.real]])
+
+
+def random_symplectic(n, rng, squeeze=1.0):
+    """Two rotations around a squeeze by `exp(±squeeze)` at most."""
+    s = np.exp(rng.uniform(-squeeze, squeeze, n))
+    return random_orthogonal_symplectic(n, rng) @ np.diag(np.r_[s, 1 / s]) @ random_orthogonal_symplectic(n, rng)
+
+
+def random_hamiltonian(d, rng, squeeze=1.0):
+    """`(Q, S)` with the symplectic eigenvalues `d` (zeros allowed) up to rounding, exactly symmetric."""
+    S = random_symplectic(len(d), rng, squeeze)
+    Q = S.T @ np.diag(np.r_[d, d]) @ S
+    return 0.5 * (Q + Q.T), S
+
+
+# --- transfer functions ------------------------------------------------------------------------------------------
+
+
+def on_axis(d, r, w, kappa_0=0.0):
+    """Imaginary part of `G(i w)` for one port, with many digits."""
+    with mp.workdps(DIGITS):
+        w = mp.mpf(float(w))
+        terms = [
+            mp.mpf(float(a)) * mp.mpf(float(b)) * w / ((mp.mpf(float(a)) - w) * (mp.mpf(float(a)) + w))
+            for a, b in zip(d, r, strict=True)
+            if b
+        ]
+        if kappa_0:
+            terms.append(-mp.mpf(float(kappa_0)) / w)
+        return mp.fsum(terms)
+
+
+def relative_error(value, truth):
+    with mp.workdps(DIGITS):
+        return float(abs(mp.mpf(float(value)) - truth) / abs(truth)) if truth else float(abs(value))
+
+
+def foster_zeros(d, kappa, kappa_0=0.0):
+    """Positive zeros of `kappa_0/s + sum kappa s/(s^2 + d^2)`, by bisection between neighbouring poles."""
+    with mp.workdps(DIGITS):
+        d = [mp.mpf(float(x)) for x in d]
+        kappa = [mp.mpf(float(x)) for x in kappa]
+        if kappa_0:
+            d, kappa = [mp.mpf(0), *d], [mp.mpf(float(kappa_0)), *kappa]
+        zeros = []
+        for low, high in zip(d[:-1], d[1:], strict=True):
+            for _ in range(160):
+                middle = (low + high) / 2
+                value = mp.fsum(k / (x * x - middle * middle) for k, x in zip(kappa, d, strict=True))
+                low, high = (middle, high) if value < 0 else (low, middle)
+            zeros.append(low)
+        return zeros
+
+
+def coefficients(d, r):
+    """`a_0, a_2 ..` and `c_1, c_3 ..` as exact fractions, by multiplying out."""
+    squares = [Fraction(float(x)) ** 2 for x in d]
+    denominator = _product(squares)
+    numerator = [Fraction(0)] * len(squares)
+    for l, (x, y) in enumerate(zip(d, r, strict=True)):
+        kappa = Fraction(float(x)) * Fraction(float(y))
+        for k, value in enumerate(_product(squares[:l] + squares[l + 1 :])):
+            numerator[k] += kappa * value
+    return denominator[:-1], numerator
+
+
+def _product(squares):
+    """Ascending coefficients of `prod (x + square)`."""
+    result = [Fraction(1)]
+    for square in squares:
+        shifted = [Fraction(0), *result]
+        result = [shifted[k] + (square * result[k] if k < len(result) else 0) for k in range(len(shifted))]
+    return result
+
+
+def dense_matrices(Q, B):
+    """`(A, B, C)` of `z' = J Q z + B u`, `y = B^T Q z`."""
+    Q = np.array(Q, dtype=float)
+    B = np.array(B, dtype=float).reshape(len(Q), -1)
+    return symplectic_form(len(Q) // 2) @ Q, B, B.T @ Q
+
+
+def dense_transfer_function(A, B, C, s):
+    return C @ np.linalg.solve(s * np.eye(len(A)) - A, B.astype(complex))
+
+
+# --- time ----------------------------------------------------------------------------------------------------------
+
+
+def dense_step(A, B, h, method, intersample):
+    """`z_{k+1} = F z_k + G0 u_k + G1 u_{k+1}`."""
+    n, m = B.shape
+    I = np.eye(n)
+    if method == "euler":
+        return I + h * A, h * B, 0 * B
+    if method == "midpoint":
+        F = np.linalg.solve(I - 0.5 * h * A, I + 0.5 * h * A)
+        G = np.linalg.solve(I - 0.5 * h * A, h * B)
+        return (F, G, 0 * B) if intersample == "zoh" else (F, 0.5 * G, 0.5 * G)
+    M = np.zeros((n + 2 * m, n + 2 * m))
+    M[:n, :n], M[:n, n : n + m], M[n : n + m, n + m :] = A * h, B * h, np.eye(m)
+    E = expm(M)
+    F, now, slope = E[:n, :n], E[:n, n : n + m], E[:n, n + m :]
+    return (F, now, 0 * B) if intersample == "zoh" else (F, now - slope, slope)
+
+
+def dense_simulation(A, B, C, u, z0, h, method="exact", intersample="zoh"):
+    """Outputs and states at every sample."""
+    F, G0, G1 = dense_step(A, B, h, method, intersample)
+    z = np.empty((len(A), u.shape[1]))
+    z[:, 0] = z0
+    for k in range(u.shape[1] - 1):
+        z[:, k + 1] = F @ z[:, k] + G0 @ u[:, k] + G1 @ u[:, k + 1]
+    return C @ z, z
+
+
+def _long(numbers):
+    """mpmath complex numbers as long doubles, high and low part of each."""
+    out = np.zeros(len(numbers), np.clongdouble)
+    for k, x in enumerate(numbers):
+        for unit, part in ((1, x.real), (1j, x.imag)):
+            high = float(part)
+            out[k] += unit * (np.longdouble(high) + np.longdouble(float(part - high)))
+    return out
+
+
+def long_double_recursion(d, r, h, u, x0):
+    """Exact responses of `x' = -i d x + kappa u`, `y = sum Re x` to a held and to an interpolated input.
+
+    The coefficients come from mpmath, the recursion runs in long doubles, sample by sample.
+    """
+    with mp.workdps(DIGITS):
+        lam, hold, start, end = [], [], [], []
+        for a, b in zip(d, r, strict=True):
+            z = mp.mpc(0, -mp.mpf(float(a)) * mp.mpf(float(h)))
+            step = mp.mpf(float(a)) * mp.mpf(float(b)) * mp.mpf(float(h))
+            phi_1 = mp.expm1(z) / z
+            phi_2 = (phi_1 - 1) / z
+            lam.append(mp.exp(z))
+            hold.append(step * phi_1)
+            start.append(step * (phi_1 - phi_2))
+            end.append(step * phi_2)
+        lam, b0, b1 = _long(lam * 2), _long(hold + start), _long([mp.mpc(0)] * len(d) + end)
+    n = len(d)
+    x = np.concatenate([x0, x0]).astype(np.clongdouble)
+    u = u.astype(np.longdouble)
+    y = np.empty((2, u.size), np.longdouble)
+    for k in range(u.size):
+        y[0, k], y[1, k] = x[:n].real.sum(), x[n:].real.sum()
+        if k + 1 < u.size:
+            x = lam * x + b0 * u[k] + b1 * u[k + 1]
+    return y
