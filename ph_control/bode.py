@@ -301,7 +301,7 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
     -------
     ndarray
         Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 30 points at geometrically
-        shrinking distances, from half way to the next mark down to `closest`.
+        shrinking distances, from half way to the next mark, or half its frequency, down to `closest`.
 
     Notes
     -----
@@ -321,12 +321,13 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
     if not len(marks):
         return base
     groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
-    fences = np.concatenate([[0.0], groups, [2 * max(high, groups[-1])]])
-    shrinking = np.geomspace(0.5, closest, 30)
+    gaps = np.diff(groups, prepend=0.0, append=np.inf)
+    shrinking = np.linspace(0.0, 1.0, 30)
     parts = [base]
-    for side, gap in ((-1.0, groups - fences[:-2]), (1.0, fences[2:] - groups)):
-        distance = np.maximum(np.outer(gap, shrinking), np.minimum(closest * groups, 0.5 * gap)[:, None])
-        parts.append((groups[:, None] + side * distance).ravel())
+    for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
+        far = 0.5 * np.minimum(gap, groups)
+        near = np.minimum(closest * groups, far)
+        parts.append((groups[:, None] + side * far[:, None] * (near / far)[:, None] ** shrinking).ravel())
     grid = np.unique(np.concatenate(parts))
     grid = grid[(grid >= low) & (grid <= high)]
     return grid[_distance(grid, marks) > 0.1 * closest * grid]

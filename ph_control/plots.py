@@ -346,7 +346,10 @@ def _fit_data(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike, detail
         raise StructureError("no sample has a measured and a predicted output; there is nothing to compare")
     if detail is None:
         return _FitData(t, y, p, None)
-    return _FitData(t, y, p, _strongest_part(y, y - p) if isinstance(detail, str) else _chosen_part(t, detail))
+    if isinstance(detail, str):
+        _checks.choice("detail", detail, ("auto",))
+        return _FitData(t, y, p, _strongest_part(y, y - p))
+    return _FitData(t, y, p, _chosen_part(t, detail))
 
 
 def _strongest_part(measured: Array, residual: Array) -> slice | None:

@@ -111,8 +111,8 @@ def spectral_estimate(
     Returns
     -------
     SpectralEstimate
-        A `control.FrequencyResponseData` at the bins `2 pi k / (segment length * step)` below the Nyquist frequency
-        that hold input power, with `coherence`, `relative_error`, `nyquist`.
+        A `control.FrequencyResponseData` at the bins `2 pi k / (segment length * step)`, `k >= 2` and below the
+        Nyquist frequency, that hold input power, with `coherence`, `relative_error`, `nyquist`.
 
     Raises
     ------
@@ -150,8 +150,9 @@ def spectral_estimate(
     length = _segment_length(len(u), segments)
     Puu, Pyy, Puy, count = _averaged_spectra(u, y, length)
     omega = 2.0 * np.pi * np.arange(len(Puu)) / (length * step)
-    # the mean is removed from each segment, and at the Nyquist frequency only a real part is seen
-    kept = (Puu > _INPUT_FLOOR * Puu[1:].max()) & (omega > 0) & (omega * step < np.pi * (1 - 1e-9))
+    kept = Puu > _INPUT_FLOOR * Puu[1:].max()
+    # the window spreads the mean that each segment lost over the first two bins; the last is real by construction
+    kept[[0, 1, -1]] = False
     omega, Puu, Pyy, Puy = omega[kept], Puu[kept], Pyy[kept], Puy[kept]
     coherence = np.abs(Puy) ** 2 / np.where(Pyy > 0, Puu * Pyy, 1.0)
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
@@ -218,7 +219,7 @@ def _averaged_spectra(u: Array, y: Array, length: int) -> tuple[Array, Array, Co
     sums: list[Any] = [0.0, 0.0, 0.0]
     count = 0
     for start, stop in runs:
-        pieces = (stop - start) // (length // 2) - 1
+        pieces = int(stop - start) // (length // 2) - 1
         if pieces < 1:
             continue
         x, z = u[start:stop], y[start:stop]
