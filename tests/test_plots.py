@@ -1,0 +1,668 @@
+"""Pictures: their numbers without drawing, and their artists."""
+
+import itertools
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ph_control as phc
+from ph_control import StructureError
+from ph_control.bode import Curve, away_from, features, frequency_grid
+from ph_control.models import frenkel_kontorova, lc_circuit, spring_chain
+from ph_control.plots import bode_plot, extremes, fit_plot
+from ph_control.spectra import SpectralEstimate, spectral_estimate
+
+EPS = np.finfo(float).eps
+quick = settings(deadline=None, max_examples=30, derandomize=True)
+frequencies = st.lists(st.floats(0.01, 1000.0), min_size=1, max_size=12, unique=True)
+
+
+def record(system, samples=8192, step=0.1, noise=0.0, seed=1, intersample="zoh"):
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(samples)
+    response = phc.forced_response(system, step * np.arange(samples), u, intersample=intersample)
+    y = response.outputs + noise * np.std(response.outputs) * rng.standard_normal(samples)
+    return ct.TimeResponseData(response.time, y, inputs=u, issiso=True)
+
+
+def fir_record(samples=16384, noise=0.5, seed=2):
+    """A system that forgets: y_k = u_k + 0.5 u_{k-1} plus white noise of known size."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(samples)
+    y = u + 0.5 * np.concatenate([[0.0], u[:-1]]) + noise * rng.standard_normal(samples)
+    return ct.TimeResponseData(np.arange(samples) * 1.0, y, inputs=u, issiso=True)
+
+
+def legend_texts(axis):
+    return [text.get_text() for text in axis.get_legend().get_texts()]
+
+
+# --- the frequency grid ---
+
+
+@quick
+@given(frequencies)
+def test_the_grid_resolves_every_mark_from_both_sides_and_meets_none(values):
+    marks = np.sort(values)
+    grid = frequency_grid(marks, 0.001, 10_000.0)
+    assert np.all(np.diff(grid) > 0)
+    assert (grid[0], grid[-1]) == (0.001, 10_000.0)
+    assert not np.isin(grid, marks).any()
+    for k, mark in enumerate(marks):
+        gap = np.min(np.abs(np.delete(marks, k) - mark), initial=mark)
+        if gap < 1e-6 * mark:
+            continue
+        for side in (grid[grid < mark], grid[grid > mark]):
+            distance = np.abs(side - mark)
+            assert distance.min() <= 1.1e-8 * mark
+            assert np.sum(distance < 0.3 * gap) >= 10
+
+
+@quick
+@given(frequencies)
+def test_between_two_neighbouring_marks_there_is_always_a_grid_point(values):
+    marks = np.sort(values)
+    grid = frequency_grid(marks, 0.001, 10_000.0)
+    for low, high in itertools.pairwise(marks):
+        if high - low > 1e-7 * high:
+            assert np.any((grid > low) & (grid < high))
+
+
+def test_the_grid_shows_both_peaks_of_two_modes_that_differ_by_one_in_a_million():
+    sys = phc.ph(phc.modes([1.0, 1.000001], [1.0, 1.0]))
+    grid = frequency_grid(features(sys)[0], 0.1, 10.0)
+    phase = np.sign(sys(1j * grid).imag)
+    # a pole, a zero, a pole: three changes of sign; a grid of 2000 points alone sees one
+    assert np.count_nonzero(np.diff(phase)) == 3
+    assert np.count_nonzero(np.diff(np.sign(sys(1j * np.geomspace(0.1, 10.0, 2000)).imag))) == 1
+
+
+def test_the_grid_never_returns_an_infinite_or_vanishing_response():
+    rng = np.random.default_rng(0)
+    sys = phc.ph(phc.modes(10 ** rng.uniform(0, 3, 50), 10 ** rng.uniform(-3, 0, 50)))
+    response = sys(1j * frequency_grid(features(sys)[0], 0.1, 1e4, 1e-12))
+    assert np.all(np.isfinite(response))
+    assert np.all(response != 0)
+
+
+def test_the_features_of_a_lossless_system_are_its_poles_and_zeros_also_as_a_plain_system():
+    chain = frenkel_kontorova(4)
+    expected = np.sort(np.concatenate([chain.d, chain.zeros().imag[chain.zeros().imag > 0]]))
+    for sys in (chain, ct.ss(chain), ct.tf(chain)):
+        everything, on_axis = features(sys)
+        np.testing.assert_allclose(np.unique(everything.round(9)), expected, rtol=1e-8)
+        np.testing.assert_allclose(on_axis, expected, rtol=1e-8)
+
+
+def test_a_damped_resonance_is_a_feature_but_not_an_infinite_one():
+    everything, on_axis = features(ct.tf([1], [1, 0.02, 1]))
+    np.testing.assert_allclose(everything, [np.sqrt(1 - 1e-4), 1.0], rtol=1e-12)
+    assert len(on_axis) == 0
+
+
+def test_a_discrete_time_system_has_its_features_where_the_continuous_one_has_them():
+    continuous = ct.tf([1], [1, 0.1, 4])
+    sampled = ct.sample_system(continuous, 0.05)
+    assert np.min(np.abs(features(sampled)[0] - 2.0)) < 1e-9
+
+
+def test_points_near_a_mark_are_told_by_their_part_of_the_gap():
+    marks = np.array([1.0, 3.0])
+    x = np.array([0.97, 0.99, 1.03, 1.05, 2.0, 2.95, 2.97, 3.1, 100.0])
+    expected = [True, False, False, True, True, True, False, True, True]
+    assert away_from(x, marks, 0.02).tolist() == expected
+    assert away_from(x, np.zeros(0), 0.02).all()
+
+
+# --- phase and magnitude ---
+
+
+@quick
+@given(frequencies, st.integers(0, 2**32 - 1))
+def test_the_phase_of_a_one_port_is_exactly_plus_or_minus_90_degrees(values, seed):
+    weights = np.random.default_rng(seed).uniform(0.1, 10.0, len(values))
+    plot = bode_plot(phc.modes(values, weights))
+    phase = plot.lines[1, 0][0].get_ydata()
+    plt.close(plot.figure)
+    assert set(phase.tolist()) == {-90.0, 90.0}
+
+
+def test_the_phase_steps_at_each_pole_and_zero_and_nowhere_else():
+    chain = frenkel_kontorova()
+    line = bode_plot(chain).lines[1, 0][0]
+    steps = line.get_xdata()[:-1][np.diff(line.get_ydata()) != 0]
+    np.testing.assert_allclose(steps, [chain.d[0], 1.0, chain.d[1]], rtol=1e-11)
+
+
+def test_a_pole_at_zero_starts_the_phase_at_minus_90_degrees():
+    phase = bode_plot(spring_chain([1.0, 2.0, 3.0])).lines[1, 0][0].get_ydata()
+    assert (phase[0], phase[-1]) == (-90.0, -90.0)
+    assert set(phase.tolist()) == {-90.0, 90.0}
+
+
+def test_the_magnitude_is_twenty_times_the_decimal_logarithm():
+    plot = bode_plot(phc.modes(2.0, 0.5), [1.0, 1.5, 4.0])
+    np.testing.assert_allclose(plot.lines[0, 0][0].get_ydata(), 20 * np.log10([1 / 3, 1.5 / 1.75, 4 / 12]), rtol=1e-14)
+
+
+def test_a_frequency_on_a_pole_or_zero_leaves_a_gap_and_no_warning():
+    plot = bode_plot(phc.ph(phc.modes([1.0, 3.0], [1.0, 1 / 3])), [0.5, 1.0, np.sqrt(5.0), 3.0, 4.0])
+    for row in (0, 1):
+        assert np.isnan(plot.lines[row, 0][0].get_ydata()[[1, 3]]).all()
+        assert np.isfinite(plot.lines[row, 0][0].get_ydata()[[0, 4]]).all()
+
+
+def test_the_phase_of_an_ordinary_system_is_continuous_past_minus_180_degrees():
+    phase = bode_plot(ct.tf([1], [1, 3, 3, 1])).lines[1, 0][0].get_ydata()
+    assert phase[-1] < -250.0
+    assert np.max(np.abs(np.diff(phase))) < 5.0
+
+
+def test_a_lossless_system_in_plain_form_keeps_the_phase_between_the_same_two_levels():
+    phase = bode_plot(ct.tf(frenkel_kontorova())).lines[1, 0][0].get_ydata()
+    np.testing.assert_allclose(np.abs(phase), 90.0, atol=1e-4)
+
+
+def test_infinite_peaks_leave_the_picture_and_everything_between_them_is_in_it():
+    rng = np.random.default_rng(0)
+    sys = phc.ph(phc.modes(10 ** rng.uniform(0, 3, 50), 10 ** rng.uniform(-3, 0, 50)))
+    plot = bode_plot(sys)
+    low, high = plot.axes[0, 0].get_ylim()
+    w, level = plot.lines[0, 0][0].get_data()
+    for pole in sys.d:
+        assert level[np.argmin(np.abs(w - pole))] > high
+    zeros = sys.zeros().imag
+    for zero in zeros[zeros > 0]:
+        assert level[np.argmin(np.abs(w - zero))] < low
+    halfway = np.sqrt(sys.d[:-1] * sys.d[1:])
+    clear = np.min(np.abs(halfway[:, None] - zeros), axis=1) > 0.1 * np.diff(sys.d)
+    assert clear.sum() > 5
+    between = 20 * np.log10(np.abs(sys(1j * halfway[clear])))
+    assert np.all((between > low) & (between < high))
+    assert high - low < 250.0
+
+
+def test_a_finite_peak_is_in_the_picture():
+    plot = bode_plot([frenkel_kontorova(), ct.tf([1, 0], [1, 1e-4, 1])])
+    assert plot.axes[0, 0].get_ylim()[1] > 80.0
+    assert plot.axes[0, 0].get_ylim()[1] < 100.0
+
+
+# --- artists of the Bode plot ---
+
+
+def test_the_axes_name_their_quantities_and_units():
+    plot = bode_plot(frenkel_kontorova())
+    assert isinstance(plot, ct.ControlPlot)
+    assert plot.axes.shape == plot.lines.shape == (2, 1)
+    labels = [axis.get_ylabel() for axis in plot.axes[:, 0]]
+    assert labels == ["Magnitude [dB]", "Phase [deg]"]
+    assert plot.axes[1, 0].get_xlabel() == "Frequency [rad/s]"
+    assert bode_plot(frenkel_kontorova(), gain_unit="m/s/N").axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
+
+
+def test_in_hertz_the_axis_says_so_and_the_curve_is_the_same():
+    chain = frenkel_kontorova()
+    plot = bode_plot(chain, Hz=True, omega_limits=[0.05, 0.5])
+    assert plot.axes[1, 0].get_xlabel() == "Frequency [Hz]"
+    np.testing.assert_allclose(plot.axes[1, 0].get_xlim(), [0.05, 0.5])
+    f, level = plot.lines[0, 0][0].get_data()
+    np.testing.assert_allclose(level, 20 * np.log10(np.abs(chain(2j * np.pi * f))), atol=0.01)
+
+
+def test_two_frequencies_are_limits_and_more_are_the_grid():
+    chain = frenkel_kontorova()
+    limited = bode_plot(chain, [0.2, 3.0])
+    assert limited.axes[0, 0].get_xlim() == (0.2, 3.0)
+    assert len(limited.lines[0, 0][0].get_xdata()) > 500
+    given = bode_plot(chain, [0.2, 0.5, 3.0])
+    assert given.lines[0, 0][0].get_xdata().tolist() == [0.2, 0.5, 3.0]
+
+
+def test_the_phase_axis_is_ticked_at_multiples_of_90_degrees():
+    plot = bode_plot(frenkel_kontorova())
+    low, high = plot.axes[1, 0].get_ylim()
+    major = [t for t in plot.axes[1, 0].yaxis.get_majorticklocs() if low <= t <= high]
+    minor = [t for t in plot.axes[1, 0].yaxis.get_minorticklocs() if low <= t <= high]
+    assert major == [-90.0, 0.0, 90.0]
+    assert minor == [-45.0, 45.0]
+
+
+def test_a_mixed_list_has_a_line_and_a_legend_entry_for_each():
+    chain = frenkel_kontorova(name="chain")
+    w = np.linspace(0.1, 3.0, 30)
+    tabulated = ct.frd(1 / (1j * w + 1), w, name="tabulated")
+    sampled = ct.sample_system(ct.tf([1], [1, 1], name="lag"), 0.5, name="sampled")
+    plot = bode_plot([chain, ct.ss(chain, name="plain"), ct.tf([1], [1, 1], name="lag"), tabulated, sampled])
+    names = ["chain", "plain", "lag", "tabulated", "sampled"]
+    assert legend_texts(plot.axes[0, 0]) == [*names, "Nyquist frequency"]
+    assert plot.legend is plot.axes[0, 0].get_legend()
+    assert [len(lines) for lines in plot.lines[:, 0]] == [5, 5]
+    assert plot.lines[0, 0][3].get_xdata().tolist() == w.tolist()
+    np.testing.assert_allclose(plot.lines[0, 0][4].get_xdata().max(), 2 * np.pi, rtol=1e-2)
+    assert plot.lines[0, 0][4].get_xdata().max() <= 2 * np.pi
+    # equal curves must not hide each other
+    assert plot.lines[0, 0][0].get_linestyle() != plot.lines[0, 0][1].get_linestyle()
+
+
+def test_a_sampled_system_is_evaluated_on_the_unit_circle():
+    sampled = ct.tf([1.0], [1.0, -0.5], 0.25, name="sampled")
+    w, level = bode_plot(sampled).lines[0, 0][0].get_data()
+    np.testing.assert_allclose(level, -20 * np.log10(np.abs(np.exp(0.25j * w) - 0.5)), atol=1e-10)
+
+
+def test_one_curve_needs_no_legend_and_the_title_has_its_name():
+    plot = bode_plot(frenkel_kontorova(name="chain"))
+    assert plot.legend is None
+    assert plot.figure.get_suptitle() == "Bode plot of chain"
+    assert bode_plot(frenkel_kontorova()).figure.get_suptitle() == "Bode plot"
+    assert bode_plot(frenkel_kontorova(), title="Mine").figure.get_suptitle() == "Mine"
+
+
+def test_labels_replace_names():
+    chain = frenkel_kontorova(name="chain")
+    assert legend_texts(bode_plot([chain, chain], label=["before", "after"]).axes[0, 0]) == ["before", "after"]
+    assert legend_texts(bode_plot([chain, chain]).axes[0, 0]) == ["chain", "chain"]
+
+
+def test_a_new_figure_is_made_unless_axes_are_given():
+    before = len(plt.get_fignums())
+    first = bode_plot(frenkel_kontorova())
+    second = bode_plot(frenkel_kontorova())
+    assert len(plt.get_fignums()) == before + 2
+    assert first.figure is not second.figure
+    figure, axes = plt.subplots(2, 1)
+    third = bode_plot(frenkel_kontorova(), ax=axes)
+    assert len(plt.get_fignums()) == before + 3
+    assert third.figure is figure
+    assert third.axes[:, 0].tolist() == list(axes)
+    assert figure.get_suptitle() == ""
+
+
+def test_no_picture_is_shown_and_no_setting_leaks(monkeypatch):
+    monkeypatch.setattr(plt, "show", lambda *a, **k: pytest.fail("a library does not show pictures"))
+    before = dict(plt.rcParams.copy())
+    data = record(frenkel_kontorova(), 2048)
+    bode_plot(frenkel_kontorova(), data=data)
+    fit_plot(data.time, data.outputs, data.outputs)
+    assert dict(plt.rcParams.copy()) == before
+
+
+def test_several_ports_are_a_table_of_magnitudes_above_phases():
+    sys = ct.ss(spring_chain([1.0, 2.0, 3.0], 1.0, ground=1.0, port=[0, 2]))
+    plot = bode_plot(sys)
+    assert plot.axes.shape == plot.lines.shape == (4, 2)
+    assert [axis.get_title(loc="left") for axis in plot.axes[::2].ravel()] == [
+        "F_1 to v_1", "F_2 to v_1", "F_1 to v_2", "F_2 to v_2",
+    ]  # fmt: skip
+    w, level = plot.lines[2, 0][0].get_data()
+    np.testing.assert_allclose(level[0], 20 * np.log10(abs(sys(1j * w[0])[1, 0])), rtol=1e-12)
+    assert [axis.get_xlabel() for axis in plot.axes[-1]] == ["Frequency [rad/s]"] * 2
+
+
+# --- measurements in the Bode plot ---
+
+
+def test_a_record_is_drawn_as_dots_with_the_Nyquist_limit():
+    sys = lc_circuit([1.0, 0.3], [1.0, 0.2], name="circuit")
+    plot = bode_plot(sys, data=record(sys, step=0.2, noise=0.1))
+    texts = legend_texts(plot.axes[0, 0])
+    assert texts[:2] == ["circuit", "data (spectral estimate, 8 segments)"]
+    assert texts[-1] == "Nyquist frequency"
+    for row in (0, 1):
+        dots = plot.lines[row, 0][1]
+        assert (dots.get_linestyle(), dots.get_marker()) == ("None", ".")
+        verticals = [line for line in plot.axes[row, 0].get_lines() if line.get_label() == "Nyquist frequency"]
+        np.testing.assert_allclose(verticals[0].get_xdata(), np.pi / 0.2)
+    low, high = plot.axes[0, 0].get_xlim()
+    assert low < sys.d[0] and high > np.pi / 0.2
+
+
+def test_dots_without_coherence_are_pale_and_named():
+    sys = frenkel_kontorova()
+    estimate = spectral_estimate(record(sys, noise=1.0))
+    doubtful = estimate.coherence < 0.5
+    assert doubtful.any() and not doubtful.all()
+    plot = bode_plot(sys, data=estimate, data_label="test")
+    sure, pale = plot.lines[0, 0][1:]
+    assert (sure.get_label(), pale.get_label()) == ("test", "coherence below 0.5")
+    assert pale.get_xdata().tolist() == estimate.omega[doubtful].tolist()
+    assert sure.get_xdata().tolist() == estimate.omega[~doubtful].tolist()
+
+
+def test_a_measured_frequency_response_is_drawn_as_it_is():
+    w = np.array([0.0, 0.5, 0.9, 2.0])
+    plot = bode_plot(frenkel_kontorova(), data=ct.frd(np.array([1.0, 2.0j, -3.0, 1 - 1j]), w))
+    magnitude, phase = plot.lines[0, 0][1], plot.lines[1, 0][1]
+    assert magnitude.get_xdata().tolist() == [0.5, 0.9, 2.0]
+    np.testing.assert_allclose(magnitude.get_ydata(), 20 * np.log10([2, 3, np.sqrt(2)]))
+    np.testing.assert_allclose(phase.get_ydata(), [90, 180, -45])
+    assert "Nyquist frequency" not in legend_texts(plot.axes[0, 0])
+
+
+def test_the_phase_of_dots_is_not_unwrapped():
+    curve = Curve("", np.arange(1.0, 4.0), np.exp(1j * np.radians([[[170.0, -170.0, 170.0]]])), np.zeros(0))
+    np.testing.assert_allclose(curve.phase(0, 0, unwrap=False), [170, -170, 170])
+    np.testing.assert_allclose(curve.phase(0, 0), [170, 190, 170])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"sysdata": []}, "the list of systems is empty"),
+        ({"sysdata": 3}, "a int has no frequency response"),
+        ({"sysdata": [ct.tf(1, [1, 1]), ct.rss(2, 2, 2)]}, "the systems differ in"),
+        ({"omega": [1.0]}, "omega must be at least two positive, ascending frequencies; it has 1 "),
+        ({"omega": [0.0, 1.0, 2.0]}, "omega must be .* from 0 to 2"),
+        ({"omega": [1.0, 3.0, 2.0]}, "omega must be at least two positive, ascending"),
+        ({"omega": [1.0, np.nan]}, "omega is not finite"),
+        ({"omega_limits": [1.0, 2.0, 3.0]}, "omega_limits has 3 entries"),
+        ({"data": [1, 2, 3]}, "data is a list; pass a record"),
+        ({"data": ct.frd(np.ones((2, 2, 3)), [1.0, 2.0, 3.0])}, "the data have 2 outputs and 2 inputs"),
+        ({"data": ct.frd([1.0], [0.0])}, "no frequency above 0"),
+        ({"label": ["a", "b"]}, "2 labels for 1 systems"),
+        ({"ax": np.array([None])}, "ax has 1 axes"),
+    ],
+)
+def test_a_bode_plot_that_cannot_be_drawn_says_why(arguments, message):
+    with pytest.raises(StructureError, match=message):
+        bode_plot(**({"sysdata": frenkel_kontorova()} | arguments))
+
+
+def test_an_unknown_keyword_is_an_error():
+    with pytest.raises(TypeError, match="colour"):
+        bode_plot(frenkel_kontorova(), colour="red")
+
+
+# --- the spectral estimate ---
+
+
+def test_the_estimate_of_a_known_system_is_right_within_its_own_statistics():
+    estimate = spectral_estimate(fir_record(), segments=32, intersample="bandlimited")
+    truth = 1 + 0.5 * np.exp(-1j * estimate.omega)
+    error = np.abs(estimate.complex / truth - 1) / estimate.relative_error
+    # real and imaginary part each of the stated standard deviation: the mean square is 2, and 1 would be too small
+    assert 1.6 < np.mean(error**2) < 2.4
+    assert np.max(error) < 6.0
+
+
+def test_the_coherence_is_the_part_of_the_output_power_that_the_input_explains():
+    estimate = spectral_estimate(fir_record(noise=0.5), segments=64, intersample="bandlimited")
+    signal = np.abs(1 + 0.5 * np.exp(-1j * estimate.omega)) ** 2
+    expected = signal / (signal + 0.25)
+    assert np.abs(np.mean(estimate.coherence - expected)) < 0.01
+    assert np.max(np.abs(estimate.coherence - expected)) < 0.35
+    assert np.all((estimate.coherence >= 0) & (estimate.coherence <= 1))
+
+
+def test_the_estimate_agrees_with_a_slow_average_of_periodograms():
+    data = fir_record(samples=999)
+    estimate = spectral_estimate(data, segments=5, intersample="bandlimited")
+    half = 999 // 6
+    length = 2 * half
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    cross, power = 0.0, 0.0
+    for k in range(5):
+        u, y = (x[k * half : k * half + length] for x in (data.inputs, data.outputs))
+        U, Y = np.fft.rfft(window * (u - u.mean())), np.fft.rfft(window * (y - y.mean()))
+        cross, power = cross + np.conj(U) * Y, power + np.abs(U) ** 2
+    np.testing.assert_allclose(estimate.complex, (cross / power)[2:-1], rtol=1e-10)
+    np.testing.assert_allclose(estimate.omega, 2 * np.pi * np.arange(2, half) / length, rtol=1e-14)
+    assert estimate.segments == 5
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+def test_the_hold_is_taken_out_so_that_the_phase_of_a_lossless_system_is_90_degrees(intersample):
+    sys = phc.ph(phc.modes([1.0, 2.5], [1.0, 0.3]))
+    data = record(sys, 16384, 0.5, intersample=intersample)
+    matched = spectral_estimate(data, intersample=intersample)
+    tail = (matched.omega > 3.5) & (matched.omega < 6.0)
+    assert np.max(np.abs(np.degrees(np.angle(matched.complex[tail])) + 90)) < 10.0
+    raw = spectral_estimate(data, intersample="bandlimited")
+    lag = np.degrees(np.angle(raw.complex[tail] / matched.complex[tail]))
+    expected = -np.degrees(raw.omega[tail] * 0.5 / 2) if intersample == "zoh" else np.zeros(tail.sum())
+    np.testing.assert_allclose(lag, expected, atol=1e-9)
+
+
+def test_away_from_its_resonances_the_estimate_meets_the_lossless_system():
+    sys = lc_circuit([1.0, 0.3, 0.05], [1.0, 0.2, 0.4])
+    estimate = spectral_estimate(record(sys, 16384, 0.05))
+    # up to a fifth of the Nyquist frequency, folding back is a few percent
+    sure = (estimate.coherence > 0.99) & (estimate.omega < 0.2 * estimate.nyquist)
+    assert sure.sum() > 50
+    ratio = estimate.complex[sure] / sys(1j * estimate.omega[sure])
+    assert np.median(np.abs(ratio - 1)) < 0.05
+
+
+def test_the_estimate_is_frequency_response_data_of_continuous_time_with_the_names_of_the_record():
+    data = phc.forced_response(frenkel_kontorova(), 0.1 * np.arange(512), np.random.default_rng(0).normal(size=512))
+    estimate = spectral_estimate(data)
+    assert isinstance(estimate, ct.FrequencyResponseData) and isinstance(estimate, SpectralEstimate)
+    assert estimate.isctime() and estimate.dt == 0
+    assert (estimate.input_labels, estimate.output_labels) == (["F"], ["v"])
+    assert (estimate.step, estimate.nyquist) == pytest.approx((0.1, np.pi / 0.1))
+    assert estimate.omega.max() < estimate.nyquist and estimate.omega.min() > 0
+    assert isinstance(estimate.plot(), ct.ControlPlot)
+    with pytest.raises(ValueError, match="read-only"):
+        estimate.coherence[0] = 1.0
+
+
+def test_bins_without_input_power_are_left_out():
+    t = 0.1 * np.arange(4096)
+    u = np.sin(t) + np.sin(3 * t)
+    estimate = spectral_estimate(ct.TimeResponseData(t, 2 * u, inputs=u, issiso=True))
+    # the Hann window falls by 60 dB within ten bins
+    ten_bins = 10 * 2 * np.pi / (0.1 * 2 * (4096 // 9))
+    assert np.all((np.abs(estimate.omega - 1) < ten_bins) | (np.abs(estimate.omega - 3) < ten_bins))
+    assert np.any(np.abs(estimate.omega - 1) < 0.05) and np.any(np.abs(estimate.omega - 3) < 0.05)
+    white = fir_record(4096)
+    assert len(spectral_estimate(white).omega) == len(white.time) // 9 - 2
+
+
+def test_segments_do_not_reach_across_missing_samples():
+    data = fir_record(8192)
+    y = data.outputs.copy()
+    y[4000:4010] = np.nan
+    gapped = ct.TimeResponseData(data.time, y, inputs=data.inputs, issiso=True)
+    estimate = spectral_estimate(gapped, segments=15, intersample="bandlimited")
+    assert np.isfinite(estimate.complex).all()
+    assert estimate.segments == 13
+    truth = 1 + 0.5 * np.exp(-1j * estimate.omega)
+    assert np.mean((np.abs(estimate.complex / truth - 1) / estimate.relative_error) ** 2) < 3.0
+
+
+def test_one_segment_tells_nothing_of_its_error():
+    estimate = spectral_estimate(fir_record(256), segments=1)
+    np.testing.assert_allclose(estimate.coherence, 1.0, rtol=1e-9)
+    assert np.isnan(estimate.relative_error).all()
+
+
+def test_a_shortest_record_is_estimated_and_a_shorter_one_refused():
+    t = np.arange(8.0)
+    u = np.random.default_rng(0).standard_normal(8)
+    assert len(spectral_estimate(ct.TimeResponseData(t, u, inputs=u, issiso=True), segments=1).omega) == 2
+    with pytest.raises(StructureError, match="the record has 7 samples; a spectral estimate needs at least 8"):
+        spectral_estimate(ct.TimeResponseData(t[:7], u[:7], inputs=u[:7], issiso=True), segments=1)
+
+
+def damaged(change, **keywords):
+    t, u, y = np.arange(64.0), np.random.default_rng(0).standard_normal(64), np.ones(64)
+    t, u, y = change(t, u, y)
+    return lambda: spectral_estimate(ct.TimeResponseData(t, y, inputs=u, issiso=True), **keywords)
+
+
+def replaced(array, index, value):
+    return np.concatenate([array[:index], [value], array[index + 1 :]])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (damaged(lambda t, u, y: (t, 0.1 + 0 * u, y)), "the input of the record is constant"),
+        (damaged(lambda t, u, y: (replaced(t, 5, 5.5), u, y)), "the time of the record is not equally spaced"),
+        (damaged(lambda t, u, y: (t, replaced(u, 3, np.nan), y)), "the input of the record is not finite"),
+        (damaged(lambda t, u, y: (t, u, replaced(y, 3, np.inf))), "the output of the record is not finite"),
+        (damaged(lambda t, u, y: (t, u, np.nan * y)), "the longest stretch of the output .* has 0 samples"),
+        (damaged(lambda t, u, y: (t, u, y), segments=16), "16 segments of a record of 64 .*; use at most 15"),
+        (damaged(lambda t, u, y: (t, u, y), segments=0), "segments is 0"),
+        (damaged(lambda t, u, y: (t, u, y), segments=2.5), "segments is 2.5"),
+        (damaged(lambda t, u, y: (t, u, y), intersample="linear"), "intersample is 'linear'; it must be one of 'zoh'"),
+        (damaged(lambda t, u, y: (t, None, y)), "the record has 0 inputs, 1 outputs"),
+        (lambda: spectral_estimate((1, 2)), "data is a tuple; pass a record as control.TimeResponseData"),
+    ],
+)
+def test_a_record_that_cannot_be_estimated_says_why(call, message):
+    with pytest.raises(StructureError, match=message):
+        call()
+
+
+def test_the_largest_number_of_segments_that_the_message_names_does_work():
+    assert damaged(lambda t, u, y: (t, u, y), segments=15)().segments == 15
+
+
+# --- measured against predicted ---
+
+
+def long_record(samples=8000):
+    t = np.arange(samples) / 100.0
+    predicted = np.sin(2 * np.pi * t)
+    measured = predicted + 0.01 * np.random.default_rng(0).standard_normal(samples)
+    measured[3000:3100] += 0.5
+    return t, measured, predicted
+
+
+def test_the_picture_of_a_fit_has_units_on_every_axis():
+    t, y, p = long_record()
+    plot = fit_plot(t, y, p, time_unit="ms", output_label="Velocity", output_unit="m/s")
+    assert isinstance(plot, ct.ControlPlot)
+    assert [axis.get_ylabel() for axis in plot.axes[:, 0]] == ["Velocity [m/s]", "Residual\n[m/s]", "Velocity [m/s]"]
+    assert [axis.get_xlabel() for axis in plot.axes[1:, 0]] == ["Time [ms]", "Time [ms]"]
+    plain = fit_plot(t[:100], y[:100], p[:100])
+    assert [axis.get_ylabel() for axis in plain.axes[:, 0]] == ["Output [record units]", "Residual\n[record units]"]
+    assert plain.axes[1, 0].get_xlabel() == "Time [s]"
+
+
+def test_the_residual_is_measured_minus_predicted_on_the_time_axis_of_both():
+    t = np.linspace(0, 1, 50)
+    y, p = np.cos(t), 0.9 * np.cos(t)
+    plot = fit_plot(t, y, p)
+    assert np.array_equal(plot.lines[1, 0][0].get_ydata(), y - p)
+    measured, predicted = plot.lines[0, 0]
+    assert np.array_equal(measured.get_ydata(), y) and np.array_equal(predicted.get_ydata(), p)
+    assert plot.axes[0, 0].get_shared_x_axes().joined(plot.axes[0, 0], plot.axes[1, 0])
+    rms = f"RMS {np.sqrt(np.mean((y - p) ** 2)):.3g} record units"
+    assert rms in [text.get_text() for text in plot.axes[1, 0].texts]
+
+
+@pytest.mark.parametrize(
+    ("fit", "shown"),
+    [
+        (None, "predicted"),
+        (93.456, "predicted (fit 93.46 %)"),
+        (-12.0, "predicted (fit -12.00 %)"),
+        (99.994, "predicted (fit 99.99 %)"),
+        (99.9999, "predicted (fit above 99.99 %)"),
+        (100.0, "predicted (fit 100.00 %)"),
+    ],
+)
+def test_the_legend_gives_the_fit_and_never_rounds_it_up_to_perfect(fit, shown):
+    plot = fit_plot([0.0, 1.0], [1.0, 2.0], [1.0, 2.0], fit_percent=fit)
+    assert legend_texts(plot.axes[0, 0]) == ["measured", shown]
+
+
+def test_a_long_record_has_its_worst_periods_enlarged():
+    t, y, p = long_record()
+    plot = fit_plot(t, y, p)
+    assert plot.axes.shape == (3, 1)
+    start, stop = plot.axes[2, 0].get_xlim()
+    assert start <= 30.0 and stop >= 30.99
+    assert 7.0 <= stop - start <= 9.0
+    dots, line = plot.lines[2, 0]
+    assert np.array_equal(dots.get_xdata(), line.get_xdata())
+    assert "where the residual is largest" in plot.axes[2, 0].get_title(loc="left")
+
+
+def test_a_short_record_is_not_enlarged_and_a_part_can_be_chosen_or_none():
+    t, y, p = long_record()
+    assert fit_plot(t[:300], y[:300], p[:300]).axes.shape == (2, 1)
+    assert fit_plot(t, y, p, detail=None).axes.shape == (2, 1)
+    chosen = fit_plot(t, y, p, detail=[10.0, 11.0])
+    assert chosen.axes[2, 0].get_xlim() == (10.0, 11.0)
+    assert len(chosen.lines[2, 0][0].get_xdata()) == 101
+    assert "largest" not in chosen.axes[2, 0].get_title(loc="left")
+
+
+def test_missing_samples_are_gaps():
+    t, y, p = long_record(200)
+    y[50:60] = np.nan
+    plot = fit_plot(t, y, p)
+    assert np.flatnonzero(np.isnan(plot.lines[0, 0][0].get_ydata())).tolist() == list(range(50, 60))
+    assert np.flatnonzero(np.isnan(plot.lines[1, 0][0].get_ydata())).tolist() == list(range(50, 60))
+    assert not np.isnan(plot.lines[0, 0][1].get_ydata()).any()
+
+
+@quick
+@given(st.integers(1, 3000), st.integers(0, 2**32 - 1))
+def test_a_thinned_line_keeps_every_extreme_of_its_bins_in_order(samples, seed):
+    t = np.arange(samples, dtype=float)
+    y = np.random.default_rng(seed).standard_normal(samples)
+    thin_t, thin_y = extremes(t, y, 100)
+    assert len(thin_t) <= max(100, 2)
+    assert np.all(np.diff(thin_t) > 0)
+    assert np.array_equal(thin_y, y[thin_t.astype(int)])
+    assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+    if samples <= 100:
+        assert np.array_equal(thin_y, y)
+
+
+def test_a_thinned_line_keeps_long_gaps_and_ignores_single_missing_samples():
+    y = np.sin(np.arange(10_000.0))
+    y[4000:6000] = np.nan
+    y[1234] = np.nan
+    thin_t, thin_y = extremes(np.arange(10_000.0), y, 100)
+    inside = (thin_t > 4200) & (thin_t < 5800)
+    assert inside.any() and np.isnan(thin_y[inside]).all()
+    assert not np.isnan(thin_y[thin_t < 3800]).any()
+
+
+def test_a_record_of_a_quarter_million_samples_is_drawn_with_few_points():
+    t = np.arange(250_000) * 1e-3
+    y = np.sin(40 * t)
+    plot = fit_plot(t, y, 0.9 * y)
+    assert all(len(line.get_xdata()) <= 6000 for lines in plot.lines[:, 0] for line in lines)
+    np.testing.assert_allclose(plot.lines[0, 0][0].get_ydata().max(), 1.0, rtol=1e-3)
+
+
+def test_the_signals_are_left_alone():
+    t, y, p = long_record()
+    y[7] = np.nan
+    copies = t.copy(), y.copy(), p.copy()
+    fit_plot(t, y, p)
+    for array, copy in zip((t, y, p), copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([0, 1], [1, 2, 3], [1, 2]), "the time has 2 samples, the measured output 3 and the predicted output 2"),
+        (([0, 0], [1, 2], [1, 2]), "the time does not increase: samples 0 and 1"),
+        (([0, np.nan], [1, 2], [1, 2]), "the time is not finite"),
+        (([0, 1], [1, np.inf], [1, 2]), "the measured output is not finite"),
+        (([0, 1], [1, 2], [1j, 2]), "the predicted output is complex"),
+        (([0, 1], [np.nan, 2], [1, np.nan]), "no sample has a measured and a predicted output"),
+        (([0, 1], [[1, 2]], [1, 2]), "the measured output has 2 dimensions"),
+        (([0, 1], [1, 2], [1, 2], {"detail": [5, 6]}), "detail from 5 to 6 holds 0 samples"),
+        (([0, 1], [1, 2], [1, 2], {"detail": [0.5]}), "detail has 1 entries"),
+        (([0, 1], [1, 2], [1, 2], {"detail": "all"}), "detail is 'all'; it must be one of 'auto'"),
+        (([], [], []), "no sample has"),
+    ],
+)
+def test_a_fit_that_cannot_be_drawn_says_why(arguments, message):
+    *signals, keywords = arguments if isinstance(arguments[-1], dict) else (*arguments, {})
+    with pytest.raises(StructureError, match=message):
+        fit_plot(*signals, **keywords)
