@@ -187,9 +187,11 @@ class ModalForm:
     def _evaluate(self, s: ComplexArray) -> ComplexArray:
         out = np.zeros((self.nports, self.nports, s.size), complex)
         at_infinity = np.isinf(s)
-        on_axis = (s.real == 0) & ~at_infinity if self.nports == 1 else np.zeros(s.shape, bool)
-        elsewhere = ~on_axis & ~at_infinity
-        out[:, :, on_axis] = self._on_axis(s[on_axis].imag)
+        elsewhere = ~at_infinity
+        if self.nports == 1:
+            on_axis = (s.real == 0) & ~at_infinity
+            out[0, 0, on_axis] = self._on_axis(s[on_axis].imag)
+            elsewhere &= ~on_axis
         out[:, :, elsewhere] = self._off_axis(s[elsewhere])
         return out
 
