@@ -1,0 +1,711 @@
+"""Models to JSON files and back."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import json
+import math
+import os
+import stat
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ph_control as phc
+from ph_control import _documents, files
+from ph_control.exceptions import FileFormatError, OutputExistsError, PHControlError, StructureError
+from ph_control.files import load, save
+
+property_test = settings(deadline=None, max_examples=40, derandomize=True)
+
+
+def assert_same_bits(first, second):
+    assert (first.shape, first.dtype) == (second.shape, second.dtype)
+    assert first.tobytes() == second.tobytes()
+
+
+def assert_same_modes(first, second):
+    assert type(second) is phc.ModalForm
+    for name in ("d", "nu", "rigid", "r"):
+        assert_same_bits(getattr(first, name), getattr(second, name))
+
+
+def assert_same_system(first, second):
+    assert type(second) is phc.PortHamiltonian
+    assert (first._given is None) == (second._given is None)
+    if first._given is None:
+        assert_same_modes(first.modes, second.modes)
+    assert_same_bits(first.Q, second.Q)
+    assert_same_bits(first.B, second.B)
+    for name in ("name", "input_labels", "output_labels", "state_labels", "dt"):
+        assert getattr(first, name) == getattr(second, name)
+
+
+def assert_same(first, second):
+    (assert_same_modes if isinstance(first, phc.ModalForm) else assert_same_system)(first, second)
+
+
+# --- round trips -------------------------------------------------------------------------------------------------
+
+moderate = st.floats(1e-150, 1e150)
+entries = st.one_of(st.floats(-1e100, 1e100), st.sampled_from([0.0, -0.0, 5e-324, 0.1, 1 / 3, 1e22, 2.0**53 + 2]))
+labels = st.text(min_size=1, max_size=6).filter(lambda text: "." not in text)
+
+
+@st.composite
+def modal_forms(draw):
+    n, m, k = draw(st.integers(0, 4)), draw(st.integers(1, 3)), draw(st.integers(0, 2))
+    d = np.sort(np.array(draw(st.lists(moderate, min_size=n, max_size=n))))
+    real, imag = (np.array(draw(st.lists(entries, min_size=n * m, max_size=n * m))).reshape(n, m) for _ in range(2))
+    nu = np.empty((n, m), complex)
+    nu.real, nu.imag = real, imag
+    rigid = np.array(draw(st.lists(entries, min_size=k * m, max_size=k * m))).reshape(k, m)
+    return phc.ModalForm(d.astype(float), nu, rigid.astype(float))
+
+
+@st.composite
+def systems(draw):
+    n, m = draw(st.integers(1, 3)), draw(st.integers(1, 2))
+    factor = np.random.default_rng(draw(st.integers(0, 2**32))).standard_normal((2 * n, 2 * n))
+    Q = factor @ factor.T + np.eye(2 * n)
+    B = np.array(draw(st.lists(entries, min_size=2 * n * m, max_size=2 * n * m))).reshape(2 * n, m)
+    names = {
+        kind: draw(st.lists(labels, min_size=count, max_size=count, unique=True))
+        for kind, count in (("inputs", m), ("outputs", m), ("states", 2 * n))
+    }
+    return phc.PortHamiltonian(Q, B, name=draw(labels), **names)
+
+
+def round_trip(obj, folder):
+    path = folder.getbasetemp() / "round_trip.json"
+    save(obj, path, overwrite=True)
+    return load(path)
+
+
+@property_test
+@given(modes=modal_forms())
+def test_every_modal_form_comes_back_bit_by_bit(tmp_path_factory, modes):
+    assert_same_modes(modes, round_trip(modes, tmp_path_factory))
+
+
+@property_test
+@given(system=systems())
+def test_every_system_comes_back_bit_by_bit_with_its_names(tmp_path_factory, system):
+    assert_same_system(system, round_trip(system, tmp_path_factory))
+
+
+@property_test
+@given(modes=modal_forms())
+def test_system_made_from_modes_stays_one(tmp_path_factory, modes):
+    system = phc.ph(modes, name="from modes")
+    restored = round_trip(system, tmp_path_factory)
+    assert restored._given is None
+    assert_same_system(system, restored)
+
+
+def test_what_the_package_makes_can_be_saved(tmp_path_factory):
+    chain = phc.ph(np.diag([2.0, 1.0, 1.0, 3.0]), [0.0, 0.0, 1.0, 0.5])
+    made = [
+        phc.ph(ct.tf([2, 0], [1, 0, 4])),
+        phc.ph(ct.tf([3, 0, 1], [1, 0, 1, 0])),
+        phc.ph(phc.modes([], [])),
+        phc.ph(np.zeros((2, 2)), [1.0, -0.0]),
+        chain + chain,
+        2.5 * chain,
+        0.1 * (3 * phc.ph(chain.modes)),
+        phc.ph(ct.ss(chain)),
+        chain.modes,
+        chain.modes.minimal(),
+    ]
+    for obj in made:
+        assert_same(obj, round_trip(obj, tmp_path_factory))
+
+
+def test_weights_that_differ_from_nu_in_the_last_bit_are_kept(tmp_path_factory):
+    modes = phc.modes([1.0, 2.0], [2.0, 0.3])
+    assert (np.abs(modes.nu[:, 0]) ** 2 != modes.r).any()
+    assert_same_modes(modes, round_trip(modes, tmp_path_factory))
+
+
+def test_saving_twice_gives_the_same_bytes(tmp_path):
+    modes = phc.modes([1.0, 2.0], [2.0, 0.3])
+    save(modes, tmp_path / "first.json")
+    save(load(tmp_path / "first.json"), str(tmp_path / "second.json"))
+    assert (tmp_path / "first.json").read_bytes() == (tmp_path / "second.json").read_bytes()
+
+
+# --- the file ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def model():
+    """System of two degrees of freedom that has everything the schema can hold."""
+    return phc.ph(phc.modes([0.1, 2.0], [1 / 3, 0.5]), name="a bridge", inputs="force [N]", outputs="v")
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Where the tests save."""
+    return tmp_path / "model.json"
+
+
+def test_document_follows_the_schema_in_the_manual(path, model):
+    save(model, path)
+    document = json.loads(path.read_text())
+    assert document.pop("sha256")
+    root = [float(model.modes.nu[l, 0].real) for l in range(2)]
+    assert document == {
+        "format": "ph_control",
+        "schema": 1,
+        "kind": "PortHamiltonian",
+        "data": {
+            "name": "a bridge",
+            "inputs": ["force [N]"],
+            "outputs": ["v"],
+            "states": ["x[0]", "x[1]", "x[2]", "x[3]"],
+            "modes": {
+                "ports": 1,
+                "d": [0.1, 2.0],
+                "nu": [[[root[0], 0.0]], [[root[1], 0.0]]],
+                "rigid": [],
+                "r": [1 / 3, 0.5],
+            },
+        },
+    }
+
+
+def test_system_from_matrices_holds_them_as_given(path):
+    save(phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]), path)
+    data = json.loads(path.read_text())["data"]
+    assert (data["Q"], data["B"]) == ([[4.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]])
+    assert "modes" not in data
+
+
+def test_document_is_laid_out_for_people(path, model):
+    save(model, path)
+    lines = path.read_text().splitlines()
+    assert '      "d": [0.1, 2.0],' in lines
+    assert lines[-1] == "}" and path.read_text().endswith("}\n")
+    assert path.read_text().isascii()
+
+
+def test_existing_file_is_refused_and_left_as_it_was(path, model):
+    path.write_text("precious")
+    with pytest.raises(
+        OutputExistsError, match=r"model\.json exists already; choose another name, or pass overwrite=True"
+    ):
+        save(model, path)
+    assert path.read_text() == "precious"
+    assert os.listdir(path.parent) == ["model.json"]
+
+
+def test_overwriting_replaces_when_asked_for(path, model):
+    path.write_text("old")
+    save(model, path, overwrite=True)
+    assert_same_system(model, load(path))
+    assert os.listdir(path.parent) == ["model.json"]
+
+
+def test_file_that_appears_in_the_last_moment_is_not_overwritten(path, model, monkeypatch):
+    written = os.fsync
+
+    def somebody_else_is_faster(descriptor):
+        path.write_text("theirs")
+        written(descriptor)
+
+    monkeypatch.setattr(os, "fsync", somebody_else_is_faster)
+    with pytest.raises(OutputExistsError, match="exists already"):
+        save(model, path)
+    assert path.read_text() == "theirs"
+    assert os.listdir(path.parent) == ["model.json"]
+
+
+def no_links(*_):
+    raise PermissionError("no hard links here")
+
+
+def test_file_system_without_hard_links_works_too(path, model, monkeypatch):
+    monkeypatch.setattr(os, "link", no_links)
+    save(model, path)
+    assert_same_system(model, load(path))
+    with pytest.raises(OutputExistsError, match="exists already"):
+        save(model, path)
+    assert os.listdir(path.parent) == ["model.json"]
+
+
+def test_race_on_a_file_system_without_hard_links_is_lost_politely(path, model, monkeypatch):
+    def no_links_and_somebody_else(*_):
+        path.write_text("theirs")
+        no_links()
+
+    monkeypatch.setattr(os, "link", no_links_and_somebody_else)
+    with pytest.raises(OutputExistsError, match="exists already"):
+        save(model, path)
+    assert path.read_text() == "theirs"
+    assert os.listdir(path.parent) == ["model.json"]
+
+
+@pytest.mark.parametrize("failing", ["fsync", "replace"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_failure_while_writing_leaves_nothing_behind_and_the_old_file_whole(
+    path, model, monkeypatch, failing, overwrite
+):
+    def disk_full(*_):
+        raise OSError(28, "No space left on device")
+
+    if overwrite:
+        path.write_text("old")
+    else:
+        monkeypatch.setattr(os, "link", no_links)
+    monkeypatch.setattr(os, failing, disk_full)
+    with pytest.raises(OSError, match="No space left"):
+        save(model, path, overwrite=overwrite)
+    assert os.listdir(path.parent) == (["model.json"] if overwrite else [])
+    if overwrite:
+        assert path.read_text() == "old"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="file modes are those of POSIX")
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_permissions_are_those_of_any_new_file(path, model, overwrite):
+    for mask in (0o022, 0o027):
+        before = os.umask(mask)
+        try:
+            path.unlink(missing_ok=True)
+            save(model, path, overwrite=overwrite)
+        finally:
+            os.umask(before)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+
+
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links need no privilege on POSIX only")
+def test_overwriting_through_a_symbolic_link_writes_the_file_it_points_at(path, model):
+    (path.parent / "elsewhere").mkdir()
+    target = path.parent / "elsewhere" / "real.json"
+    path.symlink_to(target)
+    with pytest.raises(OutputExistsError):
+        save(model, path)
+    save(model, path, overwrite=True)
+    assert path.is_symlink() and not target.is_symlink()
+    assert_same_system(model, load(target))
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_folder_cannot_be_overwritten(tmp_path, model, overwrite):
+    with pytest.raises(OutputExistsError, match="is a folder; pass the name of a file in it"):
+        save(model, tmp_path, overwrite=overwrite)
+
+
+def test_missing_folder_is_an_error_of_both_families(tmp_path, model):
+    with pytest.raises(PHControlError, match=r"the folder .*absent does not exist; make it first") as caught:
+        save(model, tmp_path / "absent" / "model.json")
+    assert isinstance(caught.value, FileNotFoundError)
+
+
+class Subclass(phc.PortHamiltonian):
+    """A system that knows more than its base."""
+
+
+@pytest.mark.parametrize(
+    "obj", [ct.tf([1], [1, 0]), 3.0, None, [1], Subclass(np.eye(2), [0.0, 1.0])], ids=lambda obj: type(obj).__name__
+)
+def test_object_of_another_type_is_refused_by_its_name(path, obj):
+    expected = rf"an object of type {type(obj).__name__} cannot be saved, only PortHamiltonian, ModalForm"
+    with pytest.raises(StructureError, match=expected):
+        save(obj, path)
+    assert not path.exists()
+
+
+def test_model_that_could_not_be_loaded_is_not_written(path):
+    infinite = phc.ModalForm(np.array([1.0]), np.array([[1.0 + 0j]]), np.zeros((0, 1)), np.array([np.inf]))
+    with pytest.raises(StructureError, match=r'this ModalForm cannot be saved.*r\[0\] is "inf", needed a number'):
+        save(infinite, path)
+    unsorted = phc.ModalForm(np.array([2.0, 1.0]), np.ones((2, 1), complex), np.zeros((0, 1)))
+    with pytest.raises(StructureError, match=r"this ModalForm cannot be saved.*d is not ascending"):
+        save(unsorted, path)
+    assert not path.exists()
+
+
+# --- refusals ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def message(path):
+    """What the error that loading ends in says about the file."""
+
+    def run(content):
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        with pytest.raises(FileFormatError) as caught:
+            load(path)
+        text = str(caught.value)
+        assert text.startswith(str(path))
+        return text.removeprefix(str(path)).lstrip(": ")
+
+    return run
+
+
+@pytest.fixture
+def document(path, model):
+    """Valid document without checksum, to be spoilt."""
+    save(model, path)
+    content = json.loads(path.read_text())
+    del content["sha256"]
+    return content
+
+
+@pytest.fixture
+def matrices(path):
+    """Valid document of a system given by its matrices, without checksum."""
+    save(phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]), path)
+    content = json.loads(path.read_text())
+    del content["sha256"]
+    return content
+
+
+def test_document_without_checksum_is_read(path, document, model):
+    path.write_text(json.dumps(document))
+    assert_same_system(model, load(path))
+
+
+def test_byte_order_mark_and_white_space_do_no_harm(path, model):
+    save(model, path)
+    text = json.dumps(json.loads(path.read_text()), indent=3).replace("\n", "\r\n")
+    path.write_bytes(b"\xef\xbb\xbf\r\n" + text.encode())
+    assert_same_system(model, load(path))
+
+
+def test_changed_digit_is_found_by_the_checksum(path, model, message):
+    save(model, path)
+    text = path.read_text()
+    assert text.count("0.5]") == 1
+    spoilt = message(text.replace("0.5]", "0.6]"))
+    assert "is damaged: its content does not match its checksum; restore it from a copy" in spoilt
+    assert 'delete the line "sha256"' in spoilt
+
+
+def test_number_edited_on_purpose_is_read_without_the_checksum(path, document):
+    document["data"]["modes"]["d"] = [1, 2]
+    path.write_text(json.dumps(document))
+    assert load(path).d.tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("", "is empty; pass a file that ph_control.save has written"),
+        (" \n", "is empty"),
+        ("t,u,y\n0,1,2\n", "is not JSON, or damaged or cut short: line 1, column 1: Expecting value"),
+        ('{"format": "ph_control",\n "schema": 1', "is not JSON, or damaged or cut short: line 2, column"),
+        (b"\x89PNG", "is not a text file: byte 0x89 at position 0 is not UTF-8"),
+        ("[1, 2]", 'is JSON, but not a ph_control file: it has no "format": "ph_control"'),
+        ("{}", "is JSON, but not a ph_control file"),
+        ('{"format": "other"}', "is JSON, but not a ph_control file"),
+        ("NaN", "is damaged: NaN is not JSON"),
+        (
+            '{"format": "ph_control", "format": "ph_control"}',
+            "is damaged: the field 'format' is there twice",
+        ),
+        ("[" * 100_000, "is damaged: it is nested too deeply"),
+        ('{"a":' * 100_000, "is damaged: it is nested too deeply"),
+        ("1" * 5000, "is damaged: "),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_file_that_is_no_document_says_what_it_is(message, content, expected):
+    assert message(content).startswith(expected)
+
+
+def test_every_truncation_is_refused(path, model, message):
+    save(model, path)
+    content = path.read_bytes().rstrip()
+    for length in range(0, len(content), 7):
+        assert "empty" in (text := message(content[:length])) or "cut short" in text
+
+
+NOTHING = object()
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "expected"),
+    [
+        (["schema"], 2, "has schema 2; this version of ph_control reads schema 1: upgrade ph_control to read it"),
+        (["schema"], 0, "has schema 0, which never existed"),
+        (["schema"], "1", 'schema is "1", needed an integer'),
+        (["schema"], True, "schema is true, needed an integer"),
+        (["schema"], 1.0, "schema is 1.0, needed an integer"),
+        (["schema"], NOTHING, "the field 'schema' is missing"),
+        (["kind"], "Spaceship", "holds a 'Spaceship'; this version of ph_control reads 'PortHamiltonian', 'Mod"),
+        (["kind"], 7, "kind is 7, needed a string"),
+        (["kind"], NOTHING, "the field 'kind' is missing"),
+        (["data"], [1], "data is a list with 1 entries, needed an object with fields"),
+        (["data"], NOTHING, "the field 'data' is missing"),
+        (["comment"], "hi", "unknown field 'comment'; the fields here are 'data', 'format', 'kind', 'schema'"),
+        (["sha256"], 5, "sha256 is 5, needed a string"),
+        (["data", "name"], None, "data: name is null, needed a string"),
+        (["data", "name"], NOTHING, "data: the field 'name' is missing; the file is damaged or incomplete"),
+        (["data", "name"], "a.b", "holds no valid PortHamiltonian: invalid system name 'a.b'"),
+        (["data", "inputs"], ["u", 3], "data: inputs is a list with 2 entries, needed a list of strings"),
+        (["data", "inputs"], "u", 'data: inputs is "u", needed a list of strings'),
+        (["data", "inputs"], ["u", "w"], "holds no valid PortHamiltonian: 2 names given for 1 inputs"),
+        (["data", "states"], ["x"], "holds no valid PortHamiltonian: 1 names given for 4 states"),
+        (["data", "colour"], "red", "data: unknown field 'colour'; the fields here are 'inputs', 'modes', 'name'"),
+        (["data", "Q"], [[1.0]], "data: unknown field 'Q'"),
+        (["data", "modes"], NOTHING, "data: the field 'Q' is missing"),
+        (["data", "modes"], 4, "data: modes is 4, needed an object with fields"),
+        (["data", "modes", "ports"], 0, "holds no valid PortHamiltonian: ports is 0; a model has at least one"),
+        (["data", "modes", "ports"], 2, "data: modes: nu[0] has 1 entries, needed 2"),
+        (["data", "modes", "d"], [0.1], "data: modes: nu has 2 entries, needed 1"),
+        (["data", "modes", "d"], [2.0, 0.1], "holds no valid PortHamiltonian: d is not ascending"),
+        (["data", "modes", "d"], [-0.1, 2.0], "holds no valid PortHamiltonian: d is not positive: d[0] = -0.1"),
+        (["data", "modes", "d"], [0.1, "NaN"], 'data: modes: d[1] is "NaN", needed a number'),
+        (["data", "modes", "d"], [0.1, "nan"], 'data: modes: d[1] is "nan", needed a number'),
+        (["data", "modes", "d"], [0.1, None], "data: modes: d[1] is null, needed a number"),
+        (["data", "modes", "d"], [0.1, True], "data: modes: d[1] is true, needed a number"),
+        (["data", "modes", "d"], [0.1, [2.0]], "data: modes: d[1] is a list with 1 entries, needed a number"),
+        (["data", "modes", "d"], 0.1, "data: modes: d is 0.1, needed a list of numbers"),
+        (["data", "modes", "d"], {}, "data: modes: d is an object with 0 entries, needed a list of numbers"),
+        (["data", "modes", "nu"], [1.0, 2.0], "data: modes: nu[0] is 1.0, needed a list of lists"),
+        (["data", "modes", "r"], [0.5], "data: modes: r has 1 entries, needed 2"),
+        (["data", "modes", "r"], [-0.5, 1.0], "holds no valid PortHamiltonian: r is negative: -0.5"),
+        (["data", "modes", "r"], [0.5, 0.5], "holds no valid PortHamiltonian: r is not |nu|^2; change both or none"),
+        (["data", "modes", "rigid"], [[1.0, 2.0]], "data: modes: rigid[0] has 2 entries, needed 1"),
+        (["data", "modes", "extra"], 1, "data: modes: unknown field 'extra'"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, list) and all(type(x) is str for x in value) else None,
+)  # fmt: skip
+def test_each_wrong_field_is_named_with_what_was_found(document, message, place, value, expected):
+    assert message(json.dumps(spoil(document, place, value))).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "expected"),
+    [
+        (["data", "Q"], [[4.0, 0.0], [0.0, -1.0]], "holds no valid PortHamiltonian: Q is indefinite"),
+        (["data", "Q"], [[4.0, 1.0], [0.0, 1.0]], "holds no valid PortHamiltonian: Q is not symmetric"),
+        (["data", "Q"], [[4.0]], "holds no valid PortHamiltonian: Q has odd size 1"),
+        (["data", "Q"], [[4.0, 0.0]], "holds no valid PortHamiltonian: Q is not square"),
+        (["data", "Q"], [[4.0, 0.0], [0.0]], "data: Q[1] has 1 entries, needed 2"),
+        (
+            ["data", "Q"],
+            [[1e308, 0.0], [0.0, 1e308]],
+            "holds no valid PortHamiltonian: overflow encountered",
+        ),
+        (["data", "B"], [[1.0]], "holds no valid PortHamiltonian: B has shape (1, 1)"),
+        (["data", "B"], [[], []], "holds no valid PortHamiltonian: B has no columns"),
+        (["data", "B"], [0.0, 1.0], "data: B[0] is 0.0, needed a list of numbers"),
+        (["data", "B"], NOTHING, "data: the field 'B' is missing"),
+    ],
+)
+def test_matrices_that_make_no_system_are_refused(matrices, message, place, value, expected):
+    assert message(json.dumps(spoil(matrices, place, value))).startswith(expected)
+
+
+@pytest.mark.parametrize("number", ["1e999", "-1e999", "1" + "0" * 400])
+def test_number_beyond_doubles_is_refused(matrices, message, number):
+    text = json.dumps(spoil(matrices, ["data", "B"], [[0.0], ["HERE"]])).replace('"HERE"', number)
+    assert message(text).startswith("data: B[1][0] is too large for a double")
+
+
+@pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity"])
+def test_tokens_that_are_no_json_are_refused(matrices, message, token):
+    text = json.dumps(spoil(matrices, ["data", "B"], [[0.0], ["HERE"]])).replace('"HERE"', token)
+    assert message(text).startswith(f"is damaged: {token} is not JSON")
+
+
+def test_weights_may_part_from_nu_by_half_the_digits_and_no_more(path, document, message):
+    half = math.sqrt(np.finfo(float).eps)
+    # r is compared through its root, which moves half as much
+    document["data"]["modes"]["r"][1] = 0.5 * (1 + 1.9 * half)
+    path.write_text(json.dumps(document))
+    assert load(path).r[1] == 0.5 * (1 + 1.9 * half)
+    document["data"]["modes"]["r"][1] = 0.5 * (1 + 2.1 * half)
+    assert "r is not |nu|^2" in message(json.dumps(document))
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(PHControlError, match=r"there is no file .*absent\.json") as caught:
+        load(tmp_path / "absent.json")
+    assert isinstance(caught.value, FileNotFoundError)
+    with pytest.raises(FileFormatError, match="is a folder; pass the file in it"):
+        load(tmp_path)
+
+
+# --- damage of any kind ------------------------------------------------------------------------------------------
+
+
+def spoil(document, place, value):
+    """Copy of a document with one entry set to a value, or taken out."""
+    spoilt = copy.deepcopy(document)
+    *way, last = place
+    parent = spoilt
+    for key in way:
+        parent = parent[key]
+    if value is NOTHING:
+        del parent[last]
+    else:
+        parent[last] = value
+    return spoilt
+
+
+KINDS = {
+    "modes": phc.modes([0.5, 2.0], [1.0, 0.25]),
+    "system": phc.ph(np.diag([4.0, 1.0]), [0.5, 1.0], name="plant"),
+    "system from modes": phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25])),
+}
+
+
+@functools.cache
+def written(kind):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "valid.json")
+        save(KINDS[kind], path)
+        return path.read_bytes()
+
+
+def loads_the_same_or_refuses(obj, content, folder):
+    path = folder.getbasetemp() / "spoilt.json"
+    path.write_bytes(content)
+    try:
+        restored = load(path)
+    except FileFormatError as error:
+        assert "spoilt.json" in str(error)
+    else:
+        assert_same(obj, restored)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(deadline=None, max_examples=120, derandomize=True)
+@given(data=st.data())
+def test_damaged_bytes_give_the_same_object_or_a_refusal(tmp_path_factory, kind, data):
+    content = written(kind)
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(content)))
+        stop = data.draw(st.integers(start, min(len(content), start + 40)) | st.just(len(content)))
+        patch = data.draw(
+            st.binary(max_size=4) | st.sampled_from([b" ", b"\n", b"0", b"-", b"e9", b"null", b"NaN", b"{"])
+        )
+        content = content[:start] + patch + content[stop:]
+    loads_the_same_or_refuses(KINDS[kind], content, tmp_path_factory)
+
+
+def places(value, way=()):
+    yield way
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from places(item, (*way, key))
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=4,
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(deadline=None, max_examples=120, derandomize=True)
+@given(data=st.data())
+def test_any_other_value_anywhere_gives_a_valid_model_or_a_refusal_also_without_checksum(tmp_path_factory, kind, data):
+    document = json.loads(written(kind))
+    del document["sha256"]
+    place = data.draw(st.sampled_from([way for way in places(document) if way]))
+    spoilt = spoil(document, place, data.draw(anything | st.just(NOTHING)))
+    path = tmp_path_factory.getbasetemp() / "spoilt.json"
+    path.write_text(json.dumps(spoilt))
+    try:
+        restored = load(path)
+    except FileFormatError:
+        return
+    # what was read is what the document says
+    to_dict = files._modes_to_dict if spoilt["kind"] == "ModalForm" else files._system_to_dict
+    assert _documents.plain(to_dict(restored)) == spoilt["data"]
+    assert type(restored).__name__ == spoilt["kind"]
+
+
+# --- further kinds -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Report:
+    """Object with a field of each sort."""
+
+    system: phc.PortHamiltonian
+    covariance: np.ndarray
+    amplitudes: np.ndarray
+    loss: float
+    iterations: int
+    success: bool
+    notes: list[str] = field(default_factory=list)
+
+
+def report_to_dict(report) -> dict[str, Any]:
+    return {**vars(report), "system": files._system_to_dict(report.system), "loss": np.float64(report.loss)}
+
+
+def report_from_dict(fields):
+    return Report(
+        files._system_from_dict(fields.nested("system")),
+        fields.array("covariance", (2, None), finite=False),
+        fields.complex_array("amplitudes", (None,)),
+        fields.number("loss", finite=False),
+        fields.integer("iterations"),
+        fields.flag("success"),
+        fields.texts("notes", 2),
+    )
+
+
+@pytest.fixture
+def reports(monkeypatch):
+    """A further kind, added as its author would."""
+    codec = files.Codec("Report", Report, report_to_dict, report_from_dict)
+    monkeypatch.setattr(files, "_CODECS", (*files._CODECS, codec))
+
+
+@pytest.mark.parametrize("loss", [0.1, math.inf, -math.inf, math.nan])
+def test_kind_with_missing_and_infinite_values_is_one_codec_more(path, model, reports, loss):
+    covariance = np.array([[1.0, np.nan, -0.0], [np.inf, -np.inf, 1e-300]])
+    amplitudes = np.array([complex(-0.0, 0.1), complex(3.0, -0.0)])
+    save(Report(model, covariance, amplitudes, loss, 7, True, ["a", "ü"]), path)
+    restored = load(path)
+    assert_same_system(model, restored.system)
+    assert_same_bits(covariance, restored.covariance)
+    assert_same_bits(amplitudes, restored.amplitudes)
+    assert restored.loss == loss or (math.isnan(loss) and math.isnan(restored.loss))
+    assert (restored.iterations, restored.success, restored.notes) == (7, True, ["a", "ü"])
+    for token in ("NaN", "Infinity"):
+        assert token not in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "expected"),
+    [
+        (["success"], 1, "data: success is 1, needed true or false"),
+        (["iterations"], 1.5, "data: iterations is 1.5, needed an integer"),
+        (["loss"], "infinite", 'data: loss is "infinite", needed a number'),
+        (["loss"], [1.0], "data: loss is a list with 1 entries, needed a number"),
+        (["notes"], ["a"], "data: notes has 1 entries, needed 2"),
+        (["amplitudes", 0], [1.0], "data: amplitudes[0] has 1 entries, needed 2"),
+        (["amplitudes", 0], ["nan", 1.0], 'data: amplitudes[0][0] is "nan", needed a number'),
+        (["covariance", 1], [1.0], "data: covariance[1] has 1 entries, needed 3"),
+        (["system", "name"], 5, "data: system: name is 5, needed a string"),
+        (["system", "shape"], 5, "data: system: unknown field 'shape'"),
+        (["system", "modes", "shape"], 5, "data: system: modes: unknown field 'shape'"),
+    ],
+)
+def test_fields_of_a_further_kind_are_checked_the_same_way(path, model, reports, message, place, value, expected):
+    save(Report(model, np.zeros((2, 3)), np.ones(2, complex), 1.0, 7, True, ["a", "b"]), path)
+    document = json.loads(path.read_text())
+    del document["sha256"]
+    assert message(json.dumps(spoil(document, ["data", *place], value))).startswith(f"{expected}")
+
+
+def test_numpy_values_become_plain_json_values():
+    found = _documents.plain({"a": np.float64(1.5), "b": (np.int64(2), np.True_), "c": 1 - 2j, "d": np.zeros((0, 2))})
+    assert json.dumps(found) == '{"a": 1.5, "b": [2, true], "c": [1.0, -2.0], "d": []}'
