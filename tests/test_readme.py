@@ -1,0 +1,75 @@
+"""What the README says works when it is done word for word."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    """Code blocks of a language, in order."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.M | re.S)
+
+
+def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder as a newcomer would, without a display, every warning an error."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": path}
+    return subprocess.run(
+        [sys.executable, "-W", "error", *arguments], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
+        capture_output=True, text=True,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def after_python(tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """Folder in which all Python blocks have run as one script, and how that went."""
+    folder = tmp_path_factory.mktemp("readme")
+    script = folder / "script.py"
+    script.write_text("\n".join(blocks("python")), encoding="utf-8")
+    return folder, run(folder, str(script))
+
+
+def test_the_first_two_shell_blocks_are_one_line_each():
+    first, second = blocks("sh")[:2]
+    assert first.count("\n") == second.count("\n") == 1
+    assert first.startswith("python3 -m venv .venv && ") and first.rstrip().endswith(".venv/bin/ph-control demo")
+    assert second.startswith("python3 -m venv .venv && ") and second.rstrip().endswith(".venv/bin/python -m pytest")
+
+
+def test_the_python_code_runs_and_leaves_what_it_says(after_python):
+    folder, done = after_python
+    assert done.returncode == 0, done.stderr
+    assert "3 modes" in done.stdout
+    assert {"recording.csv", "model.json", "fit.png", "bode.png"} <= {path.name for path in folder.iterdir()}
+
+
+def test_the_fit_on_the_command_line_runs_on_the_recording_of_the_python_code(after_python, tmp_path):
+    folder, done = after_python
+    assert done.returncode == 0, done.stderr
+    (command,) = [
+        shlex.split(line) for block in blocks("sh") for line in block.splitlines() if "ph-control fit" in line
+    ]
+    assert command[0].endswith("ph-control")
+    (tmp_path / "recording.csv").write_bytes((folder / "recording.csv").read_bytes())
+    start = "import sys; from ph_control.cli import main; sys.exit(main())"
+    fit = run(tmp_path, "-c", start, *command[1:])
+    assert fit.returncode == 0, fit.stderr
+    assert "3 modes" in fit.stdout
+    assert {"model.json", "fit.png"} <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_every_path_that_the_readme_refers_to_exists():
+    targets = re.findall(r"\]\(([^)\s]+)\)", README)
+    local = [target.split("#")[0] for target in targets if not target.startswith("http")]
+    assert "docs/fit.png" in local
+    assert [target for target in local if not (ROOT / target).exists()] == []
