@@ -1,0 +1,119 @@
+"""A keyword that a call does not know is an error, never ignored."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from types import FunctionType, ModuleType
+from typing import Any
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import ph_control as phc
+
+UNKNOWN = "no_such_keyword"
+REFUSAL = "unexpected keyword|unrecognized keyword"
+
+
+def public_callables() -> dict[str, Callable[..., Any]]:
+    """Functions, constructors and methods that a user can call, by their qualified names."""
+    found: dict[str, Callable[..., Any]] = {}
+    for name, value in vars(phc).items():
+        if name.startswith("_") or isinstance(value, ModuleType):
+            continue
+        if inspect.isfunction(value):
+            found[name] = value
+        elif inspect.isclass(value) and not issubclass(value, Exception):
+            found[name] = value
+            found |= {
+                f"{name}.{key}": getattr(value, key)
+                for key, member in vars(value).items()
+                if not key.startswith("_") and isinstance(member, FunctionType | classmethod | staticmethod)
+            }
+    return found
+
+
+def takes_any_keyword(function: Callable[..., Any]) -> bool:
+    kinds = [p.kind for p in inspect.signature(function).parameters.values()]
+    return inspect.Parameter.VAR_KEYWORD in kinds
+
+
+CLOSED = sorted(name for name, function in public_callables().items() if not takes_any_keyword(function))
+OPEN = sorted(name for name, function in public_callables().items() if takes_any_keyword(function))
+
+
+@functools.cache
+def plant() -> phc.PortHamiltonian:
+    return phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
+
+
+@functools.cache
+def fitted() -> Any:
+    u = np.random.default_rng(0).standard_normal(200)
+    y = phc.forced_response(plant(), 0.1 * np.arange(200), u).outputs
+    return phc.pem((u, y), order=1, dt=0.1)
+
+
+@functools.cache
+def recording() -> ct.TimeResponseData:
+    return phc.forced_response(plant(), 0.1 * np.arange(64), np.arange(64) % 7)
+
+
+T = np.linspace(0.0, 1.0, 5)
+
+# a valid call of each function that collects keywords, once for each way its arguments can go
+CALLS: dict[str, list[Callable[..., Any]]] = {
+    "PEMResult.plot": [lambda **k: fitted().plot(**k)],
+    "PortHamiltonian": [lambda **k: phc.PortHamiltonian(np.eye(2), [0, 1], **k)],
+    "forced_response": [lambda **k: phc.forced_response(plant(), T, 1.0, **k)],
+    "frenkel_kontorova": [lambda **k: phc.frenkel_kontorova(2, **k)],
+    "impulse_response": [lambda **k: phc.impulse_response(plant(), T, **k)],
+    "initial_response": [lambda **k: phc.initial_response(plant(), T, 1.0, **k)],
+    "lc_circuit": [lambda **k: phc.lc_circuit([1.0, 2.0], 1.0, **k)],
+    "ph": [
+        lambda **k: phc.ph(np.eye(2), [0, 1], **k),
+        lambda **k: phc.ph(plant(), **k),
+        lambda **k: phc.ph(plant().modes, **k),
+        lambda **k: phc.ph(ct.ss(plant()), **k),
+        lambda **k: phc.ph(ct.tf([1, 0], [1, 0, 4]), **k),
+    ],
+    "spectral_estimate": [lambda **k: phc.spectral_estimate(recording(), **k)],
+    "spring_chain": [lambda **k: phc.spring_chain([1.0, 2.0], 1.0, ground=1.0, **k)],
+    "step_response": [lambda **k: phc.step_response(plant(), T, **k)],
+}
+
+
+@pytest.fixture(autouse=True)
+def _close_figures():
+    yield
+    plt.close("all")
+
+
+def test_the_callables_are_found():
+    """Guards the search: were it empty, the tests below would pass on anything."""
+    assert {"williamson", "modes", "ModalForm", "ModalForm.freqresp", "PortHamiltonian.horner"} <= set(CLOSED)
+    assert {"ph", "PortHamiltonian", "forced_response"} <= set(OPEN)
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_a_call_with_fixed_keywords_refuses_another(name):
+    with pytest.raises(TypeError, match=REFUSAL):
+        public_callables()[name](**{UNKNOWN: 1})
+
+
+def test_every_call_that_collects_keywords_is_tried_below():
+    missing = sorted(set(OPEN) - set(CALLS))
+    assert missing == [], f"add a valid call of {missing} to CALLS of test_kwargs.py"
+
+
+@pytest.mark.parametrize("name, way", [(name, way) for name in OPEN for way in range(len(CALLS.get(name, ())))])
+def test_a_call_that_collects_keywords_refuses_an_unknown_one(name, way):
+    call = CALLS[name][way]
+    call()
+    with pytest.raises(TypeError, match=REFUSAL) as refusal:
+        call(**{UNKNOWN: 1})
+    assert UNKNOWN in str(refusal.value)
