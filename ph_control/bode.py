@@ -21,6 +21,7 @@ ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 _PER_DECADE = 200
+_AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
 _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
@@ -258,14 +259,14 @@ def _marks(sys: Any) -> Array:
 def features(sys: Any) -> tuple[Array, Array]:
     """Frequencies of the poles and zeros of a system, ascending, positive, and those of them on the imaginary axis.
 
-    The second kind is where the response is infinite or zero; it includes every pole and zero of a PH system.
+    The second kind is where the response is infinite or zero; it includes every pole and zero of a PH one-port.
     """
     points = np.concatenate([np.zeros(0, complex), sys.poles(), _zeros(sys)])
     if sys.isdtime(strict=True):
         points = points[points != 0]
         points = np.log(points.astype(complex)) / _timebase(sys)
     points = points[np.isfinite(points)]
-    if isinstance(sys, PortHamiltonian):
+    if isinstance(sys, PortHamiltonian) and sys.issiso():
         on_axis = np.unique(points.imag[points.imag > 0])
         return on_axis, on_axis
     size = np.abs(points)
@@ -279,10 +280,11 @@ def features(sys: Any) -> tuple[Array, Array]:
 
 
 def _zeros(sys: Any) -> ComplexArray:
-    try:
+    """Zeros of every entry of the response: with several ports those of the system itself are not seen in a picture."""
+    if sys.issiso():
         return np.asarray(sys.zeros(), dtype=complex)
-    except NotImplementedError:  # python-control: transfer functions with several ports
-        return np.zeros(0, complex)
+    entries = [sys[i, j].zeros() for i in range(sys.noutputs) for j in range(sys.ninputs)]
+    return np.concatenate(entries).astype(complex)
 
 
 def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _CLOSEST) -> Array:
@@ -300,7 +302,7 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
     Returns
     -------
     ndarray
-        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 30 points at geometrically
+        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 8 to 30 points at geometrically
         shrinking distances, from half way to the next mark, or half its frequency, down to `closest`.
 
     Notes
@@ -322,7 +324,8 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
         return base
     groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
     gaps = np.diff(groups, prepend=0.0, append=np.inf)
-    shrinking = np.linspace(0.0, 1.0, 30)
+    # fewer for each of very many, which the picture cannot separate anyhow
+    shrinking = np.linspace(0.0, 1.0, int(np.clip(_AROUND_ALL // len(groups), 8, 30)))
     parts = [base]
     for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
         far = 0.5 * np.minimum(gap, groups)

@@ -100,7 +100,7 @@ def bode_plot(
     pale where the coherence is below one half.  Nyquist frequencies are marked: of a record, of discrete-time systems
     and of discrete-time frequency responses.
 
-    O(n) for each frequency, and 60 frequencies for each pole and zero.
+    O(n) for each frequency, and 16 to 60 frequencies for each pole and zero.
 
     Examples
     --------

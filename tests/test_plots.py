@@ -304,6 +304,16 @@ def test_several_ports_are_a_table_of_magnitudes_above_phases():
     assert [axis.get_xlabel() for axis in plot.axes[-1]] == ["Frequency [rad/s]"] * 2
 
 
+def test_with_several_ports_the_antiresonances_of_every_entry_are_resolved():
+    sys = ct.ss(spring_chain([1.0, 2.0, 3.0], 1.0, ground=1.0, port=[0, 2]))
+    plot = bode_plot(sys)
+    for i, single in ((0, 0), (1, 2)):
+        alone = spring_chain([1.0, 2.0, 3.0], 1.0, ground=1.0, port=single)
+        w, level = plot.lines[2 * i, i][0].get_data()
+        for zero in alone.zeros().imag[alone.zeros().imag > 0]:
+            assert level[np.argmin(np.abs(w - zero))] < plot.axes[2 * i, i].get_ylim()[0]
+
+
 # --- measurements in the Bode plot ---
 
 
