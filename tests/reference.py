@@ -4,6 +4,7 @@ Nothing here uses the package: transfer functions in mpmath, exact fractions, de
 """
 
 from fractions import Fraction
+from itertools import pairwise
 
 import mpmath as mp
 import numpy as np
@@ -40,22 +41,21 @@ def random_hamiltonian(d, rng, squeeze=1.0):
 
 
 def on_axis(d, r, w, kappa_0=0.0):
-    """Imaginary part of `G(i w)` for one port, with many digits."""
+    """Imaginary parts of `G(i w)` for one port at several `w`, with many digits."""
     with mp.workdps(DIGITS):
-        w = mp.mpf(float(w))
-        terms = [
-            mp.mpf(float(a)) * mp.mpf(float(b)) * w / ((mp.mpf(float(a)) - w) * (mp.mpf(float(a)) + w))
-            for a, b in zip(d, r, strict=True)
-            if b
-        ]
-        if kappa_0:
-            terms.append(-mp.mpf(float(kappa_0)) / w)
-        return mp.fsum(terms)
+        pairs = [(mp.mpf(float(a)), mp.mpf(float(b))) for a, b in zip(d, r, strict=True) if b]
+        values = []
+        for x in map(mp.mpf, np.asarray(w, float).tolist()):
+            terms = [a * b * x / ((a - x) * (a + x)) for a, b in pairs]
+            values.append(mp.fsum([*terms, -mp.mpf(float(kappa_0)) / x]) if kappa_0 else mp.fsum(terms))
+        return values
 
 
-def relative_error(value, truth):
+def largest_error(values, truths):
+    """Largest relative error; absolute where the truth is 0."""
     with mp.workdps(DIGITS):
-        return float(abs(mp.mpf(float(value)) - truth) / abs(truth)) if truth else float(abs(value))
+        pairs = [(mp.mpf(float(value)), truth) for value, truth in zip(values, truths, strict=True)]
+        return max((float(abs(value - truth) / (abs(truth) or 1)) for value, truth in pairs), default=0.0)
 
 
 def foster_zeros(d, kappa, kappa_0=0.0):
@@ -66,8 +66,9 @@ def foster_zeros(d, kappa, kappa_0=0.0):
         if kappa_0:
             d, kappa = [mp.mpf(0), *d], [mp.mpf(float(kappa_0)), *kappa]
         zeros = []
-        for low, high in zip(d[:-1], d[1:], strict=True):
-            for _ in range(160):
+        for low, high in pairwise(d):
+            # to 2^-80 of the gap
+            for _ in range(80):
                 middle = (low + high) / 2
                 value = mp.fsum(k / (x * x - middle * middle) for k, x in zip(kappa, d, strict=True))
                 low, high = (middle, high) if value < 0 else (low, middle)
@@ -76,24 +77,19 @@ def foster_zeros(d, kappa, kappa_0=0.0):
 
 
 def coefficients(d, r):
-    """`a_0, a_2 ..` and `c_1, c_3 ..` as exact fractions, by multiplying out."""
-    squares = [Fraction(float(x)) ** 2 for x in d]
-    denominator = _product(squares)
-    numerator = [Fraction(0)] * len(squares)
-    for l, (x, y) in enumerate(zip(d, r, strict=True)):
-        kappa = Fraction(float(x)) * Fraction(float(y))
-        for k, value in enumerate(_product(squares[:l] + squares[l + 1 :])):
-            numerator[k] += kappa * value
-    return denominator[:-1], numerator
+    """`a_0, a_2 ..` and `c_1, c_3 ..` as exact fractions, adding one mode after the other."""
+    denominator, numerator = [Fraction(1)], [Fraction(0)]
+    for x, y in zip(d, r, strict=True):
+        square, kappa = Fraction(float(x)) ** 2, Fraction(float(x)) * Fraction(float(y))
+        grown = _times(numerator, square)
+        numerator = [a + kappa * b for a, b in zip(grown, [*denominator, Fraction(0)], strict=True)]
+        denominator = _times(denominator, square)
+    return denominator[:-1], numerator[:-1]
 
 
-def _product(squares):
-    """Ascending coefficients of `prod (x + square)`."""
-    result = [Fraction(1)]
-    for square in squares:
-        shifted = [Fraction(0), *result]
-        result = [shifted[k] + (square * result[k] if k < len(result) else 0) for k in range(len(shifted))]
-    return result
+def _times(ascending, square):
+    """`ascending * (x + square)`."""
+    return [a + square * b for a, b in zip([Fraction(0), *ascending], [*ascending, Fraction(0)], strict=True)]
 
 
 def dense_matrices(Q, B):
