@@ -1,0 +1,209 @@
+"""Modes through time, against dense matrices, mpmath and a recursion in long doubles."""
+
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import EPS, dense_step, long_double_recursion
+
+import ph_control as phc
+from ph_control.modal import ModalForm
+from ph_control.propagation import discretize, phi_functions, simulate, step_factors
+
+relaxed = settings(deadline=None, max_examples=30, derandomize=True)
+seeds = st.integers(0, 2**32 - 1)
+
+RULES = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
+
+
+def random_modes(n, rigid, ports, rng):
+    nu = rng.standard_normal((n, ports)) + 1j * rng.standard_normal((n, ports))
+    return ModalForm(np.sort(rng.uniform(0.1, 3, n)), nu, rng.standard_normal((rigid, ports)))
+
+
+def dense_modes(modes):
+    """Real block-diagonal `(A, B, C)` of `x' = -i d x + nu u`, `y = Re(d conj(nu) x)`, real parts first."""
+    d = np.r_[modes.d, np.zeros(len(modes.rigid))]
+    n, zero = len(d), np.zeros((len(d), len(d)))
+    A = np.block([[zero, np.diag(d)], [-np.diag(d), zero]])
+    nu = np.concatenate([modes.nu, modes.rigid])
+    weight = np.r_[modes.d, np.ones(len(modes.rigid))][:, None] * nu
+    C = np.concatenate([weight.real, weight.imag]).T
+    assert A.shape == (2 * n, 2 * n)
+    return A, np.concatenate([nu.real, nu.imag]), C
+
+
+def real(x):
+    return np.concatenate([x.real, x.imag])
+
+
+def plain_recursion(step, u, x0):
+    """`x_{k+1} = lambda x_k + b0 u_k + b1 u_{k+1}`, sample by sample."""
+    x = np.empty((len(x0), u.shape[1]), complex)
+    x[:, 0] = x0
+    for k in range(u.shape[1] - 1):
+        x[:, k + 1] = step.multiplier * x[:, k] + step.b0 @ u[:, k] + step.b1 @ u[:, k + 1]
+    return (step.c @ x).real, x
+
+
+# --- one step ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("method", "intersample"), RULES)
+@pytest.mark.parametrize("h", [1e-6, 1e-2, 0.7, 5.0])
+def test_one_step_is_that_of_the_dense_system(method, intersample, h):
+    modes = random_modes(5, 2, 2, np.random.default_rng(0))
+    A, B, C = dense_modes(modes)
+    F, G0, G1 = dense_step(A, B, h, method, intersample)
+    step = discretize(modes, h, method, intersample)
+    allowed = 100 * EPS * max(1.0, np.linalg.norm(F, 2))
+    lam = step.multiplier
+    assert (
+        np.max(np.abs(np.block([[np.diag(lam.real), -np.diag(lam.imag)], [np.diag(lam.imag), np.diag(lam.real)]]) - F))
+        < allowed
+    )
+    assert np.max(np.abs(real(step.b0) - G0)) < allowed * h * np.linalg.norm(B)
+    assert np.max(np.abs(real(step.b1) - G1)) < allowed * h * np.linalg.norm(B)
+    assert np.array_equal(np.concatenate([step.c.real, -step.c.imag], axis=1), C)
+
+
+def test_exact_weights_are_right_to_the_last_digits_from_tiny_to_huge_steps():
+    d = np.array([1e-12, 1e-9, 1e-6, 1e-3, 0.3, 0.499, 0.5, 0.501, 1.0, 6.28, 100.0])
+    z = -1j * d
+    phi_1, phi_2 = phi_functions(z)
+    with mp.workdps(80):
+        for k, x in enumerate(d):
+            point = mp.mpc(0, -mp.mpf(float(x)))
+            first = mp.expm1(point) / point
+            second = (first - 1) / point
+            assert abs(mp.mpc(complex(phi_1[k])) - first) < 4 * EPS * abs(first)
+            assert abs(mp.mpc(complex(phi_2[k])) - second) < 8 * EPS * abs(second)
+    at_zero = phi_functions(np.zeros(1, complex))
+    assert at_zero[0] == 1
+    assert at_zero[1] == 0.5
+
+
+def test_euler_grows_midpoint_and_exact_do_not():
+    d, h = np.array([1e-6, 0.3, 1.0, 2.5]), 0.5
+    modes = phc.modes(d, np.ones(4))
+    growth = np.abs(discretize(modes, h, "euler").multiplier) ** 2
+    assert np.max(np.abs(growth / (1 + (h * d) ** 2) - 1)) < 8 * EPS
+    for method in ("exact", "midpoint"):
+        powers = discretize(modes, h, method).powers(np.array([1.0, 1e3, 1e9]))
+        assert np.max(np.abs(np.abs(powers) - 1)) < 4 * EPS
+
+
+def test_midpoint_warps_the_frequencies_by_an_arctangent_and_euler_by_another():
+    d, h = np.array([1e-3, 1.0, 40.0]), 0.25
+    with mp.workdps(40):
+        for method, factor in (("midpoint", 2), ("euler", 1)):
+            _, (hi, lo) = step_factors(d, h, method)
+            for k, x in enumerate(d):
+                truth = -factor * mp.atan(mp.mpf(float(x)) * mp.mpf(h) / factor)
+                # beyond a double as far as the long double of the machine reaches
+                assert abs(mp.mpf(float(hi[k])) + mp.mpf(float(lo[k])) - truth) < 4 * np.finfo(np.longdouble).eps * abs(
+                    truth
+                )
+
+
+@pytest.mark.parametrize("k", [1e5, 1e9, 1e12])
+def test_high_powers_keep_their_phase(k):
+    modes = phc.modes([0.3, 1.0, 2.9], np.ones(3))
+    got = discretize(modes, 0.1).powers(np.array([k]))[:, 0]
+    with mp.workdps(60):
+        for value, d in zip(got, modes.d, strict=True):
+            truth = mp.expj(-mp.mpf(float(d)) * mp.mpf(0.1) * mp.mpf(k))
+            assert abs(mp.mpc(complex(value)) - truth) < 8 * EPS
+
+
+def test_euler_cannot_interpolate_its_input():
+    with pytest.raises(phc.StructureError, match="intersample must be 'zoh'; use method='exact' or 'midpoint'"):
+        discretize(phc.modes([1.0], [1.0]), 0.1, "euler", "foh")
+
+
+# --- many steps ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("method", "intersample"), RULES)
+def test_blocks_of_every_size_give_what_sample_by_sample_gives(method, intersample):
+    rng = np.random.default_rng(1)
+    modes = random_modes(6, 1, 2, rng)
+    step = discretize(modes, 0.2, method, intersample)
+    u = rng.standard_normal((2, 97))
+    x0 = rng.standard_normal(7) + 1j * rng.standard_normal(7)
+    x0[6] = x0[6].real
+    y_truth, x_truth = plain_recursion(step, u, x0)
+    for block in (1, 2, 7, 96, 97, 98, 256):
+        y, x = simulate(step, u, x0, states=True, block=block)
+        assert np.max(np.abs(y - y_truth)) < 97 * EPS * np.max(np.abs(y_truth)) * 10
+        assert np.max(np.abs(x - x_truth)) < 97 * EPS * np.max(np.abs(x_truth)) * 10
+        assert np.array_equal(simulate(step, u, x0, block=block)[0], y)
+
+
+@relaxed
+@given(st.integers(0, 4), st.integers(0, 2), st.integers(1, 3), st.integers(1, 40), seeds, st.sampled_from(RULES))
+def test_any_number_of_modes_rigid_bodies_ports_and_samples_agrees_with_the_recursion(
+    n, rigid, ports, samples, seed, rule
+):
+    rng = np.random.default_rng(seed)
+    modes = random_modes(n, rigid, ports, rng)
+    step = discretize(modes, 0.3, *rule)
+    u = rng.standard_normal((ports, samples))
+    x0 = (rng.standard_normal(n + rigid)).astype(complex)
+    y_truth, x_truth = plain_recursion(step, u, x0)
+    y, x = simulate(step, u, x0, states=True, block=16)
+    assert y.shape == (ports, samples)
+    assert x.shape == (n + rigid, samples)
+    size = np.abs(step.c) @ np.abs(x_truth) if n + rigid else np.zeros_like(y)
+    assert np.max(np.abs(y - y_truth)) <= 20 * samples * EPS * np.max(size)
+    assert np.max(np.abs(x - x_truth), initial=0.0) <= 20 * samples * EPS * np.max(np.abs(x_truth), initial=0.0)
+
+
+def test_a_single_sample_is_the_initial_state_and_no_mode_is_silence():
+    step = discretize(phc.modes([1.0, 2.0], [1.0, 1.0]), 1.0, "exact", "foh")
+    x0 = np.array([1 + 2j, 3 - 1j])
+    y, x = simulate(step, np.array([[5.0]]), x0, states=True)
+    assert np.max(np.abs(x[:, 0] - x0)) <= 4 * EPS * 5
+    assert abs(y[0, 0] - 7.0) <= 16 * EPS * 7
+    silent = discretize(phc.modes([], []), 1.0)
+    y, x = simulate(silent, np.ones((1, 5)), np.zeros(0, complex), states=True)
+    assert np.array_equal(y, np.zeros((1, 5)))
+    assert x.shape == (0, 5)
+
+
+@pytest.mark.parametrize(
+    "d",
+    [np.sort(np.random.default_rng(7).uniform(0.05, 3.0, 100)), np.logspace(-4, 0.4, 100)],
+    ids=["dense spectrum", "four decades"],
+)
+def test_a_hundred_modes_stay_right_to_1e_12_over_a_hundred_thousand_samples(d):
+    rng = np.random.default_rng(8)
+    samples, h = 100_000, 0.37
+    r = rng.uniform(0.1, 2.0, 100)
+    u = rng.standard_normal(samples)
+    modes = phc.modes(d, r)
+    x0 = rng.standard_normal(100) + 1j * rng.standard_normal(100)
+    truth = long_double_recursion(d, r, h, u, x0)
+    # the reference scales its states by kappa / nu, so that its output is the sum of real parts
+    start = x0 / (modes.d * modes.nu[:, 0].conj())
+    # what the long doubles of the reference itself may have lost
+    own = samples * float(np.finfo(np.longdouble).eps)
+    for row, intersample in enumerate(("zoh", "foh")):
+        y, _ = simulate(discretize(modes, h, "exact", intersample), u[None, :], start)
+        error = np.max(np.abs(y[0] - truth[row])) / np.max(np.abs(truth[row]))
+        assert error < 1e-12 + own
+    assert np.max(np.abs(truth[0] - truth[1])) > 1e-3 * np.max(np.abs(truth[0]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_midpoint_and_exact_conserve_the_energy_and_euler_lets_it_grow_as_predicted(seed):
+    rng = np.random.default_rng(seed)
+    modes = random_modes(5, 0, 1, rng)
+    samples, h = 2000, 0.1
+    x0 = rng.standard_normal(5) + 1j * rng.standard_normal(5)
+    silence = np.zeros((1, samples))
+    for method, growth in (("exact", 0 * modes.d), ("midpoint", 0 * modes.d), ("euler", (h * modes.d) ** 2)):
+        _, x = simulate(discretize(modes, h, method), silence, x0, states=True)
+        predicted = np.abs(x0[:, None]) ** 2 * np.exp(np.multiply.outer(np.log1p(growth), np.arange(samples)))
+        assert np.max(np.abs(np.abs(x) ** 2 / predicted - 1)) < 10 * samples * EPS
