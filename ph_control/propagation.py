@@ -100,18 +100,22 @@ def input_weights(
     if method == "midpoint":
         weight = (h / (1.0 - 0.5 * z))[:, None] * b
         return (weight, 0 * b) if intersample == "zoh" else (0.5 * weight, 0.5 * weight)
-    phi_1, phi_2 = phi_functions(z)
+    phi_1, phi_2 = phi_functions(z, imaginary(step_factors(d, h, "exact")[1][1]))
     if intersample == "zoh":
         return (h * phi_1)[:, None] * b, 0 * b
     return (h * (phi_1 - phi_2))[:, None] * b, (h * phi_2)[:, None] * b
 
 
-def phi_functions(z: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """`phi_1 = (e^z - 1)/z` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0."""
+def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[ComplexArray, ComplexArray]:
+    """`phi_1 = (e^z - 1)/z` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0.
+
+    `rest` is the low part of `z`, which many turns in one step need to keep the phase.
+    """
     small = np.abs(z) < 0.5
     safe = np.where(z == 0, 1.0, z)
     # not expm1, whose complex version loses digits in some releases of numpy
-    phi_1 = np.where(z == 0, 1.0, np.exp(0.5 * safe) * np.sinh(0.5 * safe) / (0.5 * safe))
+    half, low = 0.5 * safe, 0.5 * rest
+    phi_1 = np.where(z == 0, 1.0, np.exp(half) * np.exp(low) * (np.sinh(half) + low * np.cosh(half)) / half)
     phi_2 = (phi_1 - 1.0) / safe
     series = np.ones_like(z)
     for k in range(17, 2, -1):
