@@ -47,7 +47,8 @@ def forced_response(
     initial_state : array_like, shape (2n,), or a number
         State `z` at the first instant.
     transpose, return_states, squeeze
-        As in `control.forced_response`; `return_states=False` also saves computing the states.
+        As in `control.forced_response`; `return_states=False` also saves computing the states, of which the
+        response then has none.
     method : {'exact', 'midpoint', 'euler'}
         Exact solution, implicit midpoint rule (symplectic), or explicit Euler (not lossless: energy grows).
     intersample : {'zoh', 'foh'}
@@ -338,8 +339,9 @@ def _forced(
 ) -> TimeResponseData:  # fmt: skip
     u = _input_signal(inputs, sys.ninputs, t.size, transpose)
     y, states = _solve(sys, t, u, initial_state, method, intersample, keep is not False)
+    # no rows rather than None, on which `states` of TimeResponseData fails
     return TimeResponseData(
-        t, y, states, u, issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
+        t, y, np.zeros((0, t.size)) if states is None else states, u, issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
         state_labels=sys.state_labels if states is not None else None, title="Forced response for " + sys.name,
         transpose=transpose, return_x=bool(keep), squeeze=squeeze, sysname=sys.name, trace_types=["forced"],
         plot_inputs=True,
