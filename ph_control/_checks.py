@@ -50,7 +50,7 @@ def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
     return array
 
 
-def finite(name: str, array: Array) -> None:
+def finite(name: str, array: NDArray[Any]) -> None:
     """Refuse NaN and infinity, naming the first place."""
     bad = ~np.isfinite(array)
     if bad.any():
@@ -150,6 +150,23 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
             f"r is negative: r[{worst}] = {array[worst]:.6g}, allowed >= 0; a negative residue is not passive"
         )
     return array
+
+
+def conjugate_closed(name: str, value: ArrayLike) -> NDArray[np.complex128]:
+    """Check the zeros or poles of a real system: finite, and each with its conjugate."""
+    try:
+        points = np.atleast_1d(np.asarray(value, dtype=complex))
+    except (TypeError, ValueError):
+        raise StructureError(f"the {name} are not numbers: {value!r}") from None
+    finite(f"the list of {name}", points)
+    upper, lower = (np.sort_complex(half) for half in (points[points.imag > 0], points[points.imag < 0].conj()))
+    off = np.abs(upper - lower) if len(upper) == len(lower) else np.array([np.inf])
+    if np.any(off > 1000 * EPS * np.abs(upper if len(upper) == len(off) else 1.0)):
+        raise StructureError(
+            f"the {name} {np.array2string(points, precision=6, threshold=8)} are not closed under conjugation: off by "
+            f"{off.max():.3g}, allowed {1000 * EPS:.1e} of each; a real system has them in conjugate pairs"
+        )
+    return points
 
 
 def time_vector(time: ArrayLike, *, name: str = "the time vector") -> tuple[Array, float]:

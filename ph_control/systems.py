@@ -297,7 +297,8 @@ class PortHamiltonian(ct.StateSpace):
 
     def __radd__(self, other: Any) -> Any:
         """Parallel connection; `0 + sys` is `sys`, so that `sum` of PH systems is PH."""
-        return self + other if _is_number(other) and other == 0 else super().__radd__(other)
+        # Python asks the subclass first; a StateSpace on the left is to do its own adding
+        return NotImplemented if isinstance(other, ct.StateSpace) else self + other
 
     def __mul__(self, other: Any) -> Any:
         """Series connection; PH if `other` is a positive number: `B` is scaled by its square root."""
@@ -309,7 +310,8 @@ class PortHamiltonian(ct.StateSpace):
         """Series connection; PH if `other` is a positive number."""
         if _is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
-        return super().__rmul__(other)
+        # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
+        return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
 
     def _scaled(self, factor: float) -> PortHamiltonian:
         if self._given is not None:
