@@ -81,10 +81,14 @@ def entries(text: str) -> Section:
     return found
 
 
-def signature_names(function: Callable[..., Any]) -> list[str]:
+def signature_names(function: Callable[..., Any], documented: Section) -> list[str]:
+    """Parameters of a function; keywords, whose order says nothing, in the order of the documentation."""
     stars = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
-    parameters = inspect.signature(function).parameters.values()
-    return [stars.get(p.kind, "") + p.name for p in parameters if p.name not in ("self", "cls")]
+    parameters = [p for p in inspect.signature(function).parameters.values() if p.name not in ("self", "cls")]
+    keywords = [p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    told = [name for name in documented if name in keywords]
+    ordered = iter(told + [name for name in keywords if name not in told])
+    return [next(ordered) if p.name in keywords else stars.get(p.kind, "") + p.name for p in parameters]
 
 
 # --- what is wrong with it -------------------------------------------------------------------------------------------
@@ -154,7 +158,7 @@ def function_complaints(function: Callable[..., Any]) -> list[str]:
         return found
     parts = sections(function.__doc__)
     documented = entries(parts.get("Parameters", "")) | entries(parts.get("Other Parameters", ""))
-    found += parameter_complaints(documented, signature_names(function))
+    found += parameter_complaints(documented, signature_names(function, documented))
     answer = inspect.signature(function).return_annotation
     if answer is inspect.Signature.empty:
         found.append("its return type is not annotated")
@@ -182,7 +186,8 @@ def class_complaints(cls: type) -> list[str]:
         fields = [field.name for field in dataclasses.fields(cls) if not field.name.startswith("_")]
         found += parameter_complaints(documented, fields, ordered=False)
     elif "__init__" in vars(cls):
-        found += parameter_complaints(entries(parts.get("Parameters", "")), signature_names(cls.__init__))
+        arguments = entries(parts.get("Parameters", ""))
+        found += parameter_complaints(arguments, signature_names(cls.__init__, arguments))
     # a result is made by a function, whose example shows it
     return found if issubclass(cls, Exception) or dataclasses.is_dataclass(cls) else found + example_complaints(parts)
 
@@ -299,6 +304,18 @@ def test_a_well_documented_function_has_no_complaints():
 def test_each_omission_is_found(old, new, complaint):
     (found,) = function_complaints(_spoiled(old, new))
     assert complaint in found
+
+
+def test_positional_parameters_keep_their_order_and_keywords_may_be_grouped():
+    def function(a, b, *, c, d, e) -> None: ...
+
+    def complaints(*names: str) -> list[str]:
+        documented = {name: ("float", "Known.") for name in names}
+        return parameter_complaints(documented, signature_names(function, documented))
+
+    assert complaints("a", "b", "c", "d", "e") == complaints("a", "b", "e", "c", "d") == []
+    for wrong in ("bacde", "acbde", "abcd", "abcdef"):
+        assert len(complaints(*wrong)) == 1
 
 
 def test_a_missing_docstring_is_found():
