@@ -36,6 +36,13 @@ class Record:
         """Where the output was measured."""
         return ~np.isnan(self.y)
 
+    def as_response(self) -> TimeResponseData:
+        """Return the record as python-control keeps one."""
+        return TimeResponseData(
+            self.time, self.y, inputs=self.u, issiso=True, input_labels=[self.input_label],
+            output_labels=[self.output_label], title="Recording",
+        )  # fmt: skip
+
 
 def as_record(data: Any, dt: float | None = None, *, output_needed: bool = True) -> Record:
     """Make a `Record` of `(u, y)` with `dt`, or of a `control.TimeResponseData`; nothing of it is modified."""
@@ -55,7 +62,7 @@ def as_record(data: Any, dt: float | None = None, *, output_needed: bool = True)
         y = np.full(len(u), np.nan)
     else:
         y = _signal("the output", data[1], missing=True)
-    return _checked(step * np.arange(len(u)), step, u, y, "u", "y")
+    return _checked(step * np.arange(float(len(u))), step, u, y, "u", "y")
 
 
 def _from_response(data: TimeResponseData, dt: float | None) -> Record:
@@ -69,7 +76,9 @@ def _from_response(data: TimeResponseData, dt: float | None) -> Record:
         raise StructureError(f"dt = {dt:g} contradicts the time of the record, whose step is {step:.6g}; leave dt out")
     u = _signal("the input", np.reshape(data.u, -1))
     y = _signal("the output", np.reshape(data.y, -1), missing=True)
-    labels = [names[0] if names else default for names, default in ((data.input_labels, "u"), (data.output_labels, "y"))]
+    labels = [
+        names[0] if names else default for names, default in ((data.input_labels, "u"), (data.output_labels, "y"))
+    ]
     return _checked(time, step, u, y, *labels)
 
 

@@ -49,10 +49,10 @@ class Hold:
     def log_derivative(self, d: Array) -> ComplexArray:
         """Derivative of `log lambda` by `d`."""
         if self.method == "exact":
-            return np.full(len(d), -1j * self.h)
+            return imaginary(np.full(len(d), -self.h))
         if self.method == "midpoint":
             return imaginary(-self.h / (1.0 + (0.5 * self.h * d) ** 2))
-        return -1j * self.h / (1.0 - 1j * self.h * d)
+        return imaginary(-self.h * np.ones(len(d))) / (1.0 - 1j * self.h * d)
 
     def weight_derivatives(self, d: Array) -> tuple[ComplexArray, ComplexArray]:
         """Derivatives by `d` of the weights of `u_k` and `u_{k+1}`."""
@@ -121,7 +121,9 @@ def regressors(d: Array, u: Array, hold: Hold) -> Regressors:
     forced = b * X + step.b1 * u
     forced_slope = slope * b * ((k - 1) * X - Y) + db * X + db1[:, None] * u
     free_slope = slope * k * free
-    return Regressors(forced.real.T, free.real.T, -free.imag.T, forced_slope.real.T, free_slope.real.T, -free_slope.imag.T)
+    return Regressors(
+        forced.real.T, free.real.T, -free.imag.T, forced_slope.real.T, free_slope.real.T, -free_slope.imag.T
+    )
 
 
 def _free(step: Step, samples: int) -> ComplexArray:

@@ -77,7 +77,7 @@ class Projection:
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """Which coefficients are not held at 0 by `kappa >= 0`."""
-        Q, R, lengths = self._factors
+        Q, R, _ = self._factors
         n = len(self.d)
         free = np.ones(R.shape[1], bool)
         rhs = Q.T @ self.problem.target

@@ -21,43 +21,63 @@ ComplexArray = NDArray[np.complex128]
 _WINDOW = 12  # bins around a candidate
 _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
 _BATCH = 1 << 14
+_KEPT_BATCHES = 8  # of about 14 MB each
+_RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
-def strongest_mode(problem: Problem, residual: Array) -> float:
-    """Natural frequency of the mode that explains most of a residual (T,), missing samples being 0."""
-    samples = len(residual)
-    half = samples // 2
-    E, U = np.fft.fft(residual), np.fft.fft(problem.u)
-    places = (np.arange(half + 1)[:, None] + _OFFSETS).ravel()
-    phase = 2 * np.pi * places / samples
-    usable = (places > 0) & (phase < problem.hold.largest_phase * (1 - 1e-9))
-    places, phase = places[usable], phase[usable]
-    gains = np.concatenate(
-        [
-            _explained(problem, E, U, places[i : i + _BATCH], phase[i : i + _BATCH], half)
-            for i in range(0, len(places), _BATCH)
-        ]
-    )
-    return float(problem.hold.frequency_of(phase[[int(np.argmax(gains))]])[0])
+class Screen:
+    """All candidates of one problem; asked again for each new residual.
 
+    What does not depend on the residual (the columns and their Gram matrices) is kept between questions where it fits
+    in memory.
+    """
 
-def _explained(problem: Problem, E: ComplexArray, U: ComplexArray, places: Array, phase: Array, half: int) -> Array:
-    """Energy of the residual that one mode at each candidate explains within its window, `kappa >= 0`."""
-    samples = len(E)
-    width = min(_WINDOW, half)
-    first = np.clip(np.rint(places).astype(int) - width // 2, 0, half - width)
-    bins = first[:, None] + np.arange(width + 1)
-    step = problem.hold.step(problem.hold.frequency_of(phase))
-    z = np.exp(2j * np.pi * bins / samples)
-    lam = step.multiplier[:, None]
-    drive = (step.b0 + step.b1 * z) * U[bins]
-    mirrored = (step.b0.conj() + step.b1.conj() * z) * U[bins]
-    right, left = 0.5 / (z - lam), 0.5 / (z - lam.conj())
-    columns = np.stack([drive * right + mirrored * left, z * (right + left), 1j * z * (right - left)], axis=2)
-    scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1))
-    columns = columns / np.where(scale > 0, scale, 1.0)[:, None, :]
-    gram = np.einsum("cwi,cwj->cij", columns.conj(), columns).real + 1e-9 * np.eye(3)
-    rhs = np.einsum("cwi,cw->ci", columns.conj(), E[bins]).real
-    full = np.linalg.solve(gram, rhs[:, :, None])[:, :, 0]
-    states_only = np.linalg.solve(gram[:, 1:, 1:], rhs[:, 1:, None])[:, :, 0]
-    return np.where(full[:, 0] >= 0, np.sum(full * rhs, axis=1), np.sum(states_only * rhs[:, 1:], axis=1))
+    def __init__(self, problem: Problem) -> None:
+        samples = len(problem.u)
+        self.problem = problem
+        self.half = samples // 2
+        self.U = np.fft.rfft(problem.u)
+        places = (np.arange(self.half + 1)[:, None] + _OFFSETS).ravel()
+        phase = 2 * np.pi * places / samples
+        usable = (places > 0) & (phase < problem.hold.largest_phase * (1 - 1e-9))
+        self.places, self.phase = places[usable], phase[usable]
+        self.starts = range(0, len(self.places), _BATCH)
+        self.kept: dict[int, tuple[NDArray[np.intp], ComplexArray, Array]] = {}
+
+    def strongest(self, residual: Array) -> float:
+        """Natural frequency of the mode that explains most of a residual (T,), missing samples being 0."""
+        E = np.fft.rfft(residual)
+        gains = np.concatenate([self._explained(E, start) for start in self.starts])
+        best = self.phase[[int(np.argmax(gains))]]
+        return float(self.problem.hold.frequency_of(best)[0])
+
+    def _explained(self, E: ComplexArray, start: int) -> Array:
+        """Energy of the residual that one mode at each candidate explains within its window, `kappa >= 0`."""
+        if start in self.kept:
+            bins, columns, gram = self.kept[start]
+        else:
+            bins, columns, gram = self._columns(slice(start, start + _BATCH))
+            if len(self.starts) <= _KEPT_BATCHES:
+                self.kept[start] = bins, columns, gram
+        rhs = np.einsum("cwi,cw->ci", columns, E[bins]).real
+        full = np.linalg.solve(gram, rhs[:, :, None])[:, :, 0]
+        states_only = np.linalg.solve(gram[:, 1:, 1:], rhs[:, 1:, None])[:, :, 0]
+        return np.where(full[:, 0] >= 0, np.sum(full * rhs, axis=1), np.sum(states_only * rhs[:, 1:], axis=1))
+
+    def _columns(self, part: slice) -> tuple[NDArray[np.intp], ComplexArray, Array]:
+        """Bins of each window, conjugate columns for `kappa`, `Re tau`, `Im tau` there, and their Gram matrices."""
+        places, phase = self.places[part], self.phase[part]
+        width = min(_WINDOW, self.half)
+        first = np.clip(np.rint(places).astype(int) - width // 2, 0, self.half - width)
+        bins = first[:, None] + np.arange(width + 1)
+        step = self.problem.hold.step(self.problem.hold.frequency_of(phase))
+        z = np.exp(2j * np.pi * bins / len(self.problem.u))
+        lam, U = step.multiplier[:, None], self.U[bins]
+        right, left = 0.5 / (z - lam), 0.5 / (z - lam.conj())
+        forced = U * ((step.b0 + step.b1 * z) * right + (step.b0.conj() + step.b1.conj() * z) * left)
+        columns = np.stack([forced, z * (right + left), 1j * z * (right - left)], axis=2)
+        lengths = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1))
+        columns = columns / np.where(lengths > 0, lengths, 1.0)[:, None, :]
+        # real and imaginary parts side by side: the unknowns are real
+        real = np.concatenate([columns.real, columns.imag], axis=1)
+        return bins, columns.conj(), real.transpose(0, 2, 1) @ real + _RIDGE * np.eye(3)
