@@ -10,11 +10,13 @@ from .exceptions import (
     ResolutionWarning,
     StructureError,
 )
-from .identification.pem import pem
+from .files import load, read_csv, save
+from .identification.pem import pem, prediction_error_fit
 from .identification.result import PEMResult
 from .modal import ModalForm
+from .models import frenkel_kontorova, lc_circuit, spring_chain
+from .plots import bode_plot, fit_plot
 from .response import forced_response, impulse_response, initial_response, step_response
+from .spectra import spectral_estimate
 from .symplectic import is_hamiltonian_matrix, is_symplectic, symplectic_form, williamson
 from .systems import PortHamiltonian, modes, ph
-
-prediction_error_fit = pem

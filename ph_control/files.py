@@ -320,14 +320,16 @@ def _refuse_other_weights(nu: ComplexArray, r: Array) -> None:
         raise StructureError("r is not |nu|^2; change both or none")
 
 
-def _system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
+def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
+    """Fields of a system: its names, and its matrices or its modes, whichever it was made of."""
     _, (given, modes, names) = system.__reduce__()
     if given is None:
         return {**names, "modes": _modes_to_dict(modes)}
     return {**names, "Q": given[0], "B": given[1]}
 
 
-def _system_from_dict(fields: Fields) -> PortHamiltonian:
+def system_from_dict(fields: Fields) -> PortHamiltonian:
+    """Restore the system of `system_to_dict`."""
     names: dict[str, Any] = {key: fields.texts(key) for key in ("inputs", "outputs", "states")}
     names["name"] = fields.text("name")
     if "modes" in fields:
@@ -335,11 +337,15 @@ def _system_from_dict(fields: Fields) -> PortHamiltonian:
     return PortHamiltonian(fields.array("Q", (None, None)), fields.array("B", (None, None)), **names)
 
 
-# a further kind is one more line here
-_CODECS = (
-    Codec("PortHamiltonian", PortHamiltonian, _system_to_dict, _system_from_dict),
+_CODECS = [
+    Codec("PortHamiltonian", PortHamiltonian, system_to_dict, system_from_dict),
     Codec("ModalForm", ModalForm, _modes_to_dict, _modes_from_dict),
-)
+]
+
+
+def register(codec: Codec) -> None:
+    """Teach `save` and `load` a further kind; for modules above this one."""
+    _CODECS.append(codec)
 
 
 def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -347,7 +353,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
 
     Parameters
     ----------
-    obj : PortHamiltonian or ModalForm
+    obj : PortHamiltonian, ModalForm or PEMResult
         The model.
     path : str or path-like
         The file, `.json` by custom.
@@ -405,7 +411,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    PortHamiltonian or ModalForm
+    PortHamiltonian, ModalForm or PEMResult
         What was saved, bit by bit.
 
     Raises

@@ -258,10 +258,10 @@ def fit_plot(
         Outputs at these instants; NaN samples are gaps.
     fit_percent : float, optional
         Fit to show in the legend, in percent.
-    time_unit, output_unit : str
-        Units, for the labels of the axes.
-    output_label : str
-        Name of the output.
+    time_unit : str
+        Unit of time, for the label of the axis.
+    output_label, output_unit : str
+        Name and unit of the output, for the labels.
     detail : {'auto'}, or array_like of shape (2,), or None
         Part of the record to enlarge in a panel of its own: from one instant to another, or none.  By default about
         8 periods of the strongest oscillation where the residual is largest, if the record is much longer than that.

@@ -19,13 +19,13 @@ from .data import Record, as_record
 from .regressors import Hold
 from .result import OrderRow, PEMResult, ljung_box, state_from_amplitudes
 from .solver import Problem, Projection, refine
-from .start import strongest_mode
+from .start import Screen
+from .uncertainty import covariance_of, in_user_parameters
+from .verdict import Verdict
 
 Array = NDArray[np.float64]
 
 _PATIENCE = 3  # orders without a better BIC before the forward path ends
-_WHITE = 1e-3  # p-value below which residuals are called coloured
-_GOOD_FIT = 90.0  # percent
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,8 @@ def _check_order(problem: Problem, order: int | str, max_order: int) -> int:
             raise StructureError(f"{name} is {value!r}; it must be {allowed}")
     if carried == 0:
         raise IdentificationError(
-            f"the record has {observed} observed output samples; one mode alone has 4 unknowns, so at least 5 are needed"
+            f"the record has {observed} observed output samples; one mode alone has 4 unknowns, so at least 5 are "
+            "needed"
         )
     if order == "auto":
         return int(min(max_order, carried))
@@ -173,13 +174,14 @@ def _forward_path(
     """Add one mode at a time and refine all; with `automatic`, stop when BIC has ceased to improve."""
     path = [_stage(problem, problem.project(np.zeros(0)), 0, True)]
     floor = _rounding_floor(problem)
+    screen = Screen(problem)
     for order in range(1, largest + 1):
         before = path[-1].projection
         if before.loss <= floor:
             break
         residual = np.zeros(len(problem.y))
         residual[problem.observed] = before.residual
-        start = np.append(before.d, strongest_mode(problem, residual))
+        start = np.append(before.d, screen.strongest(residual))
 
         def report(iteration: int, loss: float, order: int = order) -> None:
             if callback is not None:
@@ -201,7 +203,7 @@ def _rounding_floor(problem: Problem) -> float:
 
 def _stage(problem: Problem, projection: Projection, iterations: int, converged: bool) -> _Stage:
     n = len(projection.d)
-    loglik, aic, bic = _criteria(problem, projection.loss, n)
+    _, aic, bic = _criteria(problem, projection.loss, n)
     row = OrderRow(n, projection.loss / len(problem.target), aic, bic, np.sort(projection.d))
     return _Stage(projection, row, iterations, converged)
 
@@ -226,8 +228,8 @@ def _result(
     d, coefficients = at.d[rank], at.coefficients
     kappa, alpha, beta = (coefficients[k * n : (k + 1) * n][rank] for k in range(3))
     free = at.full_jacobian()[1][n : 2 * n][rank]
-    covariance, variance = _covariance(at, rank)
-    pads = _placeholders(problem, d, order - n)
+    covariance, variance = covariance_of(at, rank)
+    pads = _placeholders(d, order - n)
     modes = ModalForm(
         np.concatenate([d, pads]),
         np.sqrt(np.concatenate([kappa / d, 0 * pads])).astype(complex)[:, None],
@@ -242,7 +244,7 @@ def _result(
     centred = problem.target - problem.target.mean()
     loglik, aic, bic = _criteria(problem, at.loss, n)
     noiseless = at.loss <= _rounding_floor(problem)
-    verdict = _Verdict(
+    verdict = Verdict(
         n=n,
         order=order,
         fit_percent=100.0 * (1 - np.sqrt(at.loss / max(float(centred @ centred), np.finfo(float).tiny))),
@@ -259,7 +261,7 @@ def _result(
         system=PortHamiltonian._from_modes(modes, inputs=[record.input_label], outputs=[record.output_label]),
         initial_state=state,
         free_amplitudes=amplitudes,
-        covariance=_in_user_parameters(covariance, modes, amplitudes, free, n),
+        covariance=in_user_parameters(covariance, modes, amplitudes, free, n),
         noise_variance=variance,
         loss=at.loss / len(problem.target),
         loglik=loglik,
@@ -282,116 +284,9 @@ def _result(
     )
 
 
-def _placeholders(problem: Problem, d: Array, count: int) -> Array:
+def _placeholders(d: Array, count: int) -> Array:
     """Frequencies for modes that the record does not show: distinct, above those it does."""
-    top = float(d.max()) if len(d) else problem.bin
-    return top * (2.0 + np.arange(count))
+    return d.max(initial=0.0) * (2.0 + np.arange(float(count)))
 
 
-def _covariance(at: Projection, rank: NDArray[np.intp]) -> tuple[Array, float]:
-    """Covariance of `(d, kappa, alpha, beta)` sorted by `rank`, NaN for what is held; and the noise variance."""
-    J, free = at.full_jacobian()
-    n = len(at.d)
-    size = 4 * n
-    known = np.zeros(size, bool)
-    known[: len(free)] = free
-    degrees = max(1, len(at.residual) - int(known.sum()))
-    variance = at.loss / degrees
-    columns = J[:, free]
-    lengths = np.where((norm := np.linalg.norm(columns, axis=0)) > 0, norm, 1.0)
-    covariance = np.full((size, size), np.nan)
-    information = np.linalg.pinv((columns / lengths).T @ (columns / lengths), rcond=size * _checks.EPS, hermitian=True)
-    covariance[np.ix_(known, known)] = variance * information / np.outer(lengths, lengths)
-    sorting = np.concatenate([rank + k * n for k in range(4)])
-    return covariance[np.ix_(sorting, sorting)], variance
-
-
-def _in_user_parameters(
-    covariance: Array, modes: ModalForm, amplitudes: NDArray[np.complex128], free: NDArray[np.bool_], n: int
-) -> Array:
-    """Propagate a covariance of `(d, kappa, alpha, beta)` to `(d, r, q, p)`, unseen modes NaN.
-
-    `r = kappa / d` and `q + i p = (alpha + i beta) / sqrt(d kappa)`.
-    """
-    d, kappa = modes.d[:n], modes.kappa[:n]
-    T = np.zeros((4 * n, 4 * n))
-    k = np.arange(n)
-    T[k, k] = 1.0
-    T[n + k, k], T[n + k, n + k] = -kappa / d**2, 1.0 / d
-    safe = np.where(free, kappa, 1.0)
-    root = 1.0 / np.sqrt(d * safe)
-    for offset, part in ((2 * n, amplitudes.real[:n]), (3 * n, amplitudes.imag[:n])):
-        T[offset + k, offset + k] = root
-        T[offset + k, k] = -0.5 * part * root / d
-        T[offset + k, n + k] = -0.5 * part * root / safe
-    held = np.concatenate([np.zeros(n, bool), ~free, ~free, ~free])
-    inner = T @ np.where(np.isnan(covariance), 0.0, covariance) @ T.T
-    inner[held] = np.nan
-    inner[:, held] = np.nan
-    total = modes.n
-    full = np.full((4 * total, 4 * total), np.nan)
-    places = np.concatenate([k + part * total for part in range(4)])
-    full[np.ix_(places, places)] = inner
-    return full
-
-
-@dataclass(frozen=True)
-class _Verdict:
-    """What to tell the user about a fit."""
-
-    n: int
-    order: int
-    fit_percent: float
-    active: tuple[int, ...]
-    deficiency: int
-    whiteness: float
-    converged: bool
-    noiseless: bool
-    at_limit: bool
-
-    @property
-    def blind(self) -> str:
-        """Sentence about what the record does not show."""
-        return (
-            f"{self.deficiency} combination{'s' * (self.deficiency != 1)} of weights r and initial states "
-            "leave no trace in this record, so r is not determined; use an input with more frequencies"
-        )
-
-    def message(self) -> str:
-        """All sentences."""
-        parts = []
-        if not self.converged:
-            parts.append("The refinement did not converge; the numbers above are the best found.")
-        if self.n == 0:
-            return "Nothing to model: no mode improves the BIC. " + " ".join(parts)
-        if self.order > self.n:
-            parts.append(
-                f"The record shows {self.n} mode{'s' * (self.n != 1)}, the residual is at rounding level; the other "
-                f"{self.order - self.n} of the {self.order} asked for have r = 0 and placeholder frequencies."
-            )
-        if self.at_limit:
-            parts.append(
-                f"The BIC still falls at the largest order tried ({self.order}): more modes would fit better yet, as they "
-                "do where one damped mode is mimicked by many lossless ones; raise max_order or doubt the model."
-            )
-        if self.active:
-            listed = ", ".join(str(l + 1) for l in self.active)
-            parts.append(
-                f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: there the record asks "
-                "for a residue that no lossless model with input and output at the same port has."
-            )
-        if self.deficiency:
-            parts.append(self.blind[0].upper() + self.blind[1:] + ".")
-        coloured = self.whiteness < _WHITE
-        if coloured:
-            p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
-            parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
-        if self.fit_percent < _GOOD_FIT and (self.active or coloured):
-            parts.append(
-                f"With a fit of {self.fit_percent:.1f} % a collocated lossless velocity model does not describe this "
-                "record: suspect damping, a sensor away from the actuator, or an output that is not the velocity "
-                "(displacement, acceleration)."
-            )
-        if not parts:
-            parts.append("The record is reproduced to rounding." if self.noiseless else "The residuals are white: the model explains the record.")
-        return " ".join(parts)
+prediction_error_fit = pem

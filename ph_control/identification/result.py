@@ -14,7 +14,9 @@ from scipy.stats import chi2
 
 from .. import _checks
 from ..exceptions import StructureError
+from ..files import save
 from ..modal import ModalForm
+from ..plots import fit_plot
 from ..response import forced_response
 from ..systems import PortHamiltonian
 from .data import Record, as_record
@@ -205,7 +207,8 @@ class PEMResult:
             return np.zeros(2 * self.order)
         if not record.observed.any():
             raise StructureError(
-                "the record has no outputs to estimate the initial state from; pass initial_state='zero', 'fitted' or a state"
+                "the record has no outputs to estimate the initial state from; pass initial_state='zero', 'fitted' "
+                "or a state"
             )
         return estimate_initial_state(self.system, record, Hold(record.dt, self.method, self.intersample))
 
@@ -215,7 +218,18 @@ class PEMResult:
         Returns
         -------
         str
-            Several lines, at most 100 characters wide.
+            Several lines, at most 100 characters wide; `-` stands for the error of a weight held at 0.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
+        >>> print(phc.pem((u, y), dt=0.1).summary())
+        Port-Hamiltonian model of 'y' from 'u': 1 mode
+          record          500 samples, step 0.1
+          ...
+          The record is reproduced to rounding.
         """
         lines = [
             f"Port-Hamiltonian model of {self.record.output_label!r} from {self.record.input_label!r}: "
@@ -233,8 +247,8 @@ class PEMResult:
         for l in range(self.order):
             note = "not in the record" if l in self.unseen else "constraint active" if l in self.active else ""
             lines.append(
-                f"  {l + 1:5d}  {self.d[l]:18.10g}  {self.stderr['d'][l]:8.2g}  {self.d[l] / 2 / np.pi:15.8g}"
-                f"  {self.r[l]:14.7g}  {self.stderr['r'][l]:8.2g}  {note}".rstrip()
+                f"  {l + 1:5d}  {self.d[l]:18.10g}  {_error(self.stderr['d'][l])}  {self.d[l] / 2 / np.pi:15.8g}"
+                f"  {self.r[l]:14.7g}  {_error(self.stderr['r'][l])}  {note}".rstrip()
             )
         lines += ["", *_wrap(self.message)]
         return "\n".join(lines)
@@ -250,9 +264,15 @@ class PEMResult:
         Returns
         -------
         control.ControlPlot
-        """
-        from ..plots import fit_plot
 
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
+        >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
+        >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
+        """
         kwargs.setdefault("output_label", self.record.output_label)
         return fit_plot(self.record.time, self.record.y, self.predicted, fit_percent=self.fit_percent, **kwargs)
 
@@ -270,9 +290,18 @@ class PEMResult:
         ------
         OutputExistsError
             If the file exists and `overwrite` is false.
-        """
-        from ..files import save
 
+        Examples
+        --------
+        >>> import pathlib, tempfile, numpy as np, ph_control as phc
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "result.json")
+        ...     phc.pem((u, y), dt=0.1).save(path)
+        ...     phc.load(path).order
+        1
+        """
         save(self, path, overwrite=overwrite)
 
 
@@ -309,6 +338,10 @@ def ljung_box(residuals: Array, lags: int) -> float:
     rho = np.array([float(e[k:] @ e[:-k]) for k in range(1, lags + 1)]) / power
     statistic = samples * (samples + 2) * float(np.sum(rho**2 / (samples - np.arange(1, lags + 1))))
     return float(chi2.sf(statistic, lags))
+
+
+def _error(value: float) -> str:
+    return f"{'-':>8}" if np.isnan(value) else f"{value:8.2g}"
 
 
 def _wrap(text: str, width: int = 98) -> list[str]:

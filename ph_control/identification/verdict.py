@@ -1,0 +1,75 @@
+"""What to tell the user about a fit, in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_WHITE = 1e-3  # p-value below which residuals are called coloured
+_GOOD_FIT = 90.0  # percent
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to tell the user about a fit."""
+
+    n: int
+    order: int
+    fit_percent: float
+    active: tuple[int, ...]
+    deficiency: int
+    whiteness: float
+    converged: bool
+    noiseless: bool
+    at_limit: bool
+
+    @property
+    def blind(self) -> str:
+        """Sentence about what the record does not show."""
+        return (
+            f"{self.deficiency} combination{'s' * (self.deficiency != 1)} of weights r and initial states "
+            "leave no trace in this record, so r is not determined; use an input with more frequencies"
+        )
+
+    def message(self) -> str:
+        """All sentences."""
+        parts = []
+        if not self.converged:
+            parts.append("The refinement did not converge; the numbers above are the best found.")
+        if self.n == 0:
+            return "Nothing to model: no mode improves the BIC. " + " ".join(parts)
+        if self.order > self.n:
+            parts.append(
+                f"The record shows {self.n} mode{'s' * (self.n != 1)}, the residual is at rounding level; the other "
+                f"{self.order - self.n} of the {self.order} asked for have r = 0 and placeholder frequencies."
+            )
+        if self.at_limit:
+            parts.append(
+                f"The BIC still falls at the largest order tried ({self.order}): more modes would fit "
+                "better yet, as they do where one damped mode is mimicked by many lossless ones; raise max_order or "
+                "doubt the model."
+            )
+        if self.active:
+            listed = ", ".join(str(l + 1) for l in self.active)
+            parts.append(
+                f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: there the "
+                "record asks for a residue that no lossless model with input and output at the same port has."
+            )
+        if self.deficiency:
+            parts.append(self.blind[0].upper() + self.blind[1:] + ".")
+        coloured = self.whiteness < _WHITE
+        if coloured:
+            p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
+            parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
+        if self.fit_percent < _GOOD_FIT and (self.active or coloured):
+            parts.append(
+                f"With a fit of {self.fit_percent:.1f} % a collocated lossless velocity model does not describe this "
+                "record: suspect damping, a sensor away from the actuator, or an output that is not the velocity "
+                "(displacement, acceleration)."
+            )
+        if not parts:
+            parts.append(
+                "The record is reproduced to rounding."
+                if self.noiseless
+                else "The residuals are white: the model explains the record."
+            )
+        return " ".join(parts)

@@ -1,0 +1,467 @@
+"""Prediction-error fitting: accuracy, order, uncertainty, verdicts."""
+
+import json
+import warnings
+from pathlib import Path
+
+import control as ct
+import numpy as np
+import pytest
+import scipy.io
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ph_control as phc
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def record_of(d, r, *, samples=1000, h=0.1, snr=20.0, seed=0, method="exact", intersample="zoh", z0=None):
+    """Plant, input and noisy output of a recording with white input."""
+    rng = np.random.default_rng(seed)
+    plant = phc.ph(phc.modes(d, r))
+    u = rng.standard_normal(samples)
+    start = rng.standard_normal(plant.nstates) if z0 is None else z0
+    t = h * np.arange(samples)
+    y = phc.forced_response(plant, t, u, start, method=method, intersample=intersample, return_states=False).outputs
+    deviation = np.std(y) * 10 ** (-snr / 20)
+    return plant, u, np.asarray(y) + deviation * rng.standard_normal(samples), deviation
+
+
+# --- the paper's two experiments: Euler data written out independently of the package ------------------------------
+
+
+def euler_recording(A, B, C, z0, inputs, h=0.01):
+    """Explicit Euler on dense matrices, sample by sample."""
+    z, y = np.array(z0, float), []
+    for u in inputs:
+        y.append(C @ z)
+        z = z + h * (A @ z + B * u)
+    return np.array(y)
+
+
+def paper_system(name):
+    """Dense (A, B, C) of the circuit with all C = L = 1 and of the chain of two masses."""
+    n = {"circuit": 5, "chain": 2}[name]
+    J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    Q = np.eye(2 * n)
+    B = np.r_[np.zeros(n), np.ones(n)]
+    if name == "chain":
+        Q[:2, :2] = [[2, -1], [-1, 1]]
+        B = np.array([0.0, 0.0, 1.0, 0.0])
+    return J @ Q, B, B @ Q
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", ["circuit", "chain"])
+@pytest.mark.parametrize("order", ["true", "auto"])
+def test_paper_experiments_are_continued_to_1e_8_over_the_next_4000_samples(name, order, seed):
+    A, B, C = paper_system(name)
+    z0 = [2, 1, -3, -3] if name == "chain" else np.random.default_rng(seed).standard_normal(10)
+    u = np.sin(0.01 * np.arange(5000))
+    y = euler_recording(A, B, C, z0, u)
+    n = {"circuit": 5, "chain": 2}[name]
+    result = phc.pem((u[:1000], y[:1000]), n if order == "true" else order, dt=0.01, method="euler")
+    ahead = result.predict(u[1000:], initial_state=result.final_state).outputs
+    assert np.abs(ahead - y[1000:]).max() <= 1e-8 * np.abs(y[1000:]).max()
+    # the five equal branches are one mode seen from the port; the order that was asked for is kept
+    assert result.order == (n if order == "true" else {"circuit": 1, "chain": 2}[name])
+    truth = {"circuit": ([1.0], [5.0]), "chain": ([0.6180339887498949, 1.618033988749895], [0.2**0.5, 0.2**0.5])}[name]
+    assert np.allclose(result.modes.minimal().d, truth[0], rtol=1e-10)
+    assert np.allclose(result.modes.minimal().r, truth[1], rtol=1e-8)
+
+
+@pytest.mark.parametrize("signal", ["constant", "square", "ramp"])
+@pytest.mark.parametrize("seed", range(3))
+def test_circuit_learned_from_a_sine_predicts_other_inputs_to_1e_6(signal, seed):
+    A, B, C = paper_system("circuit")
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(5000)
+    sine = np.sin(t[:1000])
+    result = phc.pem((sine, euler_recording(A, B, C, rng.standard_normal(10), sine)), order=5, dt=0.01, method="euler")
+    u = {"constant": np.ones(5000), "square": np.sign(np.sin(t) + 1e-12), "ramp": 0.1 * t}[signal]
+    y = euler_recording(A, B, C, np.zeros(10), u)
+    predicted = result.predict(u, initial_state="zero").outputs
+    assert np.abs(predicted - y).max() <= 1e-6 * np.abs(y).max()
+
+
+def test_chain_with_an_exact_hold_does_not_show_its_weights_and_says_so():
+    # sin t drives a transmission zero of the chain: G(i) = 0
+    plant = phc.ph(phc.modes([0.6180339887498949, 1.618033988749895], [0.2**0.5, 0.2**0.5]))
+    t = 0.01 * np.arange(1000)
+    steady = phc.forced_response(plant, t, np.sin(t), [1.0, -0.5, 0.3, 0.8], intersample="zoh").outputs
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = phc.pem((np.sin(t), steady), order=2, dt=0.01)
+    assert np.allclose(result.d, plant.d, rtol=1e-6)
+    blind = result.rank_deficiency > 0 or result.stderr["r"].max() > 1e3 * result.stderr["d"].max()
+    assert blind
+    assert all(issubclass(w.category, phc.IdentifiabilityWarning) for w in caught)
+    assert len(caught) == (result.rank_deficiency > 0)
+
+
+# --- noise-free data of every kind come back exactly ----------------------------------------------------------------
+
+KINDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
+
+
+@pytest.mark.parametrize("method, intersample", KINDS)
+def test_noise_free_record_gives_the_plant_and_its_state(method, intersample):
+    h = 0.002 if method == "euler" else 0.1
+    plant, u, y, _ = record_of(
+        [1.0, 2.0, 5.0], [1.0, 0.3, 0.1], h=h, snr=np.inf, method=method, intersample=intersample,
+        samples=6000 if h < 0.01 else 1000,
+    )  # fmt: skip
+    z0 = np.random.default_rng(0)
+    z0.standard_normal(len(u))
+    state = z0.standard_normal(6)
+    result = phc.pem((u, y), order=3, dt=h, method=method, intersample=intersample)
+    assert np.allclose(result.d, plant.d, rtol=1e-10)
+    assert np.allclose(result.r, plant.r, rtol=1e-8)
+    assert np.allclose(result.initial_state, state, atol=1e-7)
+    assert result.fit_percent > 99.999999
+    assert "reproduced to rounding" in result.message
+
+
+@settings(deadline=None, max_examples=15, derandomize=True)
+@given(time=st.sampled_from([1e-9, 1e-3, 1.0, 1e9]), gain=st.sampled_from([1e-9, 1.0, 1e9]), seed=st.integers(0, 10))
+def test_units_of_time_and_output_do_not_change_the_answer(time, gain, seed):
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], samples=400, seed=seed)
+    reference = phc.pem((u, y), dt=0.1)
+    scaled = phc.pem((u, gain * y), dt=0.1 * time)
+    assert scaled.order == reference.order
+    assert np.allclose(scaled.d * time, reference.d, rtol=1e-9)
+    assert np.allclose(scaled.r / gain, reference.r, rtol=1e-5, atol=1e-9 * reference.r.max())
+    assert np.isclose(scaled.fit_percent, reference.fit_percent, atol=1e-6)
+
+
+# --- noise -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "n, samples, snr, bins",
+    [(2, 1000, 20, 3), (5, 1000, 20, 3), (5, 2000, 10, 3), (10, 4000, 20, 3), (5, 1000, 20, 1.5)],
+)
+def test_random_plants_are_found_without_a_guess_within_4_standard_errors(n, samples, snr, bins):
+    for seed in range(8):
+        rng = np.random.default_rng([n, samples, seed])
+        d = np.zeros(n)
+        while np.diff(d, append=np.inf).min() < bins * 2 * np.pi / samples:
+            d = np.sort(rng.uniform(0.1, 2.8, n))
+        _, u, y, _ = record_of(d, rng.uniform(0.3, 1.0, n) / d, samples=samples, h=1.0, snr=snr, seed=seed)
+        result = phc.pem((u, y), n, dt=1.0)
+        assert result.success
+        assert (np.abs(result.d - d) < 4.5 * result.stderr["d"]).all()
+
+
+def test_standard_errors_are_those_of_repeated_noise():
+    plant, u, clean, _ = record_of([0.5, 1.9], [1.0, 0.3], samples=500, snr=np.inf)
+    rng = np.random.default_rng(5)
+    z0 = phc.pem((u, clean), 2, dt=0.1).initial_state
+    scores = []
+    for _ in range(60):
+        result = phc.pem((u, clean + 0.3 * np.std(clean) * rng.standard_normal(500)), 2, dt=0.1)
+        scores.append(
+            np.concatenate(
+                [
+                    (result.d - plant.d) / result.stderr["d"],
+                    (result.r - plant.r) / result.stderr["r"],
+                    (result.initial_state - z0) / result.stderr["initial_state"],
+                ]
+            )
+        )
+    spread = np.mean(np.square(scores), axis=0)
+    # mean of 60 squared standard normal scores: 1 +- sqrt(2/60); 5 deviations either side
+    assert (np.abs(spread - 1) < 5 * np.sqrt(2 / 60)).all()
+
+
+def test_noise_variance_and_likelihood_are_those_of_the_residuals():
+    _, u, y, deviation = record_of([0.5, 1.9], [1.0, 0.3])
+    result = phc.pem((u, y), 2, dt=0.1)
+    assert np.isclose(result.noise_variance, deviation**2, rtol=5 * np.sqrt(2 / 1000))
+    sse = np.sum(result.residuals**2)
+    assert np.isclose(result.loss, sse / 1000)
+    assert np.isclose(result.noise_variance, sse / (1000 - 8))
+    assert np.isclose(result.loglik, -500 * (np.log(2 * np.pi * sse / 1000) + 1))
+    assert np.isclose(result.bic, 9 * np.log(1000) - 2 * result.loglik)
+    assert np.isclose(result.aic, 18 - 2 * result.loglik)
+    assert np.allclose(result.predicted + result.residuals, y)
+    assert result.whiteness > 1e-3 and "residuals are white" in result.message
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_auto_finds_the_number_of_modes(n):
+    for seed in range(6):
+        rng = np.random.default_rng([n, seed])
+        d = np.linspace(0.4, 2.7, n) + 0.1 * rng.uniform(-1, 1, n)
+        _, u, y, _ = record_of(d, rng.uniform(0.5, 1.0, n) / d, h=1.0, seed=seed)
+        result = phc.pem((u, y), dt=1.0)
+        assert result.order == n
+        assert [row.order for row in result.order_table] == list(range(len(result.order_table)))
+        assert min(result.order_table, key=lambda row: row.bic).order == n
+
+
+def test_auto_finds_nothing_in_noise():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        result = phc.pem((rng.standard_normal(800), rng.standard_normal(800)), dt=1.0)
+        assert result.order == 0
+        assert "Nothing to model" in result.message
+        assert "Nothing to model" in result.summary()
+        assert result.system(1j) == 0
+
+
+# --- real structures and recordings ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def lund_modes():
+    """The eight modes with the largest residue below 40 Hz for force and velocity at the first degree of freedom."""
+    folder = DATA / "structures"
+    if not folder.exists():
+        pytest.skip("the third-party matrices are not beside the project")
+    K, M = (scipy.io.mmread(folder / f"lund_{kind}.mtx").toarray() for kind in ("stiffness", "mass"))
+    squared, shapes = scipy.linalg.eigh(K, M)
+    d, kappa = np.sqrt(squared), shapes[0] ** 2
+    low = np.flatnonzero(d < 2 * np.pi * 40)
+    chosen = np.sort(low[np.argsort(kappa[low])[::-1][:8]])
+    return d[chosen], kappa[chosen] / d[chosen]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_eight_modes_of_a_structure_are_found_to_1e_4(lund_modes, seed):
+    d, r = lund_modes
+    _, u, y, _ = record_of(d, r, samples=8192, h=1 / 128, seed=seed, z0=np.zeros(16))
+    result = phc.pem((u, y), dt=1 / 128)
+    assert result.order == 8
+    assert np.abs(result.d / d - 1).max() < 1e-4
+
+
+def test_recording_of_a_robot_arm_is_not_flattered():
+    path = DATA / "measured" / "robot_arm.dat"
+    if not path.exists():
+        pytest.skip("the third-party recordings are not beside the project")
+    torque, acceleration = np.loadtxt(path, unpack=True)
+    result = phc.pem((torque, acceleration), dt=1.0)
+    assert result.fit_percent < 90
+    assert result.active
+    text = " ".join(result.summary().split())
+    assert "constraint r >= 0 is active" in text
+    assert "does not describe this record" in text
+    assert f"{result.fit_percent:.2f} %" in text
+
+
+# --- data and options ------------------------------------------------------------------------------------------
+
+
+def test_time_response_data_and_arrays_give_the_same():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    t = 7.0 + 0.1 * np.arange(1000)
+    data = ct.TimeResponseData(t, y, inputs=u, issiso=True, input_labels=["force"], output_labels=["speed"])
+    from_data, from_arrays = phc.pem(data, 2), phc.pem((u, y), 2, dt=0.1)
+    assert np.allclose(from_data.d, from_arrays.d, rtol=1e-9)
+    assert from_data.system.input_labels == ["force"] and from_data.system.output_labels == ["speed"]
+    assert "'speed' from 'force'" in from_data.summary()
+    assert np.array_equal(from_data.record.time, t)
+
+
+def test_inputs_of_the_call_are_not_modified_and_results_are_locked():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    before = u.copy(), y.copy()
+    result = phc.pem((u, y), 2, dt=0.1)
+    assert np.array_equal(u, before[0]) and np.array_equal(y, before[1])
+    u[:], y[:] = 0.0, 0.0
+    assert np.array_equal(result.record.u, before[0])
+    with pytest.raises(ValueError, match="read-only"):
+        result.predicted[0] = 1.0
+    with pytest.raises(AttributeError):
+        result.loss = 0.0
+
+
+def test_missing_outputs_are_left_out():
+    plant, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], snr=np.inf)
+    gaps = y.copy()
+    gaps[np.random.default_rng(1).choice(1000, 100, replace=False)] = np.nan
+    result = phc.pem((u, gaps), 2, dt=0.1)
+    assert np.allclose(result.d, plant.d, rtol=1e-9)
+    assert np.isnan(result.residuals).sum() == 100
+    assert not np.isnan(result.predicted).any()
+    assert "100 outputs missing" in result.summary()
+
+
+def test_a_plant_at_rest_may_be_said_to_be_at_rest():
+    plant, _, _, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    t = 0.1 * np.arange(1000)
+    y = phc.forced_response(plant, t, 1.0).outputs
+    result = phc.pem((np.ones(1000), y), 2, dt=0.1, initial_state="zero")
+    assert np.allclose(result.r, plant.r, rtol=1e-8)
+    assert not result.initial_state.any()
+
+
+def test_constraint_is_reported_where_it_acts():
+    # a mode seen with the opposite sign: sensor away from the actuator
+    t, rng = 0.1 * np.arange(1000), np.random.default_rng(0)
+    u = rng.standard_normal(1000)
+    parts = [phc.forced_response(phc.ph(phc.modes(d, r)), t, u).outputs for d, r in ((0.7, 1.0), (2.0, 0.1))]
+    result = phc.pem((u, parts[0] - parts[1]), 2, dt=0.1)
+    assert result.active == (1,)
+    assert result.r[1] == 0 and result.r[0] > 0
+    assert np.isnan(result.stderr["r"][1]) and np.isfinite(result.stderr["d"]).all()
+    assert "constraint r >= 0 is active for mode 2" in result.message
+    assert "constraint active" in result.summary()
+
+
+def test_callback_sees_every_iteration():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    seen = []
+    phc.pem((u, y), 2, dt=0.1, callback=seen.append)
+    assert {progress.order for progress in seen} == {1, 2}
+    assert all(progress.max_order == 2 and progress.loss > 0 for progress in seen)
+    assert seen[-1].loss < 0.5 * seen[0].loss
+
+
+def test_prediction_starts_where_it_is_told():
+    plant, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], snr=np.inf, samples=1200)
+    result = phc.pem((u[:800], y[:800]), 2, dt=0.1)
+    scale = 1e-8 * np.abs(y).max()
+    assert np.abs(result.predict(u).outputs - y).max() < scale
+    assert np.abs(result.predict((u, y)).outputs - y).max() < scale
+    assert np.abs(result.predict((u[400:], y[400:])).outputs - y[400:]).max() < scale
+    assert np.abs(result.predict(u[800:], initial_state=result.final_state).outputs - y[800:]).max() < scale
+    from_rest = phc.forced_response(plant, 0.1 * np.arange(1200), u).outputs
+    assert np.abs(result.predict(u, initial_state="zero").outputs - from_rest).max() < scale
+    assert np.abs(from_rest - y).max() > 1e3 * scale
+    with pytest.raises(phc.StructureError, match="no outputs to estimate the initial state from"):
+        result.predict(u, initial_state="estimate")
+
+
+def test_result_is_a_python_control_system():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    system = phc.pem((u, y), 2, dt=0.1).system
+    assert isinstance(system, ct.StateSpace) and isinstance(system, phc.PortHamiltonian)
+    assert isinstance(ct.feedback(system, 1), ct.StateSpace)
+    assert ct.step_response(system).outputs.shape == ct.step_response(system).time.shape
+
+
+# --- bad input --------------------------------------------------------------------------------------------------
+
+GOOD = np.random.default_rng(0).standard_normal((2, 100))
+
+
+@pytest.mark.parametrize(
+    "data, options, error, message",
+    [
+        (([1.0], [1.0]), {}, phc.IdentificationError, "the record has 1 sample; a fit needs at least 5"),
+        (([], []), {}, phc.IdentificationError, "the record has 0 samples"),
+        (([1.0, 2.0, 1.0], [1.0, 0.0, 1.0]), {}, phc.IdentificationError, "3 observed output samples.*at least 5"),
+        (
+            (np.r_[GOOD[0, :9], np.nan, GOOD[0, 10:]], GOOD[1]),
+            {},
+            phc.StructureError,
+            "the input is not finite.*index 9",
+        ),
+        (
+            (GOOD[0], np.r_[GOOD[1, :9], np.inf, GOOD[1, 10:]]),
+            {},
+            phc.StructureError,
+            "the output is infinite at sample 9",
+        ),
+        ((GOOD[0], np.full(100, np.nan)), {}, phc.IdentificationError, "0 observed output samples"),
+        ((np.ones(100), GOOD[1]), {}, phc.IdentificationError, "the input is constant.*vary|varies"),
+        ((np.zeros(100), GOOD[1]), {"initial_state": "zero"}, phc.IdentificationError, "the input is constant"),
+        ((GOOD[0], np.zeros(100)), {}, phc.IdentificationError, "the output is zero throughout"),
+        (GOOD, {"order": 25}, phc.IdentificationError, "order 25 has 100 unknowns.*largest order.*24"),
+        ((GOOD[0], GOOD[1, :-1]), {}, phc.StructureError, "input has 100 samples and the output 99"),
+        (GOOD, {"order": 0}, phc.StructureError, "order is 0"),
+        (GOOD, {"order": 2.5}, phc.StructureError, "order is 2.5"),
+        (GOOD, {"order": True}, phc.StructureError, "order is True"),
+        (GOOD, {"order": "best"}, phc.StructureError, "'auto' or a whole number"),
+        (GOOD, {"max_order": 0}, phc.StructureError, "max_order is 0"),
+        (GOOD, {"dt": 0.0}, phc.StructureError, "dt is 0.0"),
+        (GOOD, {"dt": None}, phc.StructureError, "dt is missing"),
+        (GOOD, {"dt": "fast"}, phc.StructureError, "dt is 'fast'"),
+        (GOOD, {"method": "rk4"}, phc.StructureError, "method is 'rk4'.*'exact', 'midpoint', 'euler'"),
+        (GOOD, {"intersample": "spline"}, phc.StructureError, "intersample is 'spline'"),
+        (GOOD, {"method": "euler", "intersample": "foh"}, phc.StructureError, "intersample must be 'zoh'"),
+        (GOOD, {"initial_state": "guess"}, phc.StructureError, "initial_state is 'guess'"),
+        ((GOOD[0], 1j * GOOD[1]), {}, phc.StructureError, "the output is complex"),
+        ((["a"] * 100, GOOD[1]), {}, phc.StructureError, "the input does not hold real numbers"),
+        ((GOOD, GOOD), {}, phc.StructureError, r"the input has shape \(2, 100\)"),
+        (3.0, {}, phc.StructureError, "data is a float"),
+        (None, {}, phc.StructureError, "data is a NoneType"),
+    ],
+)
+def test_bad_records_and_options_are_refused_with_what_was_measured(data, options, error, message):
+    arguments = {"dt": 0.1} | options
+    order = arguments.pop("order", "auto")
+    if isinstance(data, np.ndarray):
+        data = tuple(data)
+    with pytest.raises(error, match="(?s)" + message):
+        phc.pem(data, order, **arguments)
+
+
+def test_records_of_several_signals_or_unequal_steps_are_refused():
+    two = ct.TimeResponseData(np.arange(10.0), np.ones((2, 10)), inputs=np.ones((1, 10)), issiso=False)
+    with pytest.raises(phc.StructureError, match="1 inputs, 2 outputs"):
+        phc.pem(two)
+    t = np.arange(10.0)
+    t[6:] += 0.5
+    uneven = ct.TimeResponseData(t, np.ones(10), inputs=np.arange(10.0), issiso=True)
+    with pytest.raises(phc.StructureError, match="not equally spaced: the step from sample 5 to 6"):
+        phc.pem(uneven)
+    even = ct.TimeResponseData(np.arange(10.0), np.ones(10), inputs=np.arange(10.0), issiso=True)
+    with pytest.raises(phc.StructureError, match="dt = 2 contradicts"):
+        phc.pem(even, dt=2.0)
+
+
+def test_unknown_keywords_are_errors():
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        phc.pem(tuple(GOOD), dt=0.1, ordre=2)
+
+
+# --- on disk --------------------------------------------------------------------------------------------------------
+
+
+def test_a_result_comes_back_from_its_file_bit_by_bit(tmp_path):
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    y[[5, 50]] = np.nan
+    result = phc.pem((u, -y), "auto", dt=0.1)
+    assert result.active, "the record is meant to have NaN standard errors"
+    result.save(tmp_path / "result.json")
+    back = phc.load(tmp_path / "result.json")
+    assert type(back) is phc.PEMResult
+    for name in ("initial_state", "free_amplitudes", "covariance", "predicted", "residuals", "d", "r"):
+        assert np.array_equal(getattr(back, name), getattr(result, name), equal_nan=True)
+    for name in ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "active", "unseen", "message",
+                 "rank_deficiency", "whiteness", "success", "n_iterations", "method", "intersample"):  # fmt: skip
+        assert getattr(back, name) == getattr(result, name)
+    assert back.summary() == result.summary()
+    assert np.array_equal(back.record.y, result.record.y, equal_nan=True) and back.record.dt == result.record.dt
+    assert [(row.order, row.bic, *row.d) for row in back.order_table] == [
+        (row.order, row.bic, *row.d) for row in result.order_table
+    ]
+    assert np.array_equal(back.predict(u).outputs, result.predict(u).outputs)
+    with pytest.raises(phc.OutputExistsError):
+        result.save(tmp_path / "result.json")
+
+
+@pytest.mark.parametrize(
+    "field, value, message",
+    [
+        ("active", [7.0], "active names mode 7"),
+        ("method", "rk4", "method is 'rk4'"),
+        ("predicted", [1.0], "predicted"),
+        ("success", "yes", "success"),
+    ],
+)
+def test_a_result_whose_file_was_changed_is_refused(tmp_path, field, value, message):
+    _, u, y, _ = record_of([0.5], [1.0], samples=100)
+    path = tmp_path / "result.json"
+    phc.pem((u, y), 1, dt=0.1).save(path)
+    document = json.loads(path.read_text())
+    del document["sha256"]
+    document["data"][field] = value
+    path.write_text(json.dumps(document))
+    with pytest.raises(phc.FileFormatError, match=message):
+        phc.load(path)
