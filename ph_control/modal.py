@@ -285,7 +285,7 @@ class ModalForm:
         Notes
         -----
         Binary product tree of `(x + d_l^2, kappa_l)`: every term is positive, so nothing cancels.  Time is scaled
-        first, and slow modes are paired with fast ones, so that few products leave the range of doubles.  O(n^2).
+        first, by powers of two.  O(n^2).
 
         Examples
         --------
@@ -302,15 +302,17 @@ class ModalForm:
         n = len(self.d)
         if n == 0:
             return np.zeros(0), np.zeros(0)
-        scale = 2.0 ** float(np.round(np.mean(np.log2(self.d))))
+        tiny = np.finfo(float).tiny
+        exponent = round(float(np.mean(np.log2(self.d))))
         weight = _power_of_two(self.kappa.max(initial=0.0))
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            P, N = _sum_of_fractions((self.d / scale) ** 2, self.kappa / weight)
+            P, N = _sum_of_fractions(np.ldexp(self.d, -exponent) ** 2, self.kappa / weight)
             a = np.zeros(2 * n)
-            a[0::2] = P[:-1] * scale ** (2.0 * np.arange(n, 0, -1))
-            c = N * scale ** (2.0 * np.arange(n - 1, -1, -1)) * weight
+            a[0::2] = np.ldexp(P[:-1], 2 * exponent * np.arange(n, 0, -1))
+            c = np.ldexp(N, 2 * exponent * np.arange(n - 1, -1, -1)) * weight
         checked = np.concatenate([P, a[0::2], *([N, c] if self.kappa.any() else [])])
-        if not np.all((checked >= np.finfo(float).tiny) & (checked < np.inf)):
+        # a partial product is at least the whole one, P[0], over the largest coefficient
+        if not (np.all((checked >= tiny) & (checked < np.inf)) and P[0] >= tiny * P.max()):
             raise StructureError(
                 f"the coefficients of {n} modes from {self.d.min():.3g} to {self.d.max():.3g} rad/s exceed the range "
                 "of doubles; scale time, or work with d and r"
@@ -384,21 +386,17 @@ def _power_of_two(x: float) -> float:
 
 
 def _sum_of_fractions(x: Array, kappa: Array) -> tuple[Array, Array]:
-    """Denominator and numerator of `sum_l kappa_l / (s^2 + x_l)`, `x` ascending, in ascending powers of `s^2`."""
+    """Denominator and numerator of `sum_l kappa_l / (s^2 + x_l)` in ascending powers of `s^2`."""
     pairs = [(np.array([square, 1.0]), np.array([weight])) for square, weight in zip(x, kappa, strict=True)]
     while len(pairs) > 1:
-        half, odd = divmod(len(pairs), 2)
-        middle = pairs[half : half + odd]
-        pairs = [_merge(slow, fast) for slow, fast in zip(pairs[:half], pairs[::-1], strict=False)] + middle
+        pairs = [_merge(*pairs[i : i + 2]) if i + 1 < len(pairs) else pairs[i] for i in range(0, len(pairs), 2)]
     return pairs[0]
 
 
 def _merge(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
     """Add two fractions `N/P` in ascending powers of `x = s^2`."""
     (P1, N1), (P2, N2) = first, second
-    P = np.convolve(P1, P2)
-    # digits lost to underflow must not come back as a small number times a large one: NaN stays
-    return np.where(P >= np.finfo(float).tiny, P, np.nan), np.convolve(N1, P2) + np.convolve(N2, P1)
+    return np.convolve(P1, P2), np.convolve(N1, P2) + np.convolve(N2, P1)
 
 
 def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:

@@ -158,6 +158,18 @@ def test_uncoupled_degrees_of_freedom_keep_their_own_relative_accuracy():
     assert np.max(np.abs(S @ J @ S.T - J)) < 8 * EPS * max(1.0, size.max())
 
 
+def test_uncoupled_groups_keep_their_own_relative_accuracy():
+    rng = np.random.default_rng(6)
+    d0 = np.array([1.0, 2.0])
+    Q = np.zeros((8, 8))
+    # in an order in which the slow and the fast group alternate
+    for scale, group in ((1e-8, [0, 2, 4, 6]), (1e8, [1, 3, 5, 7])):
+        Q[np.ix_(group, group)] = scale * random_hamiltonian(d0, rng, 0.5)[0]
+    d, S = phc.williamson(Q)
+    assert np.max(np.abs(d / np.r_[1e-8 * d0, 1e8 * d0] - 1)) < 100 * EPS
+    assert np.max(np.abs((S.T * np.r_[d, d]) @ S - Q)[np.ix_([0, 2, 4, 6], [0, 2, 4, 6])]) < 100 * EPS * 1e-8
+
+
 def test_units_of_length_and_momentum_do_not_make_a_matrix_semidefinite():
     Q, _ = random_hamiltonian([1.0, 2.0, 3.0], np.random.default_rng(1), 0.2)
     unit = np.r_[1e-8, 1.0, 1e8, 1e8, 1.0, 1e-8]
