@@ -340,9 +340,10 @@ def _forced(
     u = _input_signal(inputs, sys.ninputs, t.size, transpose)
     y, states = _solve(sys, t, u, initial_state, method, intersample, keep is not False)
     # no rows rather than None, on which `states` of TimeResponseData fails
+    shown, labels = (np.zeros((0, t.size)), None) if states is None else (states, sys.state_labels)
     return TimeResponseData(
-        t, y, np.zeros((0, t.size)) if states is None else states, u, issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
-        state_labels=sys.state_labels if states is not None else None, title="Forced response for " + sys.name,
+        t, y, shown, u, issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
+        state_labels=labels, title="Forced response for " + sys.name,
         transpose=transpose, return_x=bool(keep), squeeze=squeeze, sysname=sys.name, trace_types=["forced"],
         plot_inputs=True,
     )  # fmt: skip
