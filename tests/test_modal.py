@@ -293,8 +293,9 @@ def test_coefficients_of_sixty_modes_spread_over_1e12_have_full_relative_accurac
         np.arange(1, 41) * 1e9,
         np.logspace(-8, 8, 100),
         np.r_[np.linspace(1e-3, 2e-3, 60), np.full(40, 1e4)],
+        2.0 ** np.array([-256.6, -256.59, 255.79, 255.8]),
     ],
-    ids=["slow", "fast", "spread", "two groups"],
+    ids=["slow", "fast", "spread", "two groups", "digits lost on the way only"],
 )
 def test_coefficients_that_leave_the_range_of_doubles_are_refused_not_returned_as_zero(d):
     with pytest.raises(phc.StructureError, match=f"coefficients of {len(d)} modes from .* exceed the range of doubles"):
