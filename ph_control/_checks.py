@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
 
 from .exceptions import StructureError
 
 Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
+LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 
 
 def readonly(array: NDArray[Any]) -> NDArray[Any]:
@@ -26,6 +28,8 @@ def readonly(array: NDArray[Any]) -> NDArray[Any]:
 
 def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
     """Convert to a fresh array of finite doubles with `ndim` dimensions."""
+    if np.ma.is_masked(value):
+        raise StructureError(f"{name} has masked entries; fill them, since a mask would be lost here")
     try:
         raw = np.asarray(value)
     except ValueError as error:
@@ -62,6 +66,37 @@ def finite(name: str, array: NDArray[Any]) -> None:
         )
 
 
+def in_range(name: str, array: Array) -> None:
+    """Refuse entries whose products would overflow."""
+    size = float(np.max(np.abs(array), initial=0.0))
+    if size > LARGEST:
+        raise StructureError(
+            f"{name} is out of range: its largest entry is {size:.3g}, allowed {LARGEST:.0e}; "
+            "choose other units of time or amplitude"
+        )
+
+
+def representable(what: str, *arrays: NDArray[Any]) -> None:
+    """Refuse intermediate results that left the range of doubles, where the input itself was finite."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise StructureError(
+            f"{what} leave the range of doubles (1e-308 to 1e308); choose other units of time or amplitude"
+        )
+
+
+def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
+    """Check points of the complex plane: a number or a vector, no NaN; infinity is a point."""
+    try:
+        points = np.atleast_1d(value).astype(complex, copy=False)
+    except (TypeError, ValueError, OverflowError):
+        raise StructureError(f"{name} are not complex numbers: {value!r}; give a number or a vector") from None
+    if points.ndim > 1:
+        raise StructureError(f"{name} have shape {points.shape}; give a number or a vector")
+    if np.isnan(points).any():
+        raise StructureError(f"{name} are not numbers: the first NaN is at index {int(np.isnan(points).argmax())}")
+    return points
+
+
 def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", definite: bool = False, rtol: float | None = None) -> Array:
     """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite (or definite)."""
     array = real_array(name, Q, 2)
@@ -72,6 +107,7 @@ def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", definite: bool = False,
         raise StructureError(
             f"{name} has odd size {rows}; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)"
         )
+    in_range(name, array)
     size = float(np.max(np.abs(array), initial=0.0))
     asymmetry = float(np.max(np.abs(array - array.T), initial=0.0))
     allowed = 1000 * rows * EPS if rtol is None else rtol
@@ -125,6 +161,7 @@ def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
         )
     if array.shape[1] == 0:
         raise StructureError(f"{name} has no columns; a port-Hamiltonian system needs at least one port")
+    in_range(name, array)
     return array
 
 
@@ -158,13 +195,23 @@ def conjugate_closed(name: str, value: ArrayLike) -> NDArray[np.complex128]:
         points = np.atleast_1d(np.asarray(value, dtype=complex))
     except (TypeError, ValueError):
         raise StructureError(f"the {name} are not numbers: {value!r}") from None
+    if points.ndim != 1:
+        raise StructureError(f"the {name} have shape {points.shape}; give a vector")
     finite(f"the list of {name}", points)
-    upper, lower = (np.sort_complex(half) for half in (points[points.imag > 0], points[points.imag < 0].conj()))
-    off = np.abs(upper - lower) if len(upper) == len(lower) else np.array([np.inf])
-    if np.any(off > 1000 * EPS * np.abs(upper if len(upper) == len(off) else 1.0)):
+    upper, lower = points[points.imag > 0], points[points.imag < 0].conj()
+    if len(upper) != len(lower):
         raise StructureError(
-            f"the {name} {np.array2string(points, precision=6, threshold=8)} are not closed under conjugation: off by "
-            f"{off.max():.3g}, allowed {1000 * EPS:.1e} of each; a real system has them in conjugate pairs"
+            f"the {name} are not closed under conjugation: {len(upper)} above the real axis, {len(lower)} below; "
+            "a real system has them in conjugate pairs"
+        )
+    distance = np.abs(upper[:, None] - lower)
+    pairs = linear_sum_assignment(distance)
+    allowed = 1000 * EPS
+    off = distance[pairs] / np.abs(upper[pairs[0]])
+    if off.max(initial=0.0) > allowed:
+        raise StructureError(
+            f"the {name} are not closed under conjugation: the conjugate of {upper[off.argmax()]:.6g} is missing, the "
+            f"nearest is off by {off.max():.1e} of its size, allowed {allowed:.1e}; a real system has them in pairs"
         )
     return points
 

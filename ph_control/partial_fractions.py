@@ -59,10 +59,13 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
     block.  So nothing is decided by rank: a part that no port sees has a residue of zero within its bound.
     """
     A, B, C, D = (_checks.real_array(name, M, 2) for name, M in zip("ABCD", (A, B, C, D), strict=True))
+    for name, M in zip("ABC", (A, B, C), strict=True):
+        _checks.in_range(name, M)
     if len(A) == 0 or not B.any() or not C.any():
         return _static(D)
     A, (scale, _) = matrix_balance(A, permute=False, separate=True)
     B, C = B / scale[:, None], C * scale
+    _checks.representable("the balanced state-space matrices", A, B, C)
     backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
     blocks = _spectral_blocks(A, B, C, backward)
     residue_error = _residue_errors(blocks, backward, B, C)
@@ -230,6 +233,7 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
     top = den[0]
     den = den / top * powers
     num = np.concatenate([np.zeros(order + 1 - len(num)), num]) / top * powers
+    _checks.representable("the coefficients of the transfer function", num, den)
     feedthrough, num = num[0], (num - num[0] * den)[1:]
     D = np.array([[feedthrough]])
     if order == 0 or not num.any():
@@ -259,21 +263,21 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         form.residues * scale,
         form.pole_error * scale,
         form.residue_error * scale,
-        form.growth * scale**2,
-        form.growth_error * scale**2,
+        form.growth * scale * scale,
+        form.growth_error * scale * scale,
         form.gain * scale,
         D,
     )
 
 
-def _time_scale(den: Array) -> float:
+def _time_scale(den: Array) -> np.float64:
     """Power of two near the geometric mean of the non-zero roots."""
     nonzero = np.flatnonzero(den)
     first, last = nonzero[0], nonzero[-1]
     if first == last:
-        return 1.0
-    mean = np.log2(np.abs(den[last] / den[first])) / (last - first)
-    return float(2.0 ** np.round(mean))
+        return np.float64(1.0)
+    mean = (np.log2(np.abs(den[last])) - np.log2(np.abs(den[first]))) / (last - first)
+    return np.float64(2.0) ** np.round(mean)
 
 
 def _polished_roots(den: Array) -> tuple[ComplexArray, Array, ComplexArray]:

@@ -34,6 +34,7 @@ ComplexArray = NDArray[np.complex128]
 _UNSEEN = 1e-4  # of the whole: a residue lost in its error bound must also be small to count as zero
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
 def lossless_modes(sys: Any) -> ModalForm:
     """Minimal modal form of any lossless linear time-invariant system, or `NotLosslessError`.
 
@@ -52,7 +53,7 @@ def lossless_modes(sys: Any) -> ModalForm:
             f"the system is discrete-time (dt = {sys.dt}); a port-Hamiltonian system is continuous-time: "
             "convert it to continuous time first"
         )
-    _square(sys.noutputs, sys.ninputs)
+    _ports(sys.noutputs, sys.ninputs)
     if isinstance(sys, ct.StateSpace):
         return decide(from_state_space(sys.A, sys.B, sys.C, sys.D))
     if sys.issiso():
@@ -64,12 +65,14 @@ def lossless_modes(sys: Any) -> ModalForm:
     return decide(assemble(entries))
 
 
-def _square(noutputs: int, ninputs: int) -> None:
+def _ports(noutputs: int, ninputs: int) -> None:
     if noutputs != ninputs:
         raise StructureError(
             f"the system has {ninputs} inputs and {noutputs} outputs; a port-Hamiltonian system has as many outputs "
             "as inputs, each pair a port"
         )
+    if ninputs == 0:
+        raise StructureError("the system has no inputs; a port-Hamiltonian system needs at least one port")
 
 
 def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
@@ -77,12 +80,17 @@ def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
         return from_zeros_poles(np.atleast_1d(sys.zeros), np.atleast_1d(sys.poles), sys.gain)
     if isinstance(sys, scipy.signal.TransferFunction):
         return from_polynomials(np.atleast_1d(sys.num), np.atleast_1d(sys.den))
-    _square(sys.outputs, sys.inputs)
+    _ports(sys.outputs, sys.inputs)
     return from_state_space(*(np.atleast_2d(M) for M in (sys.A, sys.B, sys.C, sys.D)))
 
 
 def decide(form: PoleResidueForm) -> ModalForm:
     """Hold poles and residues against (M): the modal form, or `NotLosslessError` naming each offence."""
+    _checks.representable(
+        "the poles and residues of the system",
+        *(form.poles, form.residues, form.pole_error, form.residue_error, form.growth, form.growth_error),
+    )
+    _checks.in_range("the list of residues", np.abs(form.residues))
     violations = _feedthrough(form)
     found: list[tuple[float, Array, ComplexArray]] = []
     hidden: list[tuple[float, float, str]] = []
@@ -152,7 +160,9 @@ def _modal_form(found: list[tuple[float, Array, ComplexArray]], ports: int) -> M
         else:
             d.append(np.full(len(sigma), frequency))
             nu.append(np.sqrt(2 * sigma / frequency)[:, None] * W.T)
-    return ModalForm(np.concatenate(d), np.concatenate(nu), np.concatenate(rigid))
+    modes = ModalForm(np.concatenate(d), np.concatenate(nu), np.concatenate(rigid))
+    _checks.representable("the modal weights of the system", modes.r, modes.kappa)
+    return modes
 
 
 def _positive_part(R: ComplexArray, error: float) -> tuple[Array, ComplexArray, list[str]]:

@@ -120,9 +120,9 @@ class PortHamiltonian(ct.StateSpace):
             **names,
         )
         for kind, count in sizes.items():
-            found = getattr(self, "n" + kind)
+            found = len(getattr(self, kind[:-1] + "_labels"))
             if found != count:
-                raise StructureError(f"{found} names given for {count} {kind}; give one name for each")
+                raise StructureError(f"{found} different names given for {count} {kind}; give one name for each")
 
     @classmethod
     def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
@@ -192,7 +192,10 @@ class PortHamiltonian(ct.StateSpace):
         """Modal form: the truth behind the matrices, computed once (O(n^3)) and kept."""
         if self._modes is None:
             d, E, E0 = self._energy
-            self._modes = ModalForm(d.copy(), (E @ self.B) / np.sqrt(d)[:, None], E0 @ self.B)
+            with np.errstate(over="ignore", invalid="ignore"):
+                modes = ModalForm(d.copy(), (E @ self.B) / np.sqrt(d)[:, None], E0 @ self.B)
+                _checks.representable("the modal weights of this Q and B", modes.r, modes.kappa)
+            self._modes = modes
         return self._modes
 
     @property
@@ -273,10 +276,7 @@ class PortHamiltonian(ct.StateSpace):
 
         Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
         """
-        points = np.atleast_1d(x).astype(complex, copy=False)
-        if points.ndim > 1:
-            raise StructureError(f"the points have shape {points.shape}; give a number or a vector")
-        return self.modes.evaluate(points)
+        return self.modes.evaluate(_checks.complex_points("the points", x))
 
     def poles(self) -> ComplexArray:
         """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
@@ -401,13 +401,14 @@ def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
     source = Q
     if isinstance(source, ModalForm):
         return PortHamiltonian._from_modes(source, **names)
-    if isinstance(source, ct.InputOutputSystem):
-        names = _inherited_names(source, names)
     if isinstance(source, PortHamiltonian):
         given, modes = source._given, source._modes
-        return _restore(given, modes if given is None else None, names | _state_names(source, names))
+        names = _inherited_names(source, names, "inputs", "outputs", "states")
+        return _restore(given, modes if given is None else None, names)
     if isinstance(source, ct.StateSpace) and source.isctime() and (found := _normal_form(source)):
-        return PortHamiltonian(*found, **(names | _state_names(source, names)))
+        return PortHamiltonian(*found, **_inherited_names(source, names, "inputs", "outputs", "states"))
+    if isinstance(source, ct.InputOutputSystem):
+        names = _inherited_names(source, names, "inputs", "outputs")
     return PortHamiltonian._from_modes(realization.lossless_modes(source), **names)
 
 
@@ -442,30 +443,28 @@ def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
     return d if isinstance(d, ModalForm) else ph(d).modes
 
 
-def _inherited_names(source: ct.InputOutputSystem, names: dict[str, Any]) -> dict[str, Any]:
-    generic = source._generic_name_check()
-    kept = {} if generic else {"name": source.name}
-    kept |= {"inputs": source.input_labels, "outputs": source.output_labels}
+def _inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
+    """Names given, completed by those of the source; python-control takes `input` for `inputs` and so on."""
+    kept = {} if source._generic_name_check() else {"name": source.name}
+    for kind in kinds:
+        if names.get(kind) is None and names.get(kind[:-1]) is None:
+            kept[kind] = getattr(source, kind[:-1] + "_labels")
     return kept | {key: value for key, value in names.items() if value is not None}
 
 
-def _state_names(source: ct.StateSpace, names: dict[str, Any]) -> dict[str, Any]:
-    return {} if names.get("states") else {"states": source.state_labels}
-
-
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is in no normal form
 def _normal_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
     """`(Q, B)` if the matrices of a system are `(J Q, B, B^T Q, 0)` already, else None."""
     A, B, C, D = (np.asarray(M, dtype=float) for M in (sys.A, sys.B, sys.C, sys.D))
-    if len(A) % 2 or len(A) == 0 or D.any() or B.shape != C.T.shape:
+    if len(A) % 2 or len(A) == 0 or D.size == 0 or D.any() or B.shape != C.T.shape:
         return None
     Q = -apply_form(A)
     close = 8 * len(A) * _checks.EPS
-    if np.max(np.abs(Q - Q.T)) > close * np.max(np.abs(Q)):
+    if not np.max(np.abs(Q - Q.T)) <= close * np.max(np.abs(Q)):
         return None
-    expected = B.T @ Q
-    if np.max(np.abs(expected - C)) > close * np.max(np.abs(B), initial=0.0) * np.max(np.abs(Q)):
+    if not np.max(np.abs(B.T @ Q - C)) <= close * np.max(np.abs(B), initial=0.0) * np.max(np.abs(Q)):
         return None
     try:
-        return _checks.hamiltonian_matrix(Q), B.copy()
+        return _checks.hamiltonian_matrix(Q), _checks.port_matrix(B, len(Q))
     except StructureError:
         return None
