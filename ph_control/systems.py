@@ -122,7 +122,7 @@ class PortHamiltonian(ct.StateSpace):
         for kind, count in sizes.items():
             found = len(getattr(self, kind[:-1] + "_labels"))
             if found != count:
-                raise StructureError(f"{found} different names given for {count} {kind}; give one name for each")
+                raise StructureError(f"{found} names given for {count} {kind}; give one name for each, all different")
 
     @classmethod
     def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
