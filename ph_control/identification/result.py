@@ -273,7 +273,11 @@ class PEMResult:
         >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
-        kwargs.setdefault("output_label", self.record.output_label)
+        # a label such as "velocity [m/s]" carries its unit
+        name, _, unit = self.record.output_label.removesuffix("]").partition(" [")
+        kwargs.setdefault("output_label", name)
+        if unit:
+            kwargs.setdefault("output_unit", unit)
         return fit_plot(self.record.time, self.record.y, self.predicted, fit_percent=self.fit_percent, **kwargs)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

@@ -17,6 +17,7 @@ from .solver import Problem
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Batch = tuple[NDArray[np.intp], ComplexArray, tuple[Array, Array]]
 
 _WINDOW = 12  # bins around a candidate
 _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
@@ -28,7 +29,7 @@ _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 class Screen:
     """All candidates of one problem; asked again for each new residual.
 
-    What does not depend on the residual (the columns and their Gram matrices) is kept between questions where it fits
+    What does not depend on the residual (the columns and inverse Gram matrices) is kept between questions where it fits
     in memory.
     """
 
@@ -42,7 +43,7 @@ class Screen:
         usable = (places > 0) & (phase < problem.hold.largest_phase * (1 - 1e-9))
         self.places, self.phase = places[usable], phase[usable]
         self.starts = range(0, len(self.places), _BATCH)
-        self.kept: dict[int, tuple[NDArray[np.intp], ComplexArray, Array]] = {}
+        self.kept: dict[int, Batch] = {}
 
     def strongest(self, residual: Array) -> float:
         """Natural frequency of the mode that explains most of a residual (T,), missing samples being 0."""
@@ -54,18 +55,19 @@ class Screen:
     def _explained(self, E: ComplexArray, start: int) -> Array:
         """Energy of the residual that one mode at each candidate explains within its window, `kappa >= 0`."""
         if start in self.kept:
-            bins, columns, gram = self.kept[start]
+            bins, columns, inverses = self.kept[start]
         else:
-            bins, columns, gram = self._columns(slice(start, start + _BATCH))
+            bins, columns, inverses = self._columns(slice(start, start + _BATCH))
             if len(self.starts) <= _KEPT_BATCHES:
-                self.kept[start] = bins, columns, gram
+                self.kept[start] = bins, columns, inverses
         rhs = np.einsum("cwi,cw->ci", columns, E[bins]).real
-        full = np.linalg.solve(gram, rhs[:, :, None])[:, :, 0]
-        states_only = np.linalg.solve(gram[:, 1:, 1:], rhs[:, 1:, None])[:, :, 0]
-        return np.where(full[:, 0] >= 0, np.sum(full * rhs, axis=1), np.sum(states_only * rhs[:, 1:], axis=1))
+        kappa = np.einsum("ci,ci->c", inverses[0][:, 0], rhs)
+        with_kappa = np.einsum("ci,cij,cj->c", rhs, inverses[0], rhs)
+        without = np.einsum("ci,cij,cj->c", rhs[:, 1:], inverses[1], rhs[:, 1:])
+        return np.where(kappa >= 0, with_kappa, without)
 
-    def _columns(self, part: slice) -> tuple[NDArray[np.intp], ComplexArray, Array]:
-        """Bins of each window, conjugate columns for `kappa`, `Re tau`, `Im tau` there, and their Gram matrices."""
+    def _columns(self, part: slice) -> Batch:
+        """Bins of each window, conjugate columns for `kappa`, `Re tau`, `Im tau` there, inverse Gram matrices."""
         places, phase = self.places[part], self.phase[part]
         width = min(_WINDOW, self.half)
         first = np.clip(np.rint(places).astype(int) - width // 2, 0, self.half - width)
@@ -80,4 +82,5 @@ class Screen:
         columns = columns / np.where(lengths > 0, lengths, 1.0)[:, None, :]
         # real and imaginary parts side by side: the unknowns are real
         real = np.concatenate([columns.real, columns.imag], axis=1)
-        return bins, columns.conj(), real.transpose(0, 2, 1) @ real + _RIDGE * np.eye(3)
+        gram = real.transpose(0, 2, 1) @ real + _RIDGE * np.eye(3)
+        return bins, columns.conj(), (np.linalg.inv(gram), np.linalg.inv(gram[:, 1:, 1:]))
