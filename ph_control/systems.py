@@ -330,9 +330,21 @@ class PortHamiltonian(ct.StateSpace):
         return _restore, (self._given, self._modes if self._given is None else None, names)
 
     def _repr_eval_(self) -> str:
-        text = f"ph(\n{np.asarray(self.Q)!r},\n{np.asarray(self.B)!r}"
+        if self._given is not None:
+            text = f"ph(\n{_literal(self.Q)},\n{_literal(self.B)}"
+        else:
+            m = self.modes
+            text = f"ph(ModalForm(\n{_literal(m.d)},\n{_literal(m.nu)},\n{_literal(m.rigid)})"
         labels = self._label_repr()
         return text + (f",\n{labels})" if labels else ")")
+
+
+def _literal(array: NDArray[Any]) -> str:
+    """Text that evaluates to the same array, bit for bit; beyond 1000 entries numpy shows the corners only."""
+    if array.size == 0:
+        return f"zeros({array.shape})"
+    with np.printoptions(floatmode="unique", threshold=1000):
+        return repr(array)
 
 
 def _restore(given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> PortHamiltonian:

@@ -1,0 +1,643 @@
+"""Port-Hamiltonian systems: what they hold, what stays PH, what is locked, what is kept."""
+
+import copy
+import operator
+import pickle
+
+import control as ct
+import numpy as np
+import pytest
+import reference as ref
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ph_control as phc
+
+EPS = ref.EPS
+PH, SS, TF = phc.PortHamiltonian, ct.StateSpace, ct.TransferFunction
+SETTINGS = settings(deadline=None, max_examples=40, derandomize=True)
+
+
+def one_port(**names):
+    return phc.ph(np.diag([4.0, 1.0, 1.0, 2.0]), [0.0, 0.5, 1.0, -1.0], **names)
+
+
+def two_port():
+    Q, _ = ref.random_hamiltonian([1.0, 2.5], np.random.default_rng(1))
+    return phc.ph(Q, np.random.default_rng(2).standard_normal((4, 2)))
+
+
+def floating():
+    """A free mass: the energy does not see its position, the transfer function is 1/(2 s)."""
+    return phc.ph(np.diag([0.0, 0.5]), [0.0, 1.0])
+
+
+def nothing(ports=1):
+    return phc.ph(np.zeros((0, 0)), np.zeros((0, ports)))
+
+
+def dense(sys, s):
+    """Transfer function by a linear solve with the matrices a user sees."""
+    return ref.dense_transfer_function(sys.A, sys.B, sys.C, s) + sys.D
+
+
+# --- type closure ------------------------------------------------------------------------------------------------
+
+OPERANDS = {
+    "ph": one_port,
+    "modal": lambda: phc.ph(phc.modes([1.0, 3.0], [0.5, 2.0])),
+    "floating": floating,
+    "nothing": nothing,
+    "two": two_port,
+    "ss": lambda: ct.ss([[-1.0, 2.0], [0.0, -3.0]], [[1.0], [1.0]], [[1.0, 0.5]], [[0.25]]),
+    "ss two": lambda: ct.ss([[-1.0]], [[1.0, 2.0]], [[1.0], [3.0]], np.eye(2)),
+    "tf": lambda: ct.tf([1.0, 2.0], [1.0, 3.0]),
+    "sampled": lambda: ct.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1),
+    "2": lambda: 2,
+    "0.5": lambda: np.float64(0.5),
+    "int64": lambda: np.int64(3),
+    "-2": lambda: -2.0,
+    "0": lambda: 0,
+    "0.0": lambda: 0.0,
+    "True": lambda: True,
+    "0d": lambda: np.array(2.0),
+    "array": lambda: np.array([[2.0]]),
+    "matrix": lambda: np.array([[1.0, 2.0], [0.0, 3.0]]),
+    "text": lambda: "two",
+    "None": lambda: None,
+}
+
+
+def value_at(operand, s):
+    """Value of any operand as a matrix."""
+    if isinstance(operand, SS):
+        return dense(operand, s)
+    return np.atleast_2d(operand(s) if isinstance(operand, TF) else operand)
+
+
+def promoted(a, b, one):
+    """Single-port operands act on each port of the other: through all pairs (sum) or the diagonal (product)."""
+    if a.size == 1 < b.size:
+        a = a * one(len(b))
+    if b.size == 1 < a.size:
+        b = b * one(len(a))
+    return a, b
+
+
+def total(a, b):
+    a, b = promoted(a, b, lambda n: np.ones((n, n)))
+    return a + b
+
+
+def chain(a, b):
+    a, b = promoted(a, b, np.eye)
+    return a @ b
+
+
+def block(a, b):
+    return np.block([[a, np.zeros((len(a), b.shape[1]))], [np.zeros((len(b), a.shape[1])), b]])
+
+
+OPERATIONS = {
+    "+": (operator.add, total),
+    "-": (operator.sub, lambda a, b: total(a, -b)),
+    "*": (operator.mul, chain),
+    "/": (operator.truediv, lambda a, b: chain(a, np.linalg.inv(b))),
+    "parallel": (ct.parallel, total),
+    "series": (ct.series, lambda a, b: chain(b, a)),
+    "feedback": (ct.feedback, lambda a, b: np.linalg.solve(np.eye(len(a)) + a @ b, a)),
+    "append": (ct.append, block),
+}
+
+TABLE = [
+    # sums: PH with PH of as many ports, and with the number 0
+    ("ph", "+", "ph", PH), ("ph", "+", "modal", PH), ("modal", "+", "ph", PH), ("ph", "+", "floating", PH),
+    ("ph", "+", "nothing", PH), ("nothing", "+", "ph", PH), ("nothing", "+", "nothing", PH), ("two", "+", "two", PH),
+    ("ph", "+", "0", PH), ("0", "+", "ph", PH), ("ph", "+", "0.0", PH), ("two", "+", "0", PH), ("ph", "-", "0", PH),
+    ("ph", "+", "two", SS), ("two", "+", "ph", SS),
+    ("ph", "+", "ss", SS), ("ss", "+", "ph", SS), ("two", "+", "ss two", SS), ("ss two", "+", "two", SS),
+    ("two", "+", "ss", SS), ("ss", "+", "two", SS), ("ph", "+", "ss two", SS), ("ss two", "+", "ph", SS),
+    ("ph", "+", "tf", SS), ("tf", "+", "ph", TF),
+    ("ph", "+", "2", SS), ("2", "+", "ph", SS), ("ph", "+", "0.5", SS), ("0.5", "+", "ph", SS), ("ph", "+", "True", SS),
+    ("ph", "+", "array", SS), ("array", "+", "ph", SS), ("two", "+", "matrix", SS), ("matrix", "+", "two", SS),
+    ("nothing", "+", "2", SS), ("nothing", "+", "ss", SS), ("ss", "+", "nothing", SS),
+    ("ph", "+", "sampled", ValueError), ("sampled", "+", "ph", ValueError),
+    ("ph", "+", "text", TypeError), ("text", "+", "ph", TypeError), ("ph", "+", "None", TypeError),
+    # differences: never, except from nothing
+    ("ph", "-", "ph", SS), ("ph", "-", "modal", SS), ("two", "-", "two", SS), ("nothing", "-", "ph", SS),
+    ("ph", "-", "ss", SS), ("ss", "-", "ph", SS), ("ph", "-", "tf", SS), ("tf", "-", "ph", TF),
+    ("ph", "-", "2", SS), ("2", "-", "ph", SS), ("0", "-", "ph", SS), ("ph", "-", "array", SS),
+    ("array", "-", "ph", SS),
+    # products: PH with a positive number
+    ("ph", "*", "2", PH), ("2", "*", "ph", PH), ("ph", "*", "0.5", PH), ("0.5", "*", "ph", PH),
+    ("int64", "*", "ph", PH),
+    ("modal", "*", "2", PH), ("2", "*", "modal", PH), ("floating", "*", "2", PH), ("nothing", "*", "2", PH),
+    ("two", "*", "2", PH), ("0.5", "*", "two", PH),
+    ("ph", "*", "-2", SS), ("-2", "*", "ph", SS), ("ph", "*", "0", SS), ("0", "*", "ph", SS), ("ph", "*", "True", SS),
+    ("ph", "*", "array", SS), ("array", "*", "ph", SS), ("ph", "*", "matrix", SS), ("matrix", "*", "ph", SS),
+    ("two", "*", "matrix", SS), ("matrix", "*", "two", SS),
+    ("ph", "*", "ph", SS), ("ph", "*", "modal", SS), ("ph", "*", "two", SS), ("two", "*", "ph", SS),
+    ("nothing", "*", "ph", SS), ("ph", "*", "ss", SS), ("ss", "*", "ph", SS), ("two", "*", "ss two", SS),
+    ("ss two", "*", "two", SS), ("ss", "*", "two", SS), ("ss two", "*", "ph", SS), ("ph", "*", "tf", SS),
+    ("tf", "*", "ph", TF), ("ph", "*", "sampled", ValueError), ("sampled", "*", "ph", ValueError),
+    ("ph", "*", "text", TypeError), ("None", "*", "ph", TypeError),
+    # quotients: PH by a positive number; a strictly proper system has no inverse
+    ("ph", "/", "2", PH), ("modal", "/", "0.5", PH), ("two", "/", "2", PH), ("nothing", "/", "2", PH),
+    ("ph", "/", "0d", PH), ("ph", "/", "-2", SS), ("ph", "/", "array", SS), ("ph", "/", "tf", SS),
+    ("ph", "/", "0", ZeroDivisionError), ("ph", "/", "ph", TypeError), ("2", "/", "ph", TypeError),
+    ("ss", "/", "ph", TypeError),
+    # connections
+    ("ph", "parallel", "ph", PH), ("two", "parallel", "two", PH), ("ph", "parallel", "ss", SS),
+    ("ss", "parallel", "ph", SS), ("tf", "parallel", "ph", TF), ("ph", "parallel", "2", SS),
+    ("ph", "series", "2", PH), ("2", "series", "ph", PH), ("ph", "series", "ph", SS), ("ph", "series", "ss", SS),
+    ("ss", "series", "ph", SS), ("ph", "series", "tf", TF), ("tf", "series", "ph", SS),
+    ("two", "series", "ss two", SS), ("ph", "series", "-2", SS),
+    ("ph", "feedback", "ph", SS), ("ph", "feedback", "2", SS), ("ph", "feedback", "ss", SS),
+    ("ss", "feedback", "ph", SS), ("2", "feedback", "ph", SS), ("tf", "feedback", "ph", TF),
+    ("ph", "feedback", "tf", SS), ("two", "feedback", "two", SS),
+    ("two", "feedback", "matrix", SS), ("nothing", "feedback", "ph", SS), ("ph", "feedback", "nothing", SS),
+    ("ph", "feedback", "two", ValueError), ("ph", "feedback", "sampled", ValueError),
+    ("ph", "feedback", "text", TypeError),
+    ("ph", "append", "ph", SS), ("ph", "append", "ss", SS), ("ss", "append", "ph", SS), ("two", "append", "2", SS),
+    ("nothing", "append", "two", SS), ("ph", "append", "tf", SS),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("left", "operation", "right", "expected"), TABLE)
+def test_each_operation_gives_the_documented_type_and_the_right_transfer_function(left, operation, right, expected):
+    combine, values = OPERATIONS[operation]
+    a, b = OPERANDS[left](), OPERANDS[right]()
+    if issubclass(expected, Exception):
+        with pytest.raises(expected):
+            combine(a, b)
+        return
+    result = combine(a, b)
+    assert type(result) is expected
+    for s in (0.4 + 0.3j, -1.5 + 0.8j, 5.0):
+        truth = values(value_at(a, s), value_at(b, s))
+        got = value_at(result, s)
+        assert got.shape == truth.shape
+        assert np.max(np.abs(got - truth)) < 1000 * EPS * max(1.0, np.max(np.abs(truth)))
+        if expected is PH:
+            # the modal path agrees with the matrices
+            assert np.max(np.abs(np.atleast_2d(result(s)) - truth)) < 1000 * EPS * max(1.0, np.max(np.abs(truth)))
+
+
+UNARY = [
+    ("neg", lambda sys: -sys, SS, lambda G: -G),
+    ("power 0", lambda sys: sys**0, SS, lambda G: np.eye(len(G))),
+    ("power 1", lambda sys: sys**1, PH, lambda G: G),
+    ("power 2", lambda sys: sys**2, SS, lambda G: G @ G),
+    ("power -1", lambda sys: sys**-1, TypeError, None),
+    ("power 0.5", lambda sys: sys**0.5, ValueError, None),
+    ("feedback", lambda sys: sys.feedback(np.eye(sys.ninputs)), SS, lambda G: np.linalg.solve(np.eye(len(G)) + G, G)),
+    ("sum of one", lambda sys: sum([sys]), PH, lambda G: G),
+    ("sum", lambda sys: sum([sys, sys, sys]), PH, lambda G: 3 * G),
+    ("entry", lambda sys: sys[0, 0], SS, lambda G: G[:1, :1]),
+    ("slice", lambda sys: sys[:, :], SS, lambda G: G),
+    ("label", lambda sys: sys["y[0]", "u[0]"], SS, lambda G: G[:1, :1]),
+    ("copy.copy", copy.copy, PH, lambda G: G),
+    ("copy.deepcopy", copy.deepcopy, PH, lambda G: G),
+    ("copy", lambda sys: sys.copy(), PH, lambda G: G),
+    ("pickle", lambda sys: pickle.loads(pickle.dumps(sys)), PH, lambda G: G),
+    ("phc.ph", phc.ph, PH, lambda G: G),
+    ("ct.ss", ct.ss, SS, lambda G: G),
+    ("ct.tf", ct.tf, TF, lambda G: G),
+    ("ct.ss2tf", ct.ss2tf, TF, lambda G: G),
+    ("minreal", lambda sys: sys.minreal(), SS, lambda G: G),
+    ("ct.minreal", lambda sys: ct.minreal(sys, verbose=False), SS, lambda G: G),
+    ("similarity", lambda sys: ct.similarity_transform(sys, 2 * np.eye(sys.nstates)), SS, lambda G: G),
+    ("linearize", lambda sys: ct.linearize(sys, 0, 0), SS, lambda G: G),
+    (
+        "interconnect",
+        lambda sys: ct.interconnect([sys], inputs=sys.input_labels, outputs=sys.output_labels),
+        None,
+        lambda G: G,
+    ),
+]
+
+
+@pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
+@pytest.mark.parametrize(("what", "change", "expected", "values"), UNARY, ids=[row[0] for row in UNARY])
+def test_each_change_of_one_system_gives_the_documented_type_and_transfer_function(
+    operand, what, change, expected, values
+):
+    sys = OPERANDS[operand]()
+    if isinstance(expected, type) and issubclass(expected, Exception):
+        with pytest.raises(expected):
+            change(sys)
+        return
+    result = change(sys)
+    # an interconnection is a StateSpace of python-control's own subclass
+    assert type(result) is expected if expected else isinstance(result, SS) and not isinstance(result, PH)
+    for s in (0.4 + 0.3j, 5.0):
+        truth = values(dense(sys, s))
+        assert np.max(np.abs(value_at(result, s) - truth)) < 1000 * EPS * max(1.0, np.max(np.abs(truth)))
+
+
+@pytest.mark.parametrize("sample", [lambda sys, h: sys.sample(h), ct.sample_system, ct.c2d])
+@pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
+def test_a_sampled_system_is_a_discrete_state_space_with_the_exact_step(operand, sample):
+    sys, h = OPERANDS[operand](), 0.1
+    result = sample(sys, h)
+    assert type(result) is SS
+    assert result.dt == h
+    F, G, _ = ref.dense_step(sys.A, sys.B, h, "exact", "zoh")
+    assert np.allclose(result.A, F, rtol=0, atol=100 * EPS)
+    assert np.allclose(result.B, G, rtol=0, atol=100 * EPS)
+
+
+@SETTINGS
+@given(st.lists(st.integers(0, 3), min_size=1, max_size=5), st.integers(1, 2), st.integers(0, 2**32 - 1))
+def test_the_sum_of_any_systems_is_ph_and_its_transfer_function_the_sum(sizes, ports, seed):
+    rng = np.random.default_rng(seed)
+    systems = [
+        phc.ph(ref.random_hamiltonian(rng.uniform(0.5, 3, n), rng)[0], rng.standard_normal((2 * n, ports)))
+        for n in sizes
+    ]
+    result = sum(systems)
+    assert type(result) is PH
+    assert result.n == sum(sizes)
+    s = 0.5 + 1.0j
+    parts = [dense(sys, s) for sys in systems]
+    size = sum(np.max(np.abs(part)) for part in parts)
+    assert np.max(np.abs(result.horner(s)[:, :, 0] - sum(parts))) <= 1e4 * EPS * max(1.0, size)
+    assert np.array_equal(np.sort(np.concatenate([sys.d for sys in systems])), result.d)
+
+
+@SETTINGS
+@given(st.floats(1e-9, 1e9), st.sampled_from(["ph", "modal", "floating", "two"]))
+def test_a_positive_factor_scales_the_residues_and_leaves_the_frequencies(factor, operand):
+    sys = OPERANDS[operand]()
+    for scaled in (factor * sys, sys * factor):
+        assert type(scaled) is PH
+        assert np.array_equal(scaled.d, sys.d)
+        assert np.allclose(scaled.r, factor * sys.r, rtol=8 * EPS, atol=0)
+        assert np.allclose(scaled.modes.kappa_0, factor * sys.modes.kappa_0, rtol=8 * EPS, atol=0)
+
+
+def test_a_sum_with_zero_is_the_system_itself():
+    sys = one_port()
+    assert sys + 0 is sys
+    assert 0 + sys is sys
+    assert sys + 1 is not sys
+
+
+# --- what a system holds -----------------------------------------------------------------------------------------
+
+
+@SETTINGS
+@given(st.lists(st.floats(0.1, 10), min_size=1, max_size=5), st.integers(1, 3), st.integers(0, 2**32 - 1))
+def test_the_matrices_are_those_of_the_definition_and_the_modal_data_those_of_williamson(d, ports, seed):
+    rng = np.random.default_rng(seed)
+    n = len(d)
+    Q, _ = ref.random_hamiltonian(d, rng)
+    B = rng.standard_normal((2 * n, ports))
+    sys = phc.ph(Q, B)
+    J = ref.symplectic_form(n)
+    assert (sys.n, sys.nstates, sys.ninputs, sys.noutputs, sys.dt) == (n, 2 * n, ports, ports, 0)
+    assert np.array_equal(sys.Q, Q)
+    assert np.array_equal(sys.B, B)
+    assert np.array_equal(sys.A, J @ Q)
+    assert np.array_equal(sys.D, np.zeros((ports, ports)))
+    assert np.allclose(sys.C, B.T @ Q, rtol=0, atol=4 * n * EPS * np.linalg.norm(B) * np.linalg.norm(Q))
+    tolerance = 100 * n * EPS * np.linalg.norm(Q, 2) * np.linalg.norm(sys.S, 2) ** 2
+    assert np.all(np.diff(sys.d) >= 0)
+    assert np.allclose(sys.d, np.sort(d), rtol=0, atol=tolerance)
+    assert np.allclose(sys.S.T @ np.diag(np.r_[sys.d, sys.d]) @ sys.S, Q, rtol=0, atol=tolerance)
+    v = (sys.S @ B)[:, 0] if ports == 1 else sys.S @ B
+    assert np.array_equal(sys.v, v)
+    weights = sys.v[:n] ** 2 + sys.v[n:] ** 2
+    assert sys.r.shape == weights.shape == ((n,) if ports == 1 else (n, ports))
+    # a nearly repeated frequency leaves its weights free to mix: only their sum is determined
+    assert np.isclose(sys.r.sum(), weights.sum(), rtol=1e4 * EPS * np.linalg.norm(sys.S, 2) ** 4)
+
+
+def test_the_energy_is_that_of_the_matrix_for_one_state_and_for_many():
+    sys = two_port()
+    z = np.random.default_rng(0).standard_normal((4, 7))
+    truth = 0.5 * np.einsum("it,ij,jt->t", z, sys.Q, z)
+    assert np.allclose(sys.hamiltonian(z), truth, rtol=100 * EPS)
+    one = sys.hamiltonian(z[:, 0])
+    assert isinstance(one, float)
+    assert np.isclose(one, truth[0], rtol=100 * EPS)
+    assert floating().hamiltonian([100.0, 2.0]) == pytest.approx(1.0, rel=8 * EPS)
+    assert floating().hamiltonian([100.0, 0.0]) == 0.0
+
+
+def test_the_dynamics_conserve_what_the_ports_do_not_deliver():
+    sys = two_port()
+    rng = np.random.default_rng(1)
+    z, u = rng.standard_normal(4), rng.standard_normal(2)
+    power = sys.Q @ z @ sys.dynamics(0, z, u)
+    assert power == pytest.approx(u @ sys.output(0, z, u), rel=1000 * EPS)
+
+
+def test_a_system_is_canonical_iff_all_frequencies_differ_and_all_modes_are_reached():
+    assert phc.ph(phc.modes([1.0, 2.0], [1.0, 1.0])).is_canonical
+    assert not phc.ph(phc.modes([1.0, 2.0], [1.0, 0.0])).is_canonical
+    assert not phc.ph(phc.modes([1.0, 1.0], [1.0, 1.0])).is_canonical
+    assert not floating().is_canonical
+    assert nothing().is_canonical
+    assert phc.ph(np.eye(4), np.array([[1.0, 0], [0, 1], [0, 0], [0, 0]])).is_canonical
+
+
+def test_poles_are_those_of_the_matrix_and_exactly_on_the_axis():
+    sys = two_port()
+    assert np.all(sys.poles().real == 0)
+    eigenvalues = np.sort(np.linalg.eigvals(sys.A).imag)
+    assert np.allclose(sys.poles().imag, eigenvalues, rtol=0, atol=1e4 * EPS)
+    assert np.array_equal(floating().poles(), [0, 0])
+    assert len(nothing().poles()) == 0
+
+
+def test_zeros_are_where_the_transfer_function_vanishes():
+    sys = one_port()
+    zeros = sys.zeros()
+    assert np.all(zeros.real == 0)
+    assert len(zeros) == 2 * sys.n - 1
+    step = 1e-6
+    slope = np.abs(sys(zeros + step) - sys(zeros)) / step
+    assert np.all(np.abs(sys(zeros)) <= 100 * EPS * slope)
+    assert np.all(slope > 0.1)
+
+
+def test_the_matrices_of_a_modal_system_are_not_built_before_somebody_looks():
+    sys = phc.ph(phc.modes(np.arange(1.0, 40_001.0), np.ones(40_000)))
+    # dense, these would be 51 GB each
+    assert abs(sys(1.5j)) < np.inf
+    assert len(sys.poles()) == sys.nstates == 80_000
+
+
+# --- never NaN ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
+def test_a_pole_gives_infinity_and_no_point_gives_nan(operand):
+    sys = OPERANDS[operand]()
+    at_poles = sys.horner(sys.poles())
+    assert at_poles.shape == (sys.ninputs, sys.ninputs, sys.nstates)
+    assert np.all(np.isinf(at_poles).any(axis=(0, 1)))
+    points = np.concatenate([sys.poles(), sys.poles() + 1e-300, [0, 1e-300, 1e300j, 1e154 + 1e154j, np.inf]])
+    values = sys.horner(points)
+    assert not np.isnan(values.real).any()
+    assert not np.isnan(values.imag).any()
+
+
+def test_close_to_a_pole_the_value_is_that_of_the_pole():
+    sys = one_port()
+    offset = 1e-9
+    value = sys(1j * sys.d[0] + offset)
+    assert value == pytest.approx(0.5 * sys.r[0] * sys.d[0] / offset, rel=1e-6)
+
+
+# --- locks and copies --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["A", "B", "C", "D", "Q", "v", "S"])
+@pytest.mark.parametrize("operand", ["ph", "modal", "two"])
+def test_a_matrix_can_be_neither_replaced_nor_written(operand, name):
+    sys = OPERANDS[operand]()
+    before = getattr(sys, name).copy()
+    with pytest.raises(AttributeError) as refusal:
+        setattr(sys, name, 2 * before)
+    assert str(refusal.value) == (
+        f"{name} of a PortHamiltonian cannot be changed: the system would no longer be lossless; "
+        "make a new one with ph(Q, B), or a free StateSpace with control.ss(sys)"
+    )
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(sys, name)[...] = 0
+    assert np.array_equal(getattr(sys, name), before)
+
+
+@pytest.mark.parametrize("name", ["d", "r"])
+def test_modal_data_can_be_neither_replaced_nor_written(name):
+    sys = one_port()
+    with pytest.raises(AttributeError):
+        setattr(sys, name, np.ones(2))
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(sys, name)[0] = 5.0
+
+
+def test_a_free_state_space_of_a_system_can_be_changed_without_touching_it():
+    sys = one_port()
+    free = ct.ss(sys)
+    before = sys.A.copy()
+    free.A[0, 0] = -1.0
+    assert np.array_equal(sys.A, before)
+
+
+def test_arrays_of_the_user_are_neither_changed_nor_shared():
+    Q, B = np.diag([4.0, 1.0]), np.array([0.0, 1.0])
+    sys = phc.ph(Q, B)
+    assert Q.flags.writeable
+    assert B.flags.writeable
+    Q[0, 0], B[1] = 9.0, 3.0
+    assert np.array_equal(sys.Q, np.diag([4.0, 1.0]))
+    assert np.array_equal(sys.B, [[0.0], [1.0]])
+    assert np.array_equal(sys.d, [2.0])
+
+
+def test_arrays_of_a_converted_state_space_are_not_shared():
+    free = ct.ss(one_port())
+    sys = phc.ph(free)
+    before = sys.Q.copy()
+    free.A[...] = 0
+    free.B[...] = 0
+    assert np.array_equal(sys.Q, before)
+    assert sys.B.any()
+
+
+COPIES = [copy.copy, copy.deepcopy, lambda sys: pickle.loads(pickle.dumps(sys)), phc.ph]
+
+
+@pytest.mark.parametrize("duplicate", COPIES, ids=["copy", "deepcopy", "pickle", "ph"])
+@pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
+def test_a_copy_is_equal_in_every_matrix_mode_and_name_and_locked_too(duplicate, operand):
+    sys = OPERANDS[operand]()
+    sys.update_names(name="plant", inputs=[f"F{i}" for i in range(sys.ninputs)])
+    twin = duplicate(sys)
+    assert type(twin) is PH
+    assert twin is not sys
+    for name in "ABCDQ":
+        assert np.array_equal(getattr(twin, name), getattr(sys, name))
+    for name in ("d", "nu", "rigid", "r"):
+        assert np.array_equal(getattr(twin.modes, name), getattr(sys.modes, name))
+    assert (twin.name, twin.input_labels, twin.output_labels, twin.state_labels) == (
+        sys.name, sys.input_labels, sys.output_labels, sys.state_labels,
+    )  # fmt: skip
+    with pytest.raises(AttributeError, match="cannot be changed"):
+        twin.A = 0
+    with pytest.raises(ValueError, match="read-only"):
+        twin.Q[...] = 0
+    twin.update_names(name="other")
+    assert sys.name == "plant"
+
+
+def test_a_pickle_taken_before_any_look_gives_the_same_modes_after_it():
+    untouched, looked_at = one_port(), one_port()
+    looked_at.S, looked_at.zeros()
+    first, second = (pickle.loads(pickle.dumps(sys)) for sys in (untouched, looked_at))
+    assert np.array_equal(first.modes.nu, second.modes.nu)
+    assert np.array_equal(first.zeros(), second.zeros())
+
+
+# --- names -------------------------------------------------------------------------------------------------------
+
+NAMES = {"name": "beam", "inputs": ["force"], "outputs": ["speed"], "states": ["q1", "q2", "p1", "p2"]}
+
+
+def names_of(sys):
+    return {
+        "name": sys.name,
+        "inputs": sys.input_labels,
+        "outputs": sys.output_labels,
+        "states": sys.state_labels,
+    }
+
+
+def test_names_are_taken_as_python_control_takes_them():
+    assert names_of(one_port(**NAMES)) == NAMES
+    assert names_of(one_port(name="beam", input="force", output="speed", states=NAMES["states"])) == NAMES
+    assert one_port().input_labels == ["u[0]"]
+    assert one_port().output_labels == ["y[0]"]
+    assert one_port().state_labels == ["x[0]", "x[1]", "x[2]", "x[3]"]
+    assert one_port(inputs=1, states=4).state_labels == ["x[0]", "x[1]", "x[2]", "x[3]"]
+    assert one_port(inputs="F").input_labels == ["F"]
+
+
+def test_names_can_be_changed_and_are_checked_for_their_number():
+    sys = one_port()
+    sys.update_names(**NAMES)
+    assert names_of(sys) == NAMES
+    with pytest.raises(ValueError, match="number of inputs"):
+        sys.update_names(inputs=["a", "b"])
+    with pytest.raises(ValueError, match="number of states"):
+        sys.update_names(states=["a", "b"])
+    assert names_of(sys) == NAMES
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        lambda: one_port(**NAMES),
+        lambda: ct.ss(one_port(), **NAMES),
+        lambda: ct.ss(one_port(**NAMES)),
+    ],
+)
+def test_a_converted_system_keeps_all_names_with_its_coordinates(source):
+    assert names_of(phc.ph(source())) == NAMES
+
+
+def test_names_given_to_a_conversion_win_over_those_of_its_source():
+    source = one_port(**NAMES)
+    assert phc.ph(source, name="mast").name == "mast"
+    assert phc.ph(source, inputs=["f"]).input_labels == ["f"]
+    assert phc.ph(source, input="f").input_labels == ["f"]
+    assert phc.ph(source, input="f").output_labels == ["speed"]
+    assert phc.ph(source, states=list("abcd")).state_labels == list("abcd")
+    assert phc.ph(source, inputs=None).input_labels == ["force"]
+    assert phc.ph(ct.tf([1, 0], [1, 0, 4], inputs="f", outputs="v", name="t"), output="w").output_labels == ["w"]
+
+
+def test_a_conversion_to_other_coordinates_keeps_the_names_of_the_ports_only():
+    source = ct.tf([2, 0], [1, 0, 4], name="t", inputs=["f"], outputs=["v"])
+    assert names_of(phc.ph(source)) == {"name": "t", "inputs": ["f"], "outputs": ["v"], "states": ["x[0]", "x[1]"]}
+
+
+def test_a_generic_name_is_not_inherited():
+    source = one_port()
+    assert source.name.startswith("sys[")
+    assert phc.ph(source).name != source.name
+
+
+# --- printing ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
+@pytest.mark.parametrize("named", [False, True])
+def test_the_printed_form_evaluates_to_the_same_system(operand, named):
+    sys = OPERANDS[operand]()
+    if named:
+        sys.update_names(name="its", inputs=[f"F {i}" for i in range(sys.ninputs)], states=sys.nstates)
+    words = {"ph": phc.ph, "ModalForm": phc.ModalForm, "array": np.array, "zeros": np.zeros}
+    twin = eval(repr(sys), words)
+    assert type(twin) is PH
+    assert np.array_equal(twin.Q, sys.Q)
+    assert np.array_equal(twin.B, sys.B)
+    assert np.array_equal(twin.modes.nu, sys.modes.nu)
+    assert names_of(twin) == names_of(sys) if named else twin.state_labels == sys.state_labels
+
+
+@SETTINGS
+@given(st.lists(st.floats(1e-100, 1e100), min_size=2, max_size=4))
+def test_the_printed_form_keeps_every_digit(numbers):
+    words = {"ph": phc.ph, "ModalForm": phc.ModalForm, "array": np.array, "zeros": np.zeros}
+    sys = phc.ph(phc.modes(numbers, numbers[::-1]))
+    twin = eval(repr(sys), words)
+    assert np.array_equal(twin.d, sys.d)
+    assert np.array_equal(twin.modes.nu, sys.modes.nu)
+
+
+def test_the_printed_form_of_a_large_system_is_short_and_builds_no_matrices():
+    assert len(repr(phc.ph(phc.modes(np.arange(1.0, 40_001.0), np.ones(40_000)), states=80_000))) < 1000
+
+
+def test_the_printed_form_for_people_names_the_class_and_the_matrices():
+    text = str(one_port(name="beam"))
+    assert text.startswith("<PortHamiltonian>: beam")
+    assert "A = [[" in text
+
+
+# --- constructors ------------------------------------------------------------------------------------------------
+
+
+def test_a_vector_is_one_port_and_a_column_the_same():
+    assert np.array_equal(phc.ph(np.eye(2), [0, 1]).B, phc.ph(np.eye(2), [[0], [1]]).B)
+
+
+def test_lists_integers_booleans_and_single_precision_are_numbers():
+    for Q in ([[4, 0], [0, 1]], np.diag([4, 1]).astype(np.float32), np.diag([4, 1]).astype(np.int8)):
+        sys = phc.ph(Q, (False, True))
+        assert sys.Q.dtype == sys.B.dtype == float
+        assert sys.d[0] == pytest.approx(2.0, rel=4 * EPS)
+    assert phc.ph(np.eye(2) + 0j, [0, 1]).Q.dtype == float
+
+
+def test_a_system_from_modes_is_in_williamson_coordinates():
+    sys = phc.ph(phc.modes([3.0, 1.0], [0.25, 4.0]))
+    assert np.array_equal(sys.d, [1.0, 3.0])
+    assert np.array_equal(sys.r, [4.0, 0.25])
+    assert np.array_equal(sys.Q, np.diag([1.0, 3.0, 1.0, 3.0]))
+    assert np.array_equal(sys.S, np.eye(4))
+    assert np.array_equal(sys.v, [2.0, 0.5, 0.0, 0.0])
+
+
+def test_the_modes_of_a_system_are_kept_not_computed_anew():
+    form = phc.modes([1.0, 2.0], [1.0, 1.0])
+    assert phc.ph(form).modes is form
+    assert phc.modes(form) is form
+    assert np.array_equal(phc.modes(phc.ph(form)).d, form.d)
+
+
+def test_an_almost_symmetric_matrix_is_accepted_up_to_rounding_and_not_beyond():
+    Q = np.diag([4.0, 1.0])
+    allowed = 1000 * 2 * EPS * 4.0
+    Q[0, 1] = 0.9 * allowed
+    assert phc.ph(Q, [0, 1]).n == 1
+    Q[0, 1] = 1.1 * allowed
+    with pytest.raises(phc.StructureError, match="Q is not symmetric"):
+        phc.ph(Q, [0, 1])
+
+
+@pytest.mark.parametrize("scale", [1e-150, 1e-9, 1e9, 1e150])
+def test_units_of_energy_do_not_matter(scale):
+    sys = phc.ph(scale * np.diag([4.0, 1.0]), [0.0, 1.0])
+    assert sys.d[0] == pytest.approx(2 * scale, rel=8 * EPS)
+    assert sys.r[0] == pytest.approx(0.5, rel=8 * EPS)
+
+
+def test_springs_and_masses_of_very_different_units_are_positive_definite():
+    sys = phc.ph(np.diag([1e12, 1e-12]), [0.0, 1.0])
+    assert sys.d[0] == pytest.approx(1.0, rel=8 * EPS)
+    assert len(sys.modes.rigid) == 0
