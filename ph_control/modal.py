@@ -162,7 +162,12 @@ class ModalForm:
         Returns
         -------
         ndarray, shape (m, m, N)
-            `G(s)`; `inf` at a pole and 0 at infinity, never NaN for points that are numbers.
+            `G(s)`; `inf` at a pole and 0 at infinity, never NaN.
+
+        Raises
+        ------
+        StructureError
+            If the points are not a vector of numbers.
 
         Notes
         -----
@@ -176,7 +181,13 @@ class ModalForm:
         >>> phc.modes(1.0, 2.0).evaluate([1.0])
         array([[[1.+0.j]]])
         """
-        points = np.atleast_1d(np.asarray(s, dtype=complex))
+        try:
+            points = np.atleast_1d(np.asarray(s, dtype=complex))
+        except (TypeError, ValueError) as error:
+            raise StructureError(f"the points are not complex numbers: {error}") from None
+        if points.ndim != 1 or np.isnan(points).any():
+            nan = int(np.isnan(points).sum())
+            raise StructureError(f"the points have shape {points.shape} and {nan} are NaN; give a vector of numbers")
         out = np.empty((self.nports, self.nports, points.size), complex)
         step = max(1, _CHUNK // max(1, self.n * self.nports))
         for start in range(0, points.size, step):
@@ -338,12 +349,19 @@ class ModalForm:
         ModalForm
             The minimal form; with m ports a frequency stays up to m times.
 
+        Raises
+        ------
+        StructureError
+            If `rtol` is negative, or no number.
+
         Examples
         --------
         >>> import ph_control as phc
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
         ModalForm(d=[1.], r=[0.75])
         """
+        if rtol is not None and not 0 <= rtol < 1:
+            raise StructureError(f"rtol is {rtol!r}; a relative tolerance is from 0 to 1")
         close = 8 * max(1, self.n) * _checks.EPS if rtol is None else rtol
         weight = np.linalg.norm(np.sqrt(self.d)[:, None] * self.nu, axis=1) ** 2
         live = weight > (0.0 if rtol is None else rtol * weight.max(initial=0.0))
@@ -435,6 +453,10 @@ def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:
     """Check `(d, r)` of a one-port, sort them, and make a modal form."""
     frequencies = _checks.natural_frequencies(d)
     weights = _checks.residue_weights(r, len(frequencies))
+    with np.errstate(over="ignore"):
+        largest = float(np.max(frequencies * weights, initial=0.0))
+    if np.isinf(largest):
+        raise StructureError("a residue d r exceeds the range of doubles; scale the output or time")
     order = np.argsort(frequencies, kind="stable")
     frequencies, weights = frequencies[order], weights[order]
     return ModalForm(frequencies, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights)

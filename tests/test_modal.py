@@ -186,6 +186,12 @@ def test_frequencies_that_are_no_real_numbers_are_refused(bad):
         phc.modes([1.0], [1.0]).freqresp([0.5, bad])
 
 
+@pytest.mark.parametrize("bad", [np.nan, complex(0, np.nan), "here", [[1j, 2j]], None])
+def test_points_that_are_no_vector_of_numbers_are_refused(bad):
+    with pytest.raises(phc.StructureError, match="the points"):
+        phc.modes([1.0], [1.0]).evaluate([1j, bad] if np.ndim(bad) == 0 else bad)
+
+
 # --- zeros ---------------------------------------------------------------------------------------------------------
 
 
@@ -343,6 +349,9 @@ def test_the_tolerance_of_the_minimal_form_is_relative_and_has_two_sides():
         weak = phc.modes(scale * np.array([1.0, 2.0]), [1.0, 1e-9])
         assert weak.minimal(rtol=4e-9).n == 1
         assert weak.minimal(rtol=1e-9).n == 2
+    for wrong in (-1e-9, 1.0, np.nan):
+        with pytest.raises(phc.StructureError, match="rtol is"):
+            phc.modes([1.0], [1.0]).minimal(rtol=wrong)
     bound = 8 * 2 * EPS
     assert not phc.modes([1.0, 1 + 0.5 * bound], [1.0, 1.0]).is_minimal
     assert phc.modes([1.0, 1 + 2 * bound], [1.0, 1.0]).is_minimal
@@ -430,6 +439,7 @@ def test_no_modes_are_the_zero_system():
         ([1.0], [np.inf], "r is not finite"),
         ([1.0 + 1j], [1.0], "d is complex: largest imaginary part 1"),
         (["fast"], [1.0], "d does not hold real numbers"),
+        ([1.0, 2.0], [1.0, 1e308], "a residue d r exceeds the range of doubles"),
     ],
 )
 def test_modes_say_what_is_wrong_with_their_input(d, r, message):
