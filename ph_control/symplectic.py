@@ -42,7 +42,7 @@ def symplectic_form(n: int) -> Array:
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    if not isinstance(n, int | np.integer) or n < 0:
+    if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 0:
         raise StructureError(f"n is {n!r}; the number of degrees of freedom is a whole number, not negative")
     J = np.zeros((2 * n, 2 * n))
     J[:n, n:] = np.eye(n)

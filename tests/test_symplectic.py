@@ -51,7 +51,7 @@ def test_the_symplectic_form_is_the_canonical_one():
         assert np.array_equal(apply_form(M), J @ M)
 
 
-@pytest.mark.parametrize("n", [-1, 2.5, "two", None])
+@pytest.mark.parametrize("n", [-1, 2.5, "two", None, True])
 def test_the_symplectic_form_refuses_what_counts_no_degrees_of_freedom(n):
     with pytest.raises(phc.StructureError, match="whole number, not negative"):
         phc.symplectic_form(n)
