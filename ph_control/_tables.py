@@ -148,19 +148,19 @@ def without_unit(label: str) -> str:
 def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
     name, lines = str(path), _lines(Path(path))
-    content = [k for k, line in enumerate(lines) if line.strip() and line.lstrip()[0] not in _COMMENTS]
+    content = _content(lines, None)
     if not content:
         found = "holds only comments" if any(line.strip() for line in lines) else "is empty"
         raise FileFormatError(f"{name} {found}; it needs rows of numbers")
-    announced = re.fullmatch(r'"?sep=(.)"?', lines[content[0]].strip())
+    announced = re.fullmatch(r'"?sep=(.)"? *', lines[content[0]])
     if announced:
-        delimiter, content = delimiter or announced[1], content[1:]
+        delimiter, lines[content[0]] = delimiter or announced[1], ""
+        content = content[1:]
     sample = [lines[k] for k in content[:_SAMPLE]]
     delimiter = _delimiter(sample, delimiter, decimal)
     if delimiter == "\t":
         # a line of tabs is a row of missing values, not a blank line
-        content = [k for k, line in enumerate(lines) if line.strip(" ") and line.lstrip()[:1] not in _COMMENTS]
-        content = content[1:] if announced else content
+        content = _content(lines, " ")
     while content and not lines[content[-1]].strip(delimiter + ' \t"'):
         content.pop()
     rows, numbers = [lines[k] for k in content], [k + 1 for k in content]
@@ -177,6 +177,11 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     if labels is None and header is None:
         labels = _labels_in_comment(lines, numbers[0] - 1, delimiter, width)
     return Table(name, labels and labels[:width], width, rows, numbers, delimiter, decimal)
+
+
+def _content(lines: list[str], blanks: str | None) -> list[int]:
+    """Indices of the lines that are neither blank nor comments."""
+    return [k for k, line in enumerate(lines) if line.strip(blanks) and not line.lstrip().startswith(_COMMENTS)]
 
 
 def _lines(path: Path) -> list[str]:

@@ -86,8 +86,10 @@ def assert_plain(data):
         "comments": "# made by hand\n% twice\n" + PLAIN.replace("\n", "\n  # here too\n"),
         "quoted labels": PLAIN.replace("t,u,y", '"t","u","y"'),
         "quoted numbers": PLAIN.replace("2.5", '"2.5"'),
+        "space before a quote": PLAIN.replace(",2.5", ', "2.5"'),
         "quoted decimal commas": 't,u,y\n0,"1,5",-2\n"0,1","2,5","3e-1"\n"0,2","-3,5",4\n',
         "separator announced": "sep=;\n" + PLAIN.replace(",", ";"),
+        "tab announced": "sep=\t\n" + PLAIN.replace(",", "\t"),
         "labels in a comment": "# from a logger\n# " + PLAIN,
         "integers before decimal commas": "t;u;y\n0;1,5;-2\n0,1;2,5;3e-1\n0,2;-3,5;4\n",
     }.items(),
@@ -105,6 +107,10 @@ def test_a_table_without_header_is_chosen_from_by_number(read):
     assert (data.input_labels, data.output_labels) == (["u[0]"], ["y[0]"])
 
 
+def test_separator_at_the_end_of_every_row_makes_no_column_in_a_table_without_header(read):
+    assert_plain(read(PLAIN.removeprefix("t,u,y\n").replace("\n", ",\n"), time=0))
+
+
 def test_layout_can_be_given_where_it_cannot_be_found(read):
     assert_plain(read(PLAIN.replace(",", "|"), delimiter="|"))
     assert_plain(read(PLAIN.replace(",", ";").replace(".", ","), delimiter=";", decimal=","))
@@ -113,6 +119,10 @@ def test_layout_can_be_given_where_it_cannot_be_found(read):
     assert_plain(numbers_as_labels)
     assert numbers_as_labels.output_labels == ["2"]
     assert read("t,u,y\n0,1,nan\n1,2,3\n", header=True).outputs[1] == 3
+
+
+def test_decimal_commas_between_spaces_are_not_separators(read):
+    assert read("0,5 1,5\n0,75 2,5\n", time=0, input=False).outputs.tolist() == [1.5, 2.5]
 
 
 def test_single_decimal_comma_is_one_number_only_where_the_comma_does_not_separate(read):
@@ -307,6 +317,13 @@ def test_times_in_few_digits_give_the_uniform_grid_they_stand_for(read):
         rows = "".join(f"{printed % (0.01 * k)},{k},{k}\n" for k in range(5000))
         data = read("t,u,y\n" + rows)
         assert (data.time == 0.01 * np.arange(5000)).all()
+
+
+@pytest.mark.parametrize("start", [1, 1000])
+def test_two_instants_have_the_step_in_their_digits_and_not_its_rounding(read, start):
+    first, second = f"{start}.1", f"{start}.4"
+    assert float(second) - float(first) != 0.3
+    assert read(f"t,u,y\n{first},1,2\n{second},1,2\n").time.tolist() == [float(first), float(first) + 0.3]
 
 
 def test_rate_that_is_a_whole_number_is_found_although_its_step_has_no_short_decimal(read):
