@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from scripts import ROOT, run
 
-ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def blocks(language: str) -> list[str]:
     """Code blocks of a language, in order."""
     return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.M | re.S)
-
-
-def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run Python in a folder as a newcomer would, without a display, every warning an error."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": path}
-    return subprocess.run(
-        [sys.executable, "-W", "error", *arguments], cwd=folder, env=environment, stdin=subprocess.DEVNULL,
-        capture_output=True, text=True,
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
