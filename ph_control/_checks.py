@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
+SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 
 
 def readonly(array: NDArray[Any]) -> NDArray[Any]:
@@ -42,6 +43,11 @@ def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
                 "pass its real part if that is meant"
             )
         raw = raw.real
+    if raw.ndim == 0 and raw.dtype.kind == "O":
+        raise StructureError(
+            f"{name} is of type {type(value).__name__}, not an array of numbers; pass an array (a sparse matrix by its "
+            "toarray())"
+        )
     if raw.dtype.kind not in "biuf":
         raise StructureError(f"{name} does not hold real numbers: its type is {raw.dtype}; pass an array of floats")
     array = np.array(raw, dtype=float)
@@ -67,11 +73,11 @@ def finite(name: str, array: NDArray[Any]) -> None:
 
 
 def in_range(name: str, array: Array) -> None:
-    """Refuse entries whose products would overflow."""
+    """Refuse an array, other than zero, of a size whose square or reciprocal leaves the range of doubles."""
     size = float(np.max(np.abs(array), initial=0.0))
-    if size > LARGEST:
+    if size > LARGEST or 0 < size < SMALLEST:
         raise StructureError(
-            f"{name} is out of range: its largest entry is {size:.3g}, allowed {LARGEST:.0e}; "
+            f"{name} is out of range: its largest entry is {size:.3g}, allowed {SMALLEST:.0e} to {LARGEST:.0e}; "
             "choose other units of time or amplitude"
         )
 

@@ -43,15 +43,17 @@ def lossless_modes(sys: Any) -> ModalForm:
     """
     if isinstance(sys, scipy.signal.lti):
         return decide(_from_scipy(sys))
+    if isinstance(sys, scipy.signal.dlti) or (isinstance(sys, ct.lti.LTI) and sys.isdtime(strict=True)):
+        raise NotLosslessError(
+            [
+                f"the system is discrete-time (dt = {sys.dt}), needed continuous time: identify or convert it to "
+                "continuous time first"
+            ]
+        )
     if not isinstance(sys, ct.StateSpace | ct.TransferFunction):
         raise StructureError(
-            f"a {type(sys).__name__} has no port-Hamiltonian form; pass a StateSpace, a TransferFunction, "
-            "a zero-pole-gain system, a ModalForm, or the matrices Q and B"
-        )
-    if sys.isdtime(strict=True):
-        raise StructureError(
-            f"the system is discrete-time (dt = {sys.dt}); a port-Hamiltonian system is continuous-time: "
-            "convert it to continuous time first"
+            f"no port-Hamiltonian form of an object of type {type(sys).__name__}; pass a StateSpace, a "
+            "TransferFunction, a zero-pole-gain system, a ModalForm, or the matrices Q and B"
         )
     _ports(sys.noutputs, sys.ninputs)
     if isinstance(sys, ct.StateSpace):
@@ -67,9 +69,8 @@ def lossless_modes(sys: Any) -> ModalForm:
 
 def _ports(noutputs: int, ninputs: int) -> None:
     if noutputs != ninputs:
-        raise StructureError(
-            f"the system has {ninputs} inputs and {noutputs} outputs; a port-Hamiltonian system has as many outputs "
-            "as inputs, each pair a port"
+        raise NotLosslessError(
+            [f"the system has {ninputs} inputs and {noutputs} outputs, needed as many of both: each pair is a port"]
         )
     if ninputs == 0:
         raise StructureError("the system has no inputs; a port-Hamiltonian system needs at least one port")

@@ -461,7 +461,7 @@ def _inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds
     for kind in kinds:
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             kept[kind] = getattr(source, kind[:-1] + "_labels")
-    return kept | {key: value for key, value in names.items() if value is not None}
+    return kept | {key: value for key, value in names.items() if value is not None or key not in kept}
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is in no normal form
