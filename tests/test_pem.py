@@ -465,3 +465,36 @@ def test_a_result_whose_file_was_changed_is_refused(tmp_path, field, value, mess
     path.write_text(json.dumps(document))
     with pytest.raises(phc.FileFormatError, match=message):
         phc.load(path)
+
+
+# --- records at the edge ----------------------------------------------------------------------------------------------
+
+
+def test_quality_of_a_fit_to_a_handful_of_samples_is_not_judged():
+    rng = np.random.default_rng(0)
+    result = phc.pem((rng.standard_normal(12), rng.standard_normal(12)), 2, dt=1.0)
+    assert "only 4 samples more than the model has unknowns" in result.message
+    assert "white" not in result.message
+
+
+def test_constant_output_is_held_against_its_own_size():
+    result = phc.pem((np.random.default_rng(0).standard_normal(300), np.ones(300)), 1, dt=1.0)
+    assert -100 < result.fit_percent <= 100
+
+
+@pytest.mark.parametrize("factor", [1e150, 1e-150])
+def test_signals_whose_squares_leave_the_range_of_doubles_are_refused(factor):
+    with pytest.raises(phc.StructureError, match="the output is of size.*choose another unit"):
+        phc.pem((GOOD[0], factor * GOOD[1]), dt=0.1)
+    with pytest.raises(phc.StructureError, match="the input is of size.*choose another unit"):
+        phc.pem((factor * GOOD[0], GOOD[1]), dt=0.1)
+
+
+def test_euler_fit_of_white_noise_does_not_overflow():
+    u = np.random.default_rng(0).standard_normal(500)
+    assert phc.pem((u, u), 2, dt=1.0, method="euler").order == 2
+
+
+def test_plant_at_rest_needs_fewer_samples():
+    with pytest.raises(phc.IdentificationError, match="one mode alone has 2 unknowns, so at least 3"):
+        phc.pem(([1.0, 2.0], [0.0, 1.0]), dt=1.0, initial_state="zero")

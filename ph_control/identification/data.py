@@ -14,6 +14,8 @@ from ..exceptions import IdentificationError, StructureError
 
 Array = NDArray[np.float64]
 
+_LARGEST = 1e100  # of a signal whose squares are summed
+
 
 @dataclass(frozen=True)
 class Record:
@@ -111,4 +113,11 @@ def _checked(time: Array, dt: float, u: Array, y: Array, input_label: str, outpu
         raise StructureError(f"the input has {len(u)} samples and the output {len(y)}; they must be of one length")
     if len(u) < 2:
         raise IdentificationError(f"the record has {len(u)} sample{'s' * (len(u) != 1)}; a fit needs at least 5")
+    for name, signal in (("input", u), ("output", y)):
+        size = float(np.nanmax(np.abs(signal), initial=0.0))
+        if size and not 1 / _LARGEST < size < _LARGEST:
+            raise StructureError(
+                f"the {name} is of size {size:.3g}, and its square is near the end of the range of doubles; allowed is "
+                f"{1 / _LARGEST:g} to {_LARGEST:g}: choose another unit"
+            )
     return Record(time, dt, u, y, input_label, output_label)

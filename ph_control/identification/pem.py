@@ -136,7 +136,8 @@ class _Stage:
 def _check_order(problem: Problem, order: int | str, max_order: int) -> int:
     """Largest order to try."""
     observed = len(problem.target)
-    carried = max(0, (observed - 1) // (2 if problem.from_rest else 4))
+    unknowns = problem.unknowns
+    carried = max(0, (observed - 1) // unknowns)
     for name, value in (("order", order), ("max_order", max_order)):
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
         if not (whole or (name == "order" and value == "auto")):
@@ -144,14 +145,14 @@ def _check_order(problem: Problem, order: int | str, max_order: int) -> int:
             raise StructureError(f"{name} is {value!r}; it must be {allowed}")
     if carried == 0:
         raise IdentificationError(
-            f"the record has {observed} observed output samples; one mode alone has 4 unknowns, so at least 5 are "
-            "needed"
+            f"the record has {observed} observed output samples; one mode alone has {unknowns} unknowns, so "
+            f"at least {unknowns + 1} are needed"
         )
     if order == "auto":
         return int(min(max_order, carried))
     if int(order) > carried:
         raise IdentificationError(
-            f"order {order} has {4 * int(order)} unknowns, more than the {observed} observed samples can carry; "
+            f"order {order} has {unknowns * int(order)} unknowns, more than the {observed} observed samples can carry; "
             f"the largest order for this record is {carried}"
         )
     return int(order)
@@ -211,7 +212,7 @@ def _stage(problem: Problem, projection: Projection, iterations: int, converged:
 def _criteria(problem: Problem, loss: float, n: int) -> tuple[float, float, float]:
     """Gaussian log-likelihood at the best noise variance, AIC and BIC; the noise variance counts as a parameter."""
     samples = len(problem.target)
-    parameters = (2 if problem.from_rest else 4) * n + 1
+    parameters = problem.unknowns * n + 1
     variance = max(loss / samples, np.finfo(float).tiny)
     loglik = -0.5 * samples * (np.log(2 * np.pi * variance) + 1)
     return loglik, 2 * parameters - 2 * loglik, parameters * np.log(samples) - 2 * loglik
@@ -241,13 +242,13 @@ def _result(
     state = state_from_amplitudes(modes, amplitudes + np.concatenate([jump, 0j * pads]))
     predicted = at.regressors.columns() @ coefficients
     residuals = record.y - predicted
-    centred = problem.target - problem.target.mean()
     loglik, aic, bic = _criteria(problem, at.loss, n)
     noiseless = at.loss <= _rounding_floor(problem)
     verdict = Verdict(
         n=n,
         order=order,
-        fit_percent=100.0 * (1 - np.sqrt(at.loss / max(float(centred @ centred), np.finfo(float).tiny))),
+        spare=len(problem.target) - problem.unknowns * n,
+        fit_percent=_fit_percent(problem.target, at.loss),
         active=tuple(int(l) for l in np.flatnonzero(~free)),
         deficiency=at.rank_deficiency,
         whiteness=1.0 if noiseless else ljung_box(residuals, min(20, len(problem.target) // 5)),
@@ -282,6 +283,15 @@ def _result(
         predicted=predicted,
         residuals=residuals,
     )
+
+
+def _fit_percent(y: Array, loss: float) -> float:
+    """`100 (1 - |residual| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
+    centred = y - y.mean()
+    power = float(centred @ centred)
+    if power <= len(y) * (_checks.EPS * np.max(np.abs(y))) ** 2:
+        power = float(y @ y)
+    return 100.0 * (1 - float(np.sqrt(loss / power)))
 
 
 def _placeholders(d: Array, count: int) -> Array:

@@ -20,6 +20,8 @@ from ..propagation import Step, input_weights, phi_functions, simulate, step_fac
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_LARGEST_GROWTH = 1e50  # of a mode over a record, where the method makes modes grow
+
 
 @dataclass(frozen=True)
 class Hold:
@@ -41,10 +43,11 @@ class Hold:
             return 2.0 / self.h * np.tan(0.5 * phase)
         return np.tan(phase) / self.h if self.method == "euler" else phase / self.h
 
-    @property
-    def largest_phase(self) -> float:
-        """Largest phase per step that a mode can have."""
-        return 0.5 * np.pi if self.method == "euler" else np.pi
+    def largest_phase(self, samples: int) -> float:
+        """Largest phase per step of a mode; Euler's modes grow, and must not overflow within the record."""
+        if self.method == "euler":
+            return float(np.arccos(np.exp(-np.log(_LARGEST_GROWTH) / samples)))
+        return np.pi
 
     def log_derivative(self, d: Array) -> ComplexArray:
         """Derivative of `log lambda` by `d`."""

@@ -43,6 +43,16 @@ class Problem:
         """Spacing of the discrete Fourier frequencies, rad per unit time: the width of a basin of the loss."""
         return 2 * np.pi / (len(self.u) * self.hold.h)
 
+    @property
+    def unknowns(self) -> int:
+        """Parameters of one mode: `d`, `kappa`, and the initial state where it is estimated."""
+        return 2 if self.from_rest else 4
+
+    @property
+    def largest_phase(self) -> float:
+        """Largest phase per step that is searched."""
+        return self.hold.largest_phase(len(self.u)) * (1 - 1e-9)
+
     def project(self, d: Array) -> Projection:
         """Best residues and initial states for frequencies `d`."""
         return Projection(self, d, regressors(d, self.u, self.hold))
@@ -91,8 +101,8 @@ class Projection:
         return free
 
     @cached_property
-    def _solution(self) -> tuple[Array, Array, Array, int]:
-        """Coefficients in original units, orthonormal basis of the free columns, their pseudo-inverse, and the rank."""
+    def _solution(self) -> tuple[Array, Array, Array]:
+        """Coefficients in original units, orthonormal basis of the free columns, and their pseudo-inverse."""
         Q, R, lengths = self._factors
         coefficients = np.zeros(R.shape[1])
         U, sigma, Vt = np.linalg.svd(R[:, self.free], full_matrices=False)
@@ -100,7 +110,7 @@ class Projection:
         basis = Q @ U[:, kept]
         inverse = (Vt[kept].T / sigma[kept]) / lengths[self.free, None]
         coefficients[self.free] = inverse @ (basis.T @ self.problem.target)
-        return coefficients, basis, inverse, int(kept.sum())
+        return coefficients, basis, inverse
 
     @property
     def coefficients(self) -> Array:
@@ -114,7 +124,8 @@ class Projection:
     @property
     def rank_deficiency(self) -> int:
         """How many combinations of residues and initial states the data do not show at all."""
-        return int(self.free.sum()) - self._solution[3]
+        sigma = np.linalg.svd(self._factors[1], compute_uv=False)
+        return int(np.sum(sigma <= max(self._columns.shape) * EPS * sigma.max(initial=0.0)))
 
     @cached_property
     def residual(self) -> Array:
@@ -137,7 +148,7 @@ class Projection:
     def jacobian(self) -> Array:
         """Exact derivative of the residual by the frequencies, the eliminated coefficients moving along."""
         n = len(self.d)
-        _, basis, inverse, _ = self._solution
+        _, basis, inverse = self._solution
         direct = self.sensitivity - basis @ (basis.T @ self.sensitivity)
         # second term of Golub and Pereyra: how the projector turns
         inner = (self._slopes.T @ self.residual).reshape(-1, n)
@@ -180,7 +191,7 @@ def refine(
         return Refinement(current, 0, True)
     damping, growth = 1e-3, 2.0
     iterations, converged = 0, False
-    ceiling = problem.hold.frequency_of(np.array([problem.hold.largest_phase * (1 - 1e-12)]))[0]
+    ceiling = problem.hold.frequency_of(np.array([problem.largest_phase]))[0]
     gradient, gram = _normal_equations(current)
     while not converged and iterations < max_iterations:
         iterations += 1

@@ -40,7 +40,7 @@ class Screen:
         self.U = np.fft.rfft(problem.u)
         places = (np.arange(self.half + 1)[:, None] + _OFFSETS).ravel()
         phase = 2 * np.pi * places / samples
-        usable = (places > 0) & (phase < problem.hold.largest_phase * (1 - 1e-9))
+        usable = (places > 0) & (phase < problem.largest_phase)
         self.places, self.phase = places[usable], phase[usable]
         self.starts = range(0, len(self.places), _BATCH)
         self.kept: dict[int, Batch] = {}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 _WHITE = 1e-3  # p-value below which residuals are called coloured
 _GOOD_FIT = 90.0  # percent
+_FEW = 20  # samples to spare below which nothing is said of the quality
 
 
 @dataclass(frozen=True)
@@ -14,6 +15,7 @@ class Verdict:
 
     n: int
     order: int
+    spare: int
     fit_percent: float
     active: tuple[int, ...]
     deficiency: int
@@ -48,7 +50,7 @@ class Verdict:
                 "better yet, as they do where one damped mode is mimicked by many lossless ones; raise max_order or "
                 "doubt the model."
             )
-        if self.active:
+        if self.active and not self.deficiency:
             listed = ", ".join(str(l + 1) for l in self.active)
             parts.append(
                 f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: there the "
@@ -65,6 +67,11 @@ class Verdict:
                 f"With a fit of {self.fit_percent:.1f} % a collocated lossless velocity model does not describe this "
                 "record: suspect damping, a sensor away from the actuator, or an output that is not the velocity "
                 "(displacement, acceleration)."
+            )
+        if self.spare < _FEW and not self.noiseless:
+            parts.append(
+                f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
+                "its quality cannot be judged."
             )
         if not parts:
             parts.append(
