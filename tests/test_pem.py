@@ -266,6 +266,16 @@ def test_time_response_data_and_arrays_give_the_same():
     assert np.array_equal(from_data.record.time, t)
 
 
+def test_labels_that_python_control_does_not_take_as_names_are_adapted():
+    _, u, y, _ = record_of([0.5], [1.0], samples=100)
+    data = ct.TimeResponseData(
+        0.1 * np.arange(100), y, inputs=u, issiso=True, input_labels=["F [0.1 N]"], output_labels=["v.1"]
+    )
+    result = phc.pem(data, 1)
+    assert result.system.input_labels == ["F [0_1 N]"] and result.system.output_labels == ["v_1"]
+    assert "'v.1' from 'F [0.1 N]'" in result.summary()
+
+
 def test_inputs_of_the_call_are_not_modified_and_results_are_locked():
     _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
     before = u.copy(), y.copy()
@@ -484,9 +494,9 @@ def test_constant_output_is_held_against_its_own_size():
 
 @pytest.mark.parametrize("factor", [1e150, 1e-150])
 def test_signals_whose_squares_leave_the_range_of_doubles_are_refused(factor):
-    with pytest.raises(phc.StructureError, match="the output is of size.*choose another unit"):
+    with pytest.raises(phc.StructureError, match=r"the output is of size.*choose another unit"):
         phc.pem((GOOD[0], factor * GOOD[1]), dt=0.1)
-    with pytest.raises(phc.StructureError, match="the input is of size.*choose another unit"):
+    with pytest.raises(phc.StructureError, match=r"the input is of size.*choose another unit"):
         phc.pem((factor * GOOD[0], GOOD[1]), dt=0.1)
 
 

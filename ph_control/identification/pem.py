@@ -259,7 +259,7 @@ def _result(
     if verdict.deficiency:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
     return PEMResult(
-        system=PortHamiltonian._from_modes(modes, inputs=[record.input_label], outputs=[record.output_label]),
+        system=_named_system(modes, record),
         initial_state=state,
         free_amplitudes=amplitudes,
         covariance=in_user_parameters(covariance, modes, amplitudes, free, n),
@@ -283,6 +283,12 @@ def _result(
         predicted=predicted,
         residuals=residuals,
     )
+
+
+def _named_system(modes: ModalForm, record: Record) -> PortHamiltonian:
+    """System with the labels of the record; python-control takes no dots in names."""
+    labels = (record.input_label.replace(".", "_"), record.output_label.replace(".", "_"))
+    return PortHamiltonian._from_modes(modes, inputs=[labels[0]], outputs=[labels[1]])
 
 
 def _fit_percent(y: Array, loss: float) -> float:
