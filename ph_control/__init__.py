@@ -2,6 +2,7 @@
 
 from .exceptions import (
     FileFormatError,
+    FileMissingError,
     IdentifiabilityWarning,
     IdentificationError,
     NotLosslessError,

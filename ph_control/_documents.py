@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .exceptions import FileFormatError, OutputExistsError, PHControlError
+from .exceptions import FileFormatError, FileMissingError, OutputExistsError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,10 +27,6 @@ ComplexArray = NDArray[np.complex128]
 FORMAT = "ph_control"
 SCHEMA = 1
 _NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-
-
-class FileMissingError(PHControlError, FileNotFoundError):
-    """A file to be read, or the folder of a file to be written, does not exist."""
 
 
 # --- values to JSON ----------------------------------------------------------------------------------------------

@@ -55,6 +55,10 @@ class FileFormatError(StructureError):
     """A file is not what it should be: damaged, of another kind, or of a newer schema."""
 
 
+class FileMissingError(PHControlError, FileNotFoundError):
+    """A file to be read, or the folder of a file to be written, does not exist."""
+
+
 class OutputExistsError(PHControlError, FileExistsError):
     """The file to be written exists already and overwriting was not asked for."""
 

@@ -1,8 +1,12 @@
 """What every test shares: no test may change global state, and where third-party data lies."""
 
+import os
 from pathlib import Path
 
-import control
+# the matrices of the tests are small: threads of the linear algebra would only wait for one another
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import control  # noqa: E402
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
