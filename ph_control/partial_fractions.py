@@ -107,34 +107,47 @@ class _Block:
 
 
 def _spectral_blocks(A: Array, B: Array, C: Array, backward: float) -> list[_Block]:
-    """One block for each eigenvalue; one for each cluster of eigenvalues where eigenvectors nearly coincide."""
+    """One block for each eigenvalue; one for several that rounding does not tell apart."""
     T, Z = schur(A, output="complex")
     # of a triangular matrix: the eigenvalues come in the order of its diagonal
     values, left, right = eig(T, left=True, right=True)
-    B, C = Z.conj().T @ B, C @ Z
+    to_modes, from_modes = Z.conj().T @ B, C @ Z
     overlap = np.sum(left.conj() * right, axis=0)
     separation = np.maximum(np.abs(overlap), _checks.EPS)
     # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
     radius = np.minimum(backward / separation, _checks.EPS**0.25 * np.linalg.norm(A))
     blocks = []
     for group in clusters(values, 4 * radius):
-        while len(group) and separation[group].min() < len(A) * _PARALLEL:
+        if len(group) == 1 and separation[group[0]] > len(A) * _PARALLEL:
+            l = group[0]
+            inputs = left[None, :, l].conj() @ to_modes / overlap[l]
+            blocks.append(
+                _Block(values[l], np.zeros((1, 1), complex), from_modes @ right[:, [l]], inputs, separation[l])
+            )
+            continue
+        # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
+        while len(group):
             worst = values[group[separation[group].argmin()]]
             group = group[np.abs(values[group] - worst).argsort()]
-            joint = _well_separated_block(T, B, C, group)
-            blocks.append(joint)
-            group = group[len(joint.N) :]
-        for l in group:
-            inputs = left[None, :, l].conj() @ B / overlap[l]
-            blocks.append(_Block(values[l], np.zeros((1, 1), complex), C @ right[:, [l]], inputs, separation[l]))
+            blocks.append(_well_separated_block(T, to_modes, from_modes, group, backward))
+            group = group[len(blocks[-1].N) :]
     return blocks
 
 
-def _well_separated_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
-    """Fewest of these eigenvalues, from the first on, whose block is about as well separated as any of them gives."""
-    candidates = [_joint_block(T, B, C, group[:k]) for k in range(1, len(group) + 1)]
-    best = max(block.separation for block in candidates)
-    return next(block for block in candidates if block.separation >= 0.1 * best)
+def _well_separated_block(
+    T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp], backward: float
+) -> _Block:
+    """Fewest of these eigenvalues, from the first on, whose block is about as well separated as that of all."""
+    whole = _joint_block(T, B, C, group)
+    values = np.diag(T)[group]
+    for k in range(1, len(group)):
+        gap = np.abs(values[:k, None] - values[k:]).min()
+        # nothing parts eigenvalues that coincide
+        if gap > SAFETY * backward:
+            part = _joint_block(T, B, C, group[:k])
+            if part.separation >= 0.1 * whole.separation and gap > SAFETY * backward / part.separation:
+                return part
+    return whole
 
 
 def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
