@@ -127,7 +127,7 @@ def pem(
 class _Stage:
     """One order of the forward path."""
 
-    projection: Projection
+    d: Array
     row: OrderRow
     iterations: int
     converged: bool
@@ -173,23 +173,24 @@ def _forward_path(
     problem: Problem, largest: int, automatic: bool, callback: Callable[[Progress], Any] | None
 ) -> list[_Stage]:
     """Add one mode at a time and refine all; with `automatic`, stop when BIC has ceased to improve."""
-    path = [_stage(problem, problem.project(np.zeros(0)), 0, True)]
+    current = problem.project(np.zeros(0))
+    path = [_stage(problem, current, 0, True)]
     floor = _rounding_floor(problem)
     screen = Screen(problem)
     for order in range(1, largest + 1):
-        before = path[-1].projection
-        if before.loss <= floor:
+        if current.loss <= floor:
             break
         residual = np.zeros(len(problem.y))
-        residual[problem.observed] = before.residual
-        start = np.append(before.d, screen.strongest(residual))
+        residual[problem.observed] = current.residual
+        start = np.append(current.d, screen.strongest(residual))
 
         def report(iteration: int, loss: float, order: int = order) -> None:
             if callback is not None:
                 callback(Progress(order, largest, iteration, loss / len(problem.target)))
 
         refined = refine(problem, start, rtol=1e-9, progress=report)
-        path.append(_stage(problem, refined.projection, refined.iterations, refined.converged))
+        current = refined.projection
+        path.append(_stage(problem, current, refined.iterations, refined.converged))
         best = min(range(len(path)), key=lambda k: path[k].row.bic)
         if automatic and order - best >= _PATIENCE:
             break
@@ -206,7 +207,7 @@ def _stage(problem: Problem, projection: Projection, iterations: int, converged:
     n = len(projection.d)
     _, aic, bic = _criteria(problem, projection.loss, n)
     row = OrderRow(n, projection.loss / len(problem.target), aic, bic, np.sort(projection.d))
-    return _Stage(projection, row, iterations, converged)
+    return _Stage(projection.d, row, iterations, converged)
 
 
 def _criteria(problem: Problem, loss: float, n: int) -> tuple[float, float, float]:
@@ -222,7 +223,7 @@ def _result(
     problem: Problem, record: Record, chosen: _Stage, path: list[_Stage], order: int, at_limit: bool
 ) -> PEMResult:
     """Sort the modes, convert to `(d, r, initial state)`, and judge."""
-    best = refine(problem, chosen.projection.d, rtol=1e-15)
+    best = refine(problem, chosen.d, rtol=1e-15)
     at = best.projection
     n = len(at.d)
     rank = np.argsort(at.d)
