@@ -6,7 +6,7 @@ from pathlib import Path
 # the matrices of the tests are small: threads of the linear algebra would only wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import control  # noqa: E402
+import control
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
