@@ -422,7 +422,7 @@ BAD = {
         "the input is not finite: 1 of 3 .* first at index 1",
     ),
     "complex input": (lambda: phc.forced_response(ONE, T3, [1.0, 1j, 2.0]), "the input is complex"),
-    "no input": (lambda: phc.forced_response(ONE, T3, None), "the input does not hold real numbers"),
+    "no input": (lambda: phc.forced_response(ONE, T3, None), "the input is of type NoneType, not an array of numbers"),
     "long state": (
         lambda: phc.initial_response(ONE, T3, np.ones(5)),
         r"initial state has shape \(5,\); the system has 4 states",
