@@ -74,7 +74,8 @@ class PortHamiltonian(ct.StateSpace):
     -----
     The matrices are computed on first access, locked, and never copied from user arrays that may change.
     Frequency responses, poles and zeros run on modal coordinates.  `+` of two PH systems and multiplication by a
-    positive number stay PH; `0 + sys` is `sys`; every other operation gives a plain `StateSpace`.
+    positive number stay PH; `0 + sys` is `sys`; every other operation gives a plain `StateSpace`, or what a
+    `TransferFunction` on its left makes of it.
 
     Examples
     --------
