@@ -130,7 +130,7 @@ def bode_plot(
         if title is None and ax is None:
             title = numbers.title
         if title:
-            figure.suptitle(title)
+            figure.suptitle(_plain(title))
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
@@ -189,19 +189,26 @@ def _draw_curves(axis: Axes, curves: list[Curve], values: list[Array], unit: flo
     for k, (curve, value) in enumerate(zip(curves, values, strict=True)):
         # broken lines after the first, so that equal curves are all seen
         style = _STYLES[k % len(_STYLES)]
-        lines += axis.plot(curve.omega / unit, value, label=curve.label, linestyle=style, linewidth=1.4, zorder=3)
+        lines += axis.plot(
+            curve.omega / unit, value, label=_plain(curve.label), linestyle=style, linewidth=1.4, zorder=3
+        )
     return lines
 
 
 def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[Any]:
     omega = measured.omega / unit
     if measured.doubtful is None or not measured.doubtful.any():
-        return axis.plot(omega, values, label=measured.label, zorder=2.2, **_DOTS)
+        return axis.plot(omega, values, label=_plain(measured.label), zorder=2.2, **_DOTS)
     sure = ~measured.doubtful
     return [
-        *axis.plot(omega[sure], values[sure], label=measured.label, zorder=2.2, **_DOTS),
+        *axis.plot(omega[sure], values[sure], label=_plain(measured.label), zorder=2.2, **_DOTS),
         *axis.plot(omega[~sure], values[~sure], label="coherence below 0.5", zorder=2.1, **_PALE_DOTS),
     ]
+
+
+def _plain(text: str) -> str:
+    """Text that matplotlib shows as it is: two dollar signs would make a formula of what is between them."""
+    return str(text).replace("$", r"\$")
 
 
 def _label_bode(axes: NDArray[Any], numbers: BodeData, Hz: bool, gain_unit: str | None) -> None:
@@ -213,12 +220,13 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, Hz: bool, gain_unit: str 
         axis.grid(True, which="major", linewidth=0.5, alpha=0.6)
         axis.grid(True, which="minor", axis="x", linewidth=0.3, alpha=0.35)
         if j == 0:
-            decibels = f"Magnitude [dB re 1 {gain_unit}]" if gain_unit else "Magnitude [dB]"
+            decibels = f"Magnitude [dB re 1 {_plain(gain_unit)}]" if gain_unit else "Magnitude [dB]"
             axis.set_ylabel("Phase [deg]" if row % 2 else decibels)
         if row == rows - 1:
             axis.set_xlabel("Frequency [Hz]" if Hz else "Frequency [rad/s]")
         if (rows > 2 or columns > 1) and row % 2 == 0:
-            axis.set_title(f"{numbers.input_labels[j]} to {numbers.output_labels[row // 2]}", loc="left")
+            channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // 2]}"
+            axis.set_title(_plain(channel), loc="left")
 
 
 def _legend_above(axis: Axes) -> Any:
@@ -293,21 +301,21 @@ def fit_plot(
     >>> plt.close(plot.figure)
     """
     numbers = _fit_data(time, measured, predicted, detail)
-    quantity = f"{output_label} [{output_unit}]"
+    quantity = _plain(f"{output_label} [{output_unit}]")
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
         figure, axes = _fit_axes(numbers.detail is not None)
         lines = np.empty(axes.shape, dtype=object)
         lines[0, 0] = _draw_record(axes[0, 0], numbers, fit_percent)
         lines[1, 0] = _draw_residual(axes[1, 0], numbers, output_unit)
-        for axis, name in zip(axes[:, 0], (quantity, f"Residual\n[{output_unit}]", quantity), strict=False):
+        for axis, name in zip(axes[:, 0], (quantity, _plain(f"Residual\n[{output_unit}]"), quantity), strict=False):
             axis.set_ylabel(name)
             axis.grid(True, linewidth=0.5, alpha=0.6)
         if numbers.detail is not None:
             lines[2, 0] = _draw_detail(axes[2, 0], axes[0, 0], numbers, detail)
         for axis in axes[1:, 0]:
-            axis.set_xlabel(f"Time [{time_unit}]")
+            axis.set_xlabel(_plain(f"Time [{time_unit}]"))
         legend = np.array([[_legend_above(axis)] for axis in axes[:, 0]], dtype=object)
-        figure.suptitle(f"{output_label}, measured and predicted" if title is None else title)
+        figure.suptitle(_plain(f"{output_label}, measured and predicted" if title is None else title))
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
@@ -401,7 +409,7 @@ def _draw_record(axis: Axes, numbers: _FitData, fit_percent: float | None) -> li
 
 def _draw_residual(axis: Axes, numbers: _FitData, unit: str) -> list[Any]:
     axis.text(
-        0.995, 1.0, f"RMS {numbers.residual_rms:.3g} {unit}", transform=axis.transAxes, ha="right", va="bottom",
+        0.995, 1.0, _plain(f"RMS {numbers.residual_rms:.3g} {unit}"), transform=axis.transAxes, ha="right", va="bottom",
         fontsize=plt.rcParams["legend.fontsize"],
     )  # fmt: skip
     axis.axhline(0.0, color="0.3", linewidth=0.6, zorder=1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.text import Text
 
 import ph_control as phc
 from ph_control import StructureError
@@ -312,6 +313,34 @@ def test_with_several_ports_the_antiresonances_of_every_entry_are_resolved():
         w, level = plot.lines[2 * i, i][0].get_data()
         for zero in alone.zeros().imag[alone.zeros().imag > 0]:
             assert level[np.argmin(np.abs(w - zero))] < plot.axes[2 * i, i].get_ylim()[0]
+
+
+def drawn_texts(figure):
+    """What matplotlib draws of each text: with the dollar signs that it takes for a formula still in their formula."""
+    figure.canvas.draw()
+    parsed = [(text, text._preprocess_math(text.get_text())) for text in figure.findobj(Text)]
+    return {string for text, (string, formula) in parsed if text.get_text() and formula is not True}
+
+
+HOSTILE = "v_{$ [m/s] 5$ \\$"
+
+
+def test_dollar_signs_in_names_labels_and_units_of_a_bode_plot_are_drawn_as_they_are():
+    one = phc.ph(phc.modes(1.0, 1.0), name=HOSTILE)
+    data = record(one, 1024, noise=2.0)
+    texts = drawn_texts(bode_plot(one, data=data, data_label="$a$", gain_unit="$b$").figure)
+    assert {HOSTILE, "Bode plot of " + HOSTILE, "$a$", "Magnitude [dB re 1 $b$]"} <= texts
+    two = ct.ss(spring_chain([1.0, 2.0], 1.0, ground=1.0, port=[0, 1]), inputs=["F$", "G"], outputs=["v$", HOSTILE])
+    texts = drawn_texts(bode_plot([two, two], label=["$c$", "d$$"], title="$e$").figure)
+    assert {"F$ to v$", "G to " + HOSTILE, "$c$", "d$$", "$e$"} <= texts
+
+
+def test_dollar_signs_in_the_labels_of_a_fit_plot_are_drawn_as_they_are():
+    signals = [0.0, 1.0], [1.0, 2.0], [1.0, 1.0]
+    texts = drawn_texts(fit_plot(*signals, output_label=HOSTILE, output_unit="$x$", time_unit="$y$").figure)
+    expected = {HOSTILE + " [$x$]", "Residual\n[$x$]", "RMS 0.707 $x$", "Time [$y$]"}
+    assert expected | {HOSTILE + ", measured and predicted"} <= texts
+    assert "$z$" in drawn_texts(fit_plot(*signals, title="$z$").figure)
 
 
 # --- measurements in the Bode plot ---
