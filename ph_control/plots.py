@@ -252,7 +252,7 @@ def fit_plot(
     fit_percent: float | None = None,
     time_unit: str = "s",
     output_label: str = "Output",
-    output_unit: str = "record units",
+    output_unit: str | None = None,
     detail: str | ArrayLike | None = "auto",
     title: str | None = None,
 ) -> ct.ControlPlot:
@@ -268,8 +268,10 @@ def fit_plot(
         Fit to show in the legend, in percent.
     time_unit : str
         Unit of time, for the label of the axis.
-    output_label, output_unit : str
-        Name and unit of the output, for the labels.
+    output_label : str
+        Name of the output, for the labels.
+    output_unit : str, optional
+        Its unit, for the labels; by default they have none.
     detail : {'auto'}, or array_like of shape (2,), or None
         Part of the record to enlarge in a panel of its own: from one instant to another, or none.  By default about
         8 periods of the strongest oscillation where the residual is largest, if the record is much longer than that.
@@ -301,13 +303,14 @@ def fit_plot(
     >>> plt.close(plot.figure)
     """
     numbers = _fit_data(time, measured, predicted, detail)
-    quantity = _plain(f"{output_label} [{output_unit}]")
+    suffix = f"[{output_unit}]" if output_unit else ""
+    quantity, residual = (_plain(name.strip()) for name in (f"{output_label} {suffix}", f"Residual\n{suffix}"))
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
         figure, axes = _fit_axes(numbers.detail is not None)
         lines = np.empty(axes.shape, dtype=object)
         lines[0, 0] = _draw_record(axes[0, 0], numbers, fit_percent)
-        lines[1, 0] = _draw_residual(axes[1, 0], numbers, output_unit)
-        for axis, name in zip(axes[:, 0], (quantity, _plain(f"Residual\n[{output_unit}]"), quantity), strict=False):
+        lines[1, 0] = _draw_residual(axes[1, 0], numbers, output_unit or "")
+        for axis, name in zip(axes[:, 0], (quantity, residual, quantity), strict=False):
             axis.set_ylabel(name)
             axis.grid(True, linewidth=0.5, alpha=0.6)
         if numbers.detail is not None:
@@ -408,8 +411,9 @@ def _draw_record(axis: Axes, numbers: _FitData, fit_percent: float | None) -> li
 
 
 def _draw_residual(axis: Axes, numbers: _FitData, unit: str) -> list[Any]:
+    size = _plain(f"RMS {numbers.residual_rms:.3g} {unit}".strip())
     axis.text(
-        0.995, 1.0, _plain(f"RMS {numbers.residual_rms:.3g} {unit}"), transform=axis.transAxes, ha="right", va="bottom",
+        0.995, 1.0, size, transform=axis.transAxes, ha="right", va="bottom",
         fontsize=plt.rcParams["legend.fontsize"],
     )  # fmt: skip
     axis.axhline(0.0, color="0.3", linewidth=0.6, zorder=1)

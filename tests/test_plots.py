@@ -574,15 +574,23 @@ def long_record(samples=8000):
     return t, measured, predicted
 
 
-def test_the_picture_of_a_fit_has_units_on_every_axis():
+def test_the_picture_of_a_fit_has_units_on_every_axis_where_they_are_known():
     t, y, p = long_record()
     plot = fit_plot(t, y, p, time_unit="ms", output_label="Velocity", output_unit="m/s")
     assert isinstance(plot, ct.ControlPlot)
     assert [axis.get_ylabel() for axis in plot.axes[:, 0]] == ["Velocity [m/s]", "Residual\n[m/s]", "Velocity [m/s]"]
     assert [axis.get_xlabel() for axis in plot.axes[1:, 0]] == ["Time [ms]", "Time [ms]"]
-    plain = fit_plot(t[:100], y[:100], p[:100])
-    assert [axis.get_ylabel() for axis in plain.axes[:, 0]] == ["Output [record units]", "Residual\n[record units]"]
-    assert plain.axes[1, 0].get_xlabel() == "Time [s]"
+    assert plot.axes[1, 0].texts[0].get_text().endswith(" m/s")
+
+
+@pytest.mark.parametrize("unit", [{}, {"output_unit": None}, {"output_unit": ""}])
+def test_an_unknown_unit_is_left_out_of_every_label(unit):
+    t, y, p = long_record()
+    plot = fit_plot(t, y, p, output_label="current", **unit)
+    assert [axis.get_ylabel() for axis in plot.axes[:, 0]] == ["current", "Residual", "current"]
+    assert plot.axes[1, 0].texts[0].get_text() == f"RMS {np.sqrt(np.mean((y - p) ** 2)):.3g}"
+    assert plot.axes[1, 0].get_xlabel() == "Time [s]"
+    assert fit_plot(t, y, p).axes[0, 0].get_ylabel() == "Output"
 
 
 def test_the_residual_is_measured_minus_predicted_on_the_time_axis_of_both():
@@ -593,7 +601,7 @@ def test_the_residual_is_measured_minus_predicted_on_the_time_axis_of_both():
     measured, predicted = plot.lines[0, 0]
     assert np.array_equal(measured.get_ydata(), y) and np.array_equal(predicted.get_ydata(), p)
     assert plot.axes[0, 0].get_shared_x_axes().joined(plot.axes[0, 0], plot.axes[1, 0])
-    rms = f"RMS {np.sqrt(np.mean((y - p) ** 2)):.3g} record units"
+    rms = f"RMS {np.sqrt(np.mean((y - p) ** 2)):.3g}"
     assert rms in [text.get_text() for text in plot.axes[1, 0].texts]
 
 
