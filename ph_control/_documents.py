@@ -12,14 +12,15 @@ import json
 import math
 import os
 import secrets
+import stat
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .exceptions import FileFormatError, FileMissingError, OutputExistsError
+from .exceptions import FileFormatError, FileMissingError, OutputExistsError, StructureError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -298,9 +299,38 @@ def _describe(value: Any) -> str:
 # --- files -------------------------------------------------------------------------------------------------------
 
 
+def as_path(path: Any) -> Path:
+    """Path of what the caller gave as the name of a file."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise StructureError(f"path is {path!r}; it must be the name of a file, as a string or pathlib.Path") from None
+
+
+def _no_file_name(path: Path, error: Exception) -> StructureError:
+    """Error for a name that the operating system takes for no file: too long, or with characters it does not allow."""
+    name = str(path)
+    shown = repr(name if len(name) <= 80 else name[:40] + "..." + name[-37:])
+    reason = getattr(error, "strerror", None) or str(error)
+    return StructureError(f"{shown} cannot be the name of a file: {reason}; choose another name")
+
+
+def _mode(path: Path) -> int | None:
+    """Kind and permissions of what a path leads to, or None if there is nothing."""
+    try:
+        return os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except PermissionError:
+        raise
+    except (OSError, ValueError) as error:
+        raise _no_file_name(path, error) from None
+
+
 def read_bytes(path: Path) -> bytes:
     """Content of a file."""
-    if path.is_dir():
+    mode = _mode(path)
+    if mode is not None and stat.S_ISDIR(mode):
         raise FileFormatError(f"{path} is a folder; pass the file in it")
     try:
         return path.read_bytes()
@@ -311,9 +341,13 @@ def read_bytes(path: Path) -> bytes:
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Refuse a path that cannot be written: a folder, or a file that must not be overwritten."""
-    if path.is_dir():
+    """Refuse a path that cannot be written: no file, or a file that must not be overwritten."""
+    mode = _mode(path)
+    if mode is not None and stat.S_ISDIR(mode):
         raise OutputExistsError(f"{path} is a folder; pass the name of a file in it")
+    if mode is not None and not stat.S_ISREG(mode):
+        # renaming a file to it would put the file in the place of the device
+        raise OutputExistsError(f"{path} is not a regular file, but a device, a pipe or a socket; choose another name")
     if not overwrite and os.path.lexists(path):
         raise OutputExistsError(f"{path} exists already; choose another name, or pass overwrite=True to replace it")
     if not path.parent.is_dir():
@@ -329,10 +363,11 @@ def write_atomically(path: Path, text: str, *, overwrite: bool) -> None:
     refuse_existing(path, overwrite)
     # through a symbolic link the file it points at is replaced, not the link
     target = Path(os.path.realpath(path)) if overwrite else path
+    refuse_existing(target, overwrite)
     temporary = target.parent / f".{FORMAT}-{secrets.token_hex(8)}.tmp"
     try:
         # not tempfile: its files are private, this one shall have the permissions of any new file
-        with open(temporary, "x", encoding="utf-8", newline="\n") as stream:
+        with _new_file(temporary, target) as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())
@@ -343,6 +378,14 @@ def write_atomically(path: Path, text: str, *, overwrite: bool) -> None:
     finally:
         with suppress(FileNotFoundError):
             os.unlink(temporary)
+
+
+def _new_file(temporary: Path, target: Path) -> TextIO:
+    """Open the temporary file; where that is not allowed, the error names the file that the caller knows."""
+    try:
+        return open(temporary, "x", encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(target)) from None
 
 
 def _name_new_file(temporary: Path, target: Path) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._documents import read_bytes
+from ._documents import as_path, read_bytes
 from .exceptions import FileFormatError, StructureError
 
 Array = NDArray[np.float64]
@@ -147,7 +147,7 @@ def without_unit(label: str) -> str:
 
 def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
-    name, lines = str(path), _lines(Path(path))
+    name, lines = str(path), _lines(as_path(path))
     content = _content(lines, None)
     if not content:
         found = "holds only comments" if any(line.strip() for line in lines) else "is empty"

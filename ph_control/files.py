@@ -13,7 +13,7 @@ from control import TimeResponseData
 from numpy.typing import NDArray
 
 from . import _checks
-from ._documents import Fields, compose, decompose, plain, read_bytes, write_atomically
+from ._documents import Fields, as_path, compose, decompose, plain, read_bytes, write_atomically
 from ._tables import Table, read_table, without_unit
 from .exceptions import FileFormatError, StructureError
 from .modal import ModalForm
@@ -365,11 +365,14 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     Raises
     ------
     OutputExistsError
-        If the file exists and `overwrite` is False, or the path is a folder.  Nothing is written then.
+        If the file exists and `overwrite` is False, or the path is a folder, a device, a pipe or a socket.  Nothing
+        is written then.
     FileNotFoundError
         If the folder does not exist (an error of this package as well).
     StructureError
-        If the object is of another kind, or holds what `load` would refuse.
+        If the object is of another kind, or holds what `load` would refuse, or the path cannot be the name of a file.
+    PermissionError
+        If the folder cannot be written.
 
     Notes
     -----
@@ -385,6 +388,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     ...     phc.load(path)
     ModalForm(d=[1. 3.], r=[0.5  0.25])
     """
+    target = as_path(path)
     # the class itself: a subclass would come back as its base
     codec = next((codec for codec in _CODECS if type(obj) is codec.type), None)
     if codec is None:
@@ -398,7 +402,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
         _restore(text.encode(), codec.kind)
     except FileFormatError as error:
         raise StructureError(f"this {codec.kind} cannot be saved, because it could not be loaded: {error}") from None
-    write_atomically(Path(path), text, overwrite=overwrite)
+    write_atomically(target, text, overwrite=overwrite)
 
 
 def load(path: str | os.PathLike[str]) -> Any:
@@ -431,7 +435,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     --------
     See `save`.
     """
-    return _restore(read_bytes(Path(path)), str(path))
+    return _restore(read_bytes(as_path(path)), str(path))
 
 
 def _restore(content: bytes, name: str) -> Any:

@@ -305,6 +305,56 @@ def test_folder_cannot_be_overwritten(tmp_path, model, overwrite):
         save(model, tmp_path, overwrite=overwrite)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes in folders")
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("linked", [False, True])
+def test_what_is_no_regular_file_is_never_replaced(path, model, overwrite, linked):
+    pipe = path.parent / "pipe"
+    os.mkfifo(pipe)
+    target = path if linked else pipe
+    if linked:
+        path.symlink_to(pipe)
+    before = sorted(os.listdir(path.parent))
+    with pytest.raises(OutputExistsError, match="is not a regular file, but a device, a pipe or a socket; choose"):
+        save(model, target, overwrite=overwrite)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert sorted(os.listdir(path.parent)) == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["x" * 5000, "nul\0nul"], ids=["too long", "zero byte"])
+def test_name_that_cannot_be_one_of_a_file_is_refused_in_writing_and_reading(tmp_path, model, overwrite, name):
+    for use in (lambda path: save(model, path, overwrite=overwrite), load, phc.read_csv):
+        with pytest.raises(StructureError, match=r"cannot be the name of a file: .*; choose another name") as caught:
+            use(tmp_path / name)
+        assert len(str(caught.value)) < 300
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("path", [None, 3, b"model.json"])
+def test_path_that_is_no_path_is_refused_in_writing_and_reading(model, path):
+    for use in (lambda path: save(model, path), load, phc.read_csv):
+        with pytest.raises(StructureError, match=r"^path is .*; it must be the name of a file, as a string or"):
+            use(path)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_folder_that_cannot_be_written_is_told_with_the_name_of_the_file(path, model, monkeypatch, overwrite):
+    def denied(*_, **__):
+        raise PermissionError(13, "Permission denied", "temporary name")
+
+    monkeypatch.setattr(_documents, "open", denied, raising=False)
+    with pytest.raises(PermissionError, match=r"Permission denied: '.*model\.json'"):
+        save(model, path, overwrite=overwrite)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="symbolic links need no privilege on POSIX only")
+def test_overwriting_through_a_link_into_a_missing_folder_says_which_folder(path, model):
+    path.symlink_to(path.parent / "absent" / "model.json")
+    with pytest.raises(PHControlError, match=r"the folder .*absent does not exist; make it first"):
+        save(model, path, overwrite=True)
+
+
 def test_missing_folder_is_an_error_of_both_families(tmp_path, model):
     with pytest.raises(PHControlError, match=r"the folder .*absent does not exist; make it first") as caught:
         save(model, tmp_path / "absent" / "model.json")
