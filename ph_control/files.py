@@ -267,11 +267,26 @@ def _why_not_uniform(table: Table, t: Array, column: int) -> str:
     place = f"{table.at(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in line {table.line_numbers[k]}"
     if backwards.any():
         return f"{place}; it must increase: sort the rows, and drop repeats"
-    mean = (t[-1] - t[0]) / len(gaps)
     return (
         f"{place}: a step of {gaps[k]:.6g}, where the median is {median:.6g}; the sampling must be uniform to a "
-        "hundredth of a step: add rows for lost samples (input and time given, output empty), or resample; if the "
-        f"times are only rounded in print, pass time=False, dt={mean:.9g}"
+        f"hundredth of a step: {_how_to_mend(gaps, median, k)}"
+    )
+
+
+def _how_to_mend(gaps: Array, median: float, worst: int) -> str:
+    """Advice for gaps that are unequal: whether the print, lost samples or surplus ones look like the cause."""
+    if np.all(np.abs(gaps - median) <= 0.5 * median):
+        return f"resample; if the times are only rounded in print, pass time=False, dt={gaps.mean():.9g}"
+    # rows numbered by time=False would close the gaps that lost samples leave, so it is not offered
+    lost = np.where(gaps > 1.5 * median, np.rint(gaps / median) - 1, 0)
+    if not lost[worst]:
+        return "the row seems to be one too many there: drop it, or resample"
+    total, places = int(lost.sum()), int(np.count_nonzero(lost))
+    elsewhere = f" ({total} at {places} places in the whole file)" if places > 1 else ""
+    missing = "1 row seems" if lost[worst] == 1 else f"{int(lost[worst])} rows seem"
+    return (
+        f"samples are lost, {missing} to be missing there{elsewhere}; add rows for them (input and time given, output "
+        "empty), or resample"
     )
 
 

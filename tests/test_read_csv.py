@@ -375,10 +375,36 @@ def test_instants_may_be_off_the_grid_by_a_hundredth_of_a_step_and_no_more(read,
     assert "must be uniform to a hundredth of a step" in message(_with_time(4, 2.0 + 1.01 * 0.005))
 
 
-def test_lost_sample_is_unequal_sampling(message):
-    lines = _with_time(0, 0.0).splitlines()
-    del lines[6]
-    assert "record.csv, line 7, column 0 ('t'): the time is 2.5, after 1.5 in line 6" in message("\n".join(lines))
+def _at(times):
+    return "t,u,y\n" + "".join(f"{t!r},1,2\n" for t in times)
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, "1 row seems"), (3, "3 rows seem")])
+def test_lost_samples_are_counted_and_never_closed_by_numbering_the_rows(message, count, said):
+    times = [0.5 * k for k in range(20)]
+    text = message(_at(times[:4] + times[4 + count :]))
+    assert text.startswith(f"record.csv, line 6, column 0 ('t'): the time is {times[4 + count]:g}, after 1.5 in line 5")
+    assert f"samples are lost, {said} to be missing there; add rows" in text and "time=False" not in text
+
+
+def test_samples_lost_at_several_places_are_counted_at_the_worst_and_altogether(message):
+    text = message(_at([k for k in range(40) if k not in (5, 20, 21, 30)]))
+    assert "the time is 22, after 19" in text
+    assert "2 rows seem to be missing there (4 at 3 places in the whole file)" in text
+
+
+def test_numbering_the_rows_is_offered_up_to_half_a_step_beside_the_grid_and_no_further(message):
+    for late, offered in ((0.5, True), (0.53125, False)):
+        times = [float(k) if k < 5 else k + late for k in range(20)]
+        text = message(_at(times))
+        assert ("time=False, dt=" in text) is offered
+        assert ("1 row seems to be missing" in text) is not offered
+
+
+def test_surplus_row_is_told_from_a_lost_one(message):
+    text = message(_at([0.0, 1.0, 2.0, 2.25, 3.0, 4.0, 5.0]))
+    assert "the time is 2.25, after 2 in line 4" in text
+    assert "one too many there: drop it, or resample" in text and "time=False" not in text
 
 
 @pytest.mark.parametrize("repeat", ["1.5", "0.1"])
