@@ -292,8 +292,13 @@ def _labels_in_comment(lines: list[str], first: int, delimiter: str, width: int)
     above = lines[first - 1].strip() if first else ""
     if not above.startswith(_COMMENTS):
         return None
-    labels = _header_fields(above.lstrip("#% "), delimiter)
-    return tuple(labels) if _kinds(labels, ".") == width * "t" else None
+    text = above.lstrip("#% \t")
+    # the comment need not be separated as the numbers are: words may be, with or without commas, between white space
+    words = [label.rstrip(",;") for label in _header_fields(text, " ")]
+    for labels in (_header_fields(text, delimiter), words) if delimiter != " " else (words,):
+        if _kinds(labels, ".") == width * "t":
+            return tuple(labels)
+    return None
 
 
 def _width(path: str, rows: list[str], numbers: list[int], delimiter: str, labels: tuple[str, ...] | None) -> int:

@@ -278,12 +278,13 @@ def _how_to_mend(gaps: Array, median: float, worst: int) -> str:
     if np.all(np.abs(gaps - median) <= 0.5 * median):
         return f"resample; if the times are only rounded in print, pass time=False, dt={gaps.mean():.9g}"
     # rows numbered by time=False would close the gaps that lost samples leave, so it is not offered
-    lost = np.where(gaps > 1.5 * median, np.rint(gaps / median) - 1, 0)
+    with np.errstate(over="ignore"):
+        lost = np.where(gaps > 1.5 * median, np.rint(gaps / median) - 1, 0)
     if not lost[worst]:
         return "the row seems to be one too many there: drop it, or resample"
-    total, places = int(lost.sum()), int(np.count_nonzero(lost))
-    elsewhere = f" ({total} at {places} places in the whole file)" if places > 1 else ""
-    missing = "1 row seems" if lost[worst] == 1 else f"{int(lost[worst])} rows seem"
+    places = np.count_nonzero(lost)
+    elsewhere = f" ({lost.sum():.9g} at {places} places in the whole file)" if places > 1 else ""
+    missing = "1 row seems" if lost[worst] == 1 else f"{lost[worst]:.9g} rows seem"
     return (
         f"samples are lost, {missing} to be missing there{elsewhere}; add rows for them (input and time given, output "
         "empty), or resample"

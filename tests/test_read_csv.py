@@ -140,8 +140,22 @@ def test_numpy_savetxt_with_header_is_read_back_bit_by_bit(tmp_path):
     assert data.output_labels == ["velocity"]
 
 
+@pytest.mark.parametrize("delimiter", [",", "\t", ";", " "])
+@pytest.mark.parametrize("comment", ["# time force velocity", "#\ttime  force\tvelocity", "% time, force, velocity"])
+def test_comment_with_a_word_for_each_column_labels_them_however_the_numbers_are_separated(read, delimiter, comment):
+    data = read(comment + PLAIN.removeprefix("t,u,y").replace(",", delimiter))
+    assert_plain(data)
+    assert (data.input_labels, data.output_labels) == (["force"], ["velocity"])
+
+
+def test_units_in_a_comment_of_words_stay_with_their_words(read):
+    data = read("# t [s] force [N] x (m)\n0,1,2\n1,2,3\n")
+    assert (data.input_labels, data.output_labels) == (["force [N]"], ["x (m)"])
+
+
 def test_comment_of_another_length_gives_no_labels(read):
     assert read("# my best recording ever\n0 1\n1 2\n", dt=1).output_labels == ["y[0]"]
+    assert read("# my best recording ever\n0,1\n1,2\n", dt=1).output_labels == ["y[0]"]
 
 
 def test_older_western_encoding_keeps_its_units(read):
@@ -399,6 +413,10 @@ def test_numbering_the_rows_is_offered_up_to_half_a_step_beside_the_grid_and_no_
         text = message(_at(times))
         assert ("time=False, dt=" in text) is offered
         assert ("1 row seems to be missing" in text) is not offered
+
+
+def test_gap_beyond_all_counting_is_an_error_like_any_other(message):
+    assert "samples are lost, inf rows seem" in message(_at([0.0, 1e-300, 2e-300, 1e300]))
 
 
 def test_surplus_row_is_told_from_a_lost_one(message):
