@@ -23,17 +23,18 @@ Array = NDArray[np.float64]
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
+_FEW_PERIODS = 10  # that are seen in the whole record
 _DETAIL_PERIODS = 8
-_DETAIL_SAMPLES = (80, 1000)
-_DETAIL_MARKERS = 150  # samples beyond which markers would cover each other
+_DETAIL_SAMPLES = (80, 1000)  # at least, if the record allows it, and where the strongest motion is slower than that
 
 _STYLES = ("-", "--", "-.", ":")
 
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
 _PALE_DOTS: dict[str, Any] = {**_DOTS, "markersize": 2.5, "color": "0.78"}
 _LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
-_MEASURED: dict[str, Any] = {"color": "0.6", "linewidth": 1.8}
-_SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.0, "color": "0.45"}
+# beneath the prediction, and wide enough to be seen on both sides of it where they are equal
+_MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
+_SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
 _PREDICTED: dict[str, Any] = {"color": "C0", "linewidth": 1.0}
 _RESIDUAL: dict[str, Any] = {"color": "C3", "linewidth": 0.8}
 
@@ -274,7 +275,8 @@ def fit_plot(
         Its unit, for the labels; by default they have none.
     detail : {'auto'}, or array_like of shape (2,), or None
         Part of the record to enlarge in a panel of its own: from one instant to another, or none.  By default about
-        8 periods of the strongest oscillation where the residual is largest, if the record is much longer than that.
+        8 periods of the strongest oscillation where the residual is largest, at most a third of the record, if it has
+        more than 10 periods or 3000 samples.
     title : str, optional
         Title of the picture.
 
@@ -364,12 +366,16 @@ def _fit_data(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike, detail
 
 
 def _strongest_part(measured: Array, residual: Array) -> slice | None:
-    """A few periods of the strongest oscillation, where the residual is largest; None if that is most of the record."""
+    """A few periods of the strongest oscillation, where the residual is largest; None if the record has few itself."""
     known = np.isfinite(measured)
     signal = np.where(known, measured - np.mean(measured[known]), 0.0)
-    strongest = max(1, int(np.argmax(np.abs(np.fft.rfft(signal)))))
-    count = int(np.clip(_DETAIL_PERIODS * len(signal) / strongest, *_DETAIL_SAMPLES))
-    if 3 * count > len(signal):
+    periods = int(np.argmax(np.abs(np.fft.rfft(signal))))
+    least, most = _DETAIL_SAMPLES
+    if periods > _FEW_PERIODS:
+        count = min(max(least, _DETAIL_PERIODS * len(signal) // periods), len(signal) // 3)
+    elif 3 * most <= len(signal):
+        count = most
+    else:
         return None
     power = np.cumsum(np.concatenate([[0.0], np.nan_to_num(residual) ** 2]))
     start = int(np.argmax(power[count:] - power[:-count]))
@@ -430,10 +436,8 @@ def _draw_detail(axis: Axes, top: Axes, numbers: _FitData, detail: Any) -> list[
     )
     axis.set_title(where, loc="left")
     return [
-        *axis.plot(
-            t, numbers.measured[part], label="measured", **(_SAMPLES if len(t) <= _DETAIL_MARKERS else _MEASURED)
-        ),
-        *axis.plot(t, numbers.predicted[part], label="predicted", **_PREDICTED),
+        *axis.plot(*extremes(t, numbers.measured[part], _DRAWN), label="measured", **_SAMPLES),
+        *axis.plot(*extremes(t, numbers.predicted[part], _DRAWN), label="predicted", **_PREDICTED),
     ]
 
 

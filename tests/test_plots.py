@@ -643,6 +643,31 @@ def test_a_short_record_is_not_enlarged_and_a_part_can_be_chosen_or_none():
     assert "largest" not in chosen.axes[2, 0].get_title(loc="left")
 
 
+@pytest.mark.parametrize("samples", [30, 200, 1200, 20_000])
+def test_a_record_of_more_than_ten_periods_has_a_part_of_it_enlarged_and_one_of_ten_not(samples):
+    t = np.arange(samples) / samples
+    for periods, panels in ((10, 2), (11, 3), (13, 3)):
+        y = np.sin(2 * np.pi * periods * t)
+        plot = fit_plot(t, y, y, detail="auto")
+        assert len(plot.axes) == (panels if samples < 3000 else 3)
+        if panels == 3:
+            start, stop = plot.axes[2, 0].get_xlim()
+            assert 0.2 < stop - start <= 1 / 3
+
+
+def test_the_measured_output_is_seen_around_a_prediction_equal_to_it():
+    t, _, p = long_record()
+    for part in (slice(200), slice(2000), slice(None)):
+        plot = fit_plot(t[part], p[part], p[part])
+        measured, predicted = plot.lines[0, 0]
+        assert measured.get_linewidth() > 2 * predicted.get_linewidth()
+        assert measured.get_color() != predicted.get_color()
+        if len(plot.axes) == 3:
+            dots, line = plot.lines[2, 0]
+            assert (dots.get_linestyle(), dots.get_marker(), line.get_marker()) == ("None", "o", "None")
+            assert dots.get_markersize() > 2 * line.get_linewidth()
+
+
 def test_missing_samples_are_gaps():
     t, y, p = long_record(200)
     y[50:60] = np.nan
