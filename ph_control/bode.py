@@ -128,6 +128,8 @@ def _systems(sysdata: Any) -> list[Any]:
 
 
 def _labels(systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
+    if label is None and len(systems) == 1 and isinstance(systems[0], PortHamiltonian):
+        return ["model" if systems[0]._generic_name_check() else systems[0].name]
     if label is None:
         return [sys.name for sys in systems]
     labels = [label] if isinstance(label, str) else list(label)

@@ -48,6 +48,7 @@ def bode_plot(
     intersample: str = "zoh",
     omega_limits: ArrayLike | None = None,
     Hz: bool = False,
+    time_unit: str = "s",
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
@@ -61,20 +62,22 @@ def bode_plot(
     sysdata : system, or list of systems
         `PortHamiltonian`, `ModalForm`, any other LTI system of python-control, `control.FrequencyResponseData`.
     omega : array_like, shape (N,), optional
-        Angular frequencies, rad/s, ascending and positive; two of them are limits.  By default every pole and zero of
-        the systems is resolved.
+        Angular frequencies, rad per unit time, ascending and positive; two of them are limits.  By default every pole
+        and zero of the systems is resolved.
     data : control.TimeResponseData or control.FrequencyResponseData, optional
         Measurement to draw as dots: a record, of which `spectral_estimate` is made, or a frequency response.
     segments, intersample
         As in `spectral_estimate`.
     omega_limits : array_like, shape (2,), optional
-        Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad/s.
+        Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
     Hz : bool
         Frequency axis in Hz instead of rad/s.
+    time_unit : str
+        Unit of time of the systems and the measurement, for the labels of frequencies.
     gain_unit : str, optional
         Unit of the response, output over input, such as "m/s/N"; the magnitude is in dB re 1 of it.
     label : str or sequence of str, optional
-        Legend entries of the systems; by default their names.
+        Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
     data_label : str, optional
         Legend entry of the measurement.
     title : str, optional
@@ -90,7 +93,8 @@ def bode_plot(
     Raises
     ------
     StructureError
-        If the systems differ in their ports, the frequencies are not usable, or the measurement is not.
+        If the systems differ in their ports, the frequencies are not usable, or the measurement is not, or for `Hz`
+        where the unit of time is not the second.
 
     Notes
     -----
@@ -113,20 +117,21 @@ def bode_plot(
     ('Magnitude [dB]', 'Phase [deg]', 'Frequency [rad/s]')
     >>> plt.close(plot.figure)
     """
+    if Hz and time_unit != "s":
+        raise StructureError(f"Hz needs times in s, time_unit is {time_unit!r}; use Hz=False, or convert the times")
     numbers = bode_data(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits, Hz=Hz,
         label=label, data_label=data_label,
     )  # fmt: skip
-    unit = 2.0 * np.pi if Hz else 1.0
+    unit, unit_name = (2.0 * np.pi, "Hz") if Hz else (1.0, f"rad/{time_unit}")
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
         figure, axes = _bode_axes(ax, len(numbers.output_labels), len(numbers.input_labels))
         lines = np.empty(axes.shape, dtype=object)
         for (row, j), axis in np.ndenumerate(axes):
             draw = _draw_phases if row % 2 else _draw_magnitudes
             lines[row, j] = draw(axis, numbers, row // 2, j, unit)
-            for k, limit in enumerate(numbers.nyquist):
-                axis.axvline(limit / unit, label="_" if k else "Nyquist frequency", zorder=1, **_LIMIT)
-        _label_bode(axes, numbers, Hz, gain_unit)
+            _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
+        _label_bode(axes, numbers, unit, unit_name, gain_unit)
         legend = _legend_above(axes[0, -1])
         if title is None and ax is None:
             title = numbers.title
@@ -207,14 +212,20 @@ def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[
     ]
 
 
+def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
+    values = ", ".join(f"{limit:.4g}" for limit in limits)
+    for k, limit in enumerate(limits):
+        label = "_" if k else _plain(f"Nyquist frequency ({values} {unit_name})")
+        axis.axvline(limit, label=label, zorder=1, **_LIMIT)
+
+
 def _plain(text: str) -> str:
     """Text that matplotlib shows as it is: two dollar signs would make a formula of what is between them."""
     return str(text).replace("$", r"\$")
 
 
-def _label_bode(axes: NDArray[Any], numbers: BodeData, Hz: bool, gain_unit: str | None) -> None:
+def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, gain_unit: str | None) -> None:
     rows, columns = axes.shape
-    unit = 2.0 * np.pi if Hz else 1.0
     for (row, j), axis in np.ndenumerate(axes):
         axis.set_xscale("log")
         axis.set_xlim(numbers.low / unit, numbers.high / unit)
@@ -224,7 +235,7 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, Hz: bool, gain_unit: str 
             decibels = f"Magnitude [dB re 1 {_plain(gain_unit)}]" if gain_unit else "Magnitude [dB]"
             axis.set_ylabel("Phase [deg]" if row % 2 else decibels)
         if row == rows - 1:
-            axis.set_xlabel("Frequency [Hz]" if Hz else "Frequency [rad/s]")
+            axis.set_xlabel(_plain(f"Frequency [{unit_name}]"))
         if (rows > 2 or columns > 1) and row % 2 == 0:
             channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // 2]}"
             axis.set_title(_plain(channel), loc="left")

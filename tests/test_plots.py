@@ -215,6 +215,37 @@ def test_in_hertz_the_axis_says_so_and_the_curve_is_the_same():
     np.testing.assert_allclose(level, 20 * np.log10(np.abs(chain(2j * np.pi * f))), atol=0.01)
 
 
+def test_frequencies_are_labelled_per_unit_of_time():
+    sys = frenkel_kontorova()
+    plot = bode_plot(sys, data=record(sys, 2048, step=0.2), time_unit="ms")
+    assert plot.axes[1, 0].get_xlabel() == "Frequency [rad/ms]"
+    assert legend_texts(plot.axes[0, 0])[-1] == "Nyquist frequency (15.71 rad/ms)"
+    in_hertz = bode_plot(sys, data=record(sys, 2048, step=0.2), Hz=True)
+    assert legend_texts(in_hertz.axes[0, 0])[-1] == "Nyquist frequency (2.5 Hz)"
+    assert "Frequency [rad/\\$]" == bode_plot(sys, time_unit="$").axes[1, 0].get_xlabel()
+    with pytest.raises(StructureError, match="Hz needs times in s, time_unit is 'ms'; use Hz=False"):
+        bode_plot(sys, Hz=True, time_unit="ms")
+
+
+def test_several_Nyquist_frequencies_share_a_legend_entry():
+    sampled = [ct.tf([1.0], [1.0, -0.5], step) for step in (0.1, 0.5)]
+    plot = bode_plot(sampled, [0.1, 100.0])
+    assert legend_texts(plot.axes[0, 0])[2:] == ["Nyquist frequency (6.283, 31.42 rad/s)"]
+
+
+def test_a_single_lossless_system_without_a_name_is_called_the_model():
+    data = ct.frd([1.0, 2.0], [1.0, 2.0])
+    for sys in (phc.ph(phc.modes(1.0, 1.0)), phc.modes(1.0, 1.0)):
+        assert legend_texts(bode_plot(sys, data=data).axes[0, 0]) == ["model", "data"]
+        assert legend_texts(bode_plot([sys], data=data, label="mine").axes[0, 0]) == ["mine", "data"]
+    named = phc.ph(phc.modes(1.0, 1.0), name="mode")
+    assert legend_texts(bode_plot(named, data=data).axes[0, 0]) == ["mode", "data"]
+    two = [phc.ph(phc.modes(1.0, 1.0)), phc.ph(phc.modes(2.0, 1.0))]
+    assert legend_texts(bode_plot(two).axes[0, 0]) == [sys.name for sys in two]
+    plain = ct.tf([1], [1, 1])
+    assert legend_texts(bode_plot(plain, data=data).axes[0, 0]) == [plain.name, "data"]
+
+
 def test_two_frequencies_are_limits_and_more_are_the_grid():
     chain = frenkel_kontorova()
     limited = bode_plot(chain, [0.2, 3.0])
@@ -240,7 +271,7 @@ def test_a_mixed_list_has_a_line_and_a_legend_entry_for_each():
     sampled = ct.sample_system(ct.tf([1], [1, 1], name="lag"), 0.5, name="sampled")
     plot = bode_plot([chain, ct.ss(chain, name="plain"), ct.tf([1], [1, 1], name="lag"), tabulated, sampled])
     names = ["chain", "plain", "lag", "tabulated", "sampled"]
-    assert legend_texts(plot.axes[0, 0]) == [*names, "Nyquist frequency"]
+    assert legend_texts(plot.axes[0, 0]) == [*names, "Nyquist frequency (6.283 rad/s)"]
     assert plot.legend is plot.axes[0, 0].get_legend()
     assert [len(lines) for lines in plot.lines[:, 0]] == [5, 5]
     assert plot.lines[0, 0][3].get_xdata().tolist() == w.tolist()
@@ -351,11 +382,11 @@ def test_a_record_is_drawn_as_dots_with_the_Nyquist_limit():
     plot = bode_plot(sys, data=record(sys, step=0.2, noise=0.1))
     texts = legend_texts(plot.axes[0, 0])
     assert texts[:2] == ["circuit", "data (spectral estimate, 8 segments)"]
-    assert texts[-1] == "Nyquist frequency"
+    assert texts[-1] == "Nyquist frequency (15.71 rad/s)"
     for row in (0, 1):
         dots = plot.lines[row, 0][1]
         assert (dots.get_linestyle(), dots.get_marker()) == ("None", ".")
-        verticals = [line for line in plot.axes[row, 0].get_lines() if line.get_label() == "Nyquist frequency"]
+        verticals = [line for line in plot.axes[row, 0].get_lines() if line.get_label() == texts[-1]]
         np.testing.assert_allclose(verticals[0].get_xdata(), np.pi / 0.2)
     low, high = plot.axes[0, 0].get_xlim()
     assert low < sys.d[0] and high > np.pi / 0.2
@@ -380,7 +411,7 @@ def test_a_measured_frequency_response_is_drawn_as_it_is():
     assert magnitude.get_xdata().tolist() == [0.5, 0.9, 2.0]
     np.testing.assert_allclose(magnitude.get_ydata(), 20 * np.log10([2, 3, np.sqrt(2)]))
     np.testing.assert_allclose(phase.get_ydata(), [90, 180, -45])
-    assert "Nyquist frequency" not in legend_texts(plot.axes[0, 0])
+    assert not any("Nyquist" in text for text in legend_texts(plot.axes[0, 0]))
 
 
 def test_the_phase_of_dots_is_not_unwrapped():
