@@ -34,7 +34,7 @@ for name, plant, state in (("circuit", circuit, rng.standard_normal(10)), ("chai
     y = recording(plant, INPUTS["sine"], state)
     for order in (plant.n, "auto"):
         result = phc.pem((INPUTS["sine"][:LEARN], y[:LEARN]), order, dt=STEP, method="euler")
-        ahead = result.predict(INPUTS["sine"][LEARN:], initial_state=result.final_state).outputs
+        ahead = result.predict(INPUTS["sine"][LEARN:], initial_state="final").outputs
         error = worst(ahead, y[LEARN:])
         print(f"{name}, order {order}: {result.modes.minimal().n} visible modes, next 4000 samples to {error:.1e}")
         print("   ", result.message)

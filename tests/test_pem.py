@@ -508,3 +508,92 @@ def test_euler_fit_of_white_noise_does_not_overflow():
 def test_plant_at_rest_needs_fewer_samples():
     with pytest.raises(phc.IdentificationError, match="one mode alone has 2 unknowns, so at least 3"):
         phc.pem(([1.0, 2.0], [0.0, 1.0]), dt=1.0, initial_state="zero")
+
+
+def multisine(samples, lines, seed):
+    """A sum of cosines of random frequencies and phases."""
+    rng = np.random.default_rng(seed)
+    phases = np.outer(np.arange(samples), rng.uniform(0, np.pi, lines)) + rng.uniform(0, 2 * np.pi, lines)
+    return np.cos(phases).sum(axis=1)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_lines_of_the_input_are_not_taken_for_modes(seed):
+    rng = np.random.default_rng(seed)
+    d, u = rng.uniform(0.3, 2.9), multisine(500, 10, seed)
+    y = phc.forced_response(phc.ph(phc.modes(d, 1 / d)), np.arange(500), u, rng.standard_normal(2)).outputs
+    y = y + 0.01 * np.std(y) * rng.standard_normal(500)
+    result = phc.pem((u, y), dt=1.0)
+    assert result.order == 1
+    assert abs(result.d[0] - d) < 4.5 * result.stderr["d"][0]
+
+
+def test_reversed_sensor_is_suspected():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], z0=np.zeros(4))
+    result = phc.pem((u, -y), 2, dt=0.1)
+    assert not result.r.any()
+    assert result.verdict == "NOT a model: it does not respond to the input"
+    assert "All weights are zero" in result.message and "check the polarity of the sensor" in result.message
+
+
+def test_offset_is_suspected():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    result = phc.pem((u, y + 10 * np.std(y)), dt=0.1)
+    assert "an offset or a drift, rather; subtract the mean" in result.message
+    assert "offset" not in phc.pem((u, y), dt=0.1).message
+
+
+def test_verdict_in_a_few_words_stands_above_the_table():
+    _, u, y, _ = record_of([0.5, 1.9, 2.6], [1.0, 0.3, 0.3])
+    good, poor = phc.pem((u, y), dt=0.1), phc.pem((u, y), 1, dt=0.1)
+    assert good.verdict == "consistent with the record"
+    assert poor.verdict == "NOT described by a collocated lossless model"
+    assert "a higher one may fit better" in poor.message and "higher" not in good.message
+    assert good.summary().index(good.verdict) < good.summary().index("mode  ")
+
+
+def test_masked_outputs_are_missing_and_masked_inputs_refused():
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    mask = np.random.default_rng(1).random(1000) < 0.1
+    masked = phc.pem((u, np.ma.array(y, mask=mask)), 2, dt=0.1)
+    assert np.array_equal(masked.d, phc.pem((u, np.where(mask, np.nan, y)), 2, dt=0.1).d)
+    with pytest.raises(phc.StructureError, match=f"the input is masked at sample {mask.argmax()}"):
+        phc.pem((np.ma.array(u, mask=mask), y), 2, dt=0.1)
+
+
+@pytest.mark.parametrize("method, intersample", KINDS)
+def test_a_record_that_goes_on_is_predicted_from_where_it_ended(method, intersample):
+    h = 0.002 if method == "euler" else 0.1
+    _, u, y, _ = record_of(
+        [1.0, 2.0], [1.0, 0.3], h=h, snr=np.inf, method=method, intersample=intersample, samples=7000
+    )
+    result = phc.pem((u[:6000], y[:6000]), 2, dt=h, method=method, intersample=intersample)
+    ahead = result.predict(u[6000:], initial_state="final").outputs
+    assert np.abs(ahead - y[6000:]).max() < 1e-7 * np.abs(y).max()
+    if intersample == "zoh":
+        assert np.array_equal(result.predict(u[6000:], initial_state=result.final_state).outputs, ahead)
+    else:
+        with pytest.raises(phc.StructureError, match="depends on the next input sample"):
+            _ = result.final_state
+
+
+def test_the_data_of_a_result_are_locked():
+    _, u, y, _ = record_of([0.5], [1.0], samples=100)
+    result = phc.pem((u, y), 1, dt=0.1)
+    for array in (result.record.u, result.record.y, result.stderr["d"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+    with pytest.raises(TypeError):
+        result.stderr["d"] = 0.0
+
+
+def test_a_record_without_input_is_refused_with_a_reason():
+    free = ct.TimeResponseData(np.arange(10.0), np.ones(10), issiso=True)
+    with pytest.raises(phc.StructureError, match="the record has no input; pem needs one"):
+        phc.pem(free)
+
+
+@pytest.mark.parametrize("dt", [10**400, 1e-300, 1e300, float("nan"), True])
+def test_steps_out_of_range_are_refused(dt):
+    with pytest.raises(phc.StructureError, match=r"dt is .*between 1e-100 and 1e100"):
+        phc.pem(tuple(GOOD), dt=dt)

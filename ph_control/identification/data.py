@@ -68,6 +68,10 @@ def as_record(data: Any, dt: float | None = None, *, output_needed: bool = True)
 
 
 def _from_response(data: TimeResponseData, dt: float | None) -> Record:
+    if data.ninputs == 0:
+        raise StructureError(
+            "the record has no input; pem needs one that varies (the free motion is estimated along with it)"
+        )
     if data.ntraces > 1 or data.ninputs != 1 or data.noutputs != 1:
         raise StructureError(
             f"the record has {data.ninputs} inputs, {data.noutputs} outputs and {max(1, data.ntraces)} traces; "
@@ -85,7 +89,13 @@ def _from_response(data: TimeResponseData, dt: float | None) -> Record:
 
 
 def _signal(name: str, value: Any, *, missing: bool = False) -> Array:
-    """A vector of numbers; a single column or row counts as one."""
+    """A vector of numbers; a single column or row counts as one.  Masked outputs are missing."""
+    if isinstance(value, np.ma.MaskedArray):
+        if missing and value.dtype.kind in "biuf":
+            value = np.where(np.ma.getmaskarray(value), np.nan, value.data)
+        elif np.ma.getmaskarray(value).any():
+            where = int(np.argmax(np.ma.getmaskarray(value).ravel()))
+            raise StructureError(f"{name} is masked at sample {where}; every sample is needed")
     try:
         array = np.asarray(value, dtype=float) if np.asarray(value).dtype.kind in "biuf" else None
     except ValueError:
@@ -120,4 +130,6 @@ def _checked(time: Array, dt: float, u: Array, y: Array, input_label: str, outpu
                 f"the {name} is of size {size:.3g}, and its square is near the end of the range of doubles; allowed is "
                 f"{1 / _LARGEST:g} to {_LARGEST:g}: choose another unit"
             )
+    for array in (time, u, y):
+        _checks.readonly(array)
     return Record(time, dt, u, y, input_label, output_label)

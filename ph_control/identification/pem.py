@@ -116,11 +116,13 @@ def pem(
     )
     largest = _check_order(problem, order, max_order)
     _check_signals(problem, record)
-    path = _forward_path(problem, largest, order == "auto", callback)
-    chosen = min(path, key=lambda step: step.row.bic) if order == "auto" else path[-1]
+    screen = Screen(problem)
+    path = _forward_path(problem, screen, largest, order == "auto", callback)
+    place = int(np.argmin([stage.row.bic for stage in path])) if order == "auto" else len(path) - 1
+    chosen = path[place] = _reseat(problem, screen, path[place])
     asked = chosen.row.order if order == "auto" else largest
     at_limit = order == "auto" and chosen.row.order == max_order
-    return _result(problem, record, chosen, path, asked, at_limit)
+    return _result(problem, record, chosen, path, asked, at_limit, order != "auto")
 
 
 @dataclass(frozen=True)
@@ -170,19 +172,16 @@ def _check_signals(problem: Problem, record: Record) -> None:
 
 
 def _forward_path(
-    problem: Problem, largest: int, automatic: bool, callback: Callable[[Progress], Any] | None
+    problem: Problem, screen: Screen, largest: int, automatic: bool, callback: Callable[[Progress], Any] | None
 ) -> list[_Stage]:
     """Add one mode at a time and refine all; with `automatic`, stop when BIC has ceased to improve."""
     current = problem.project(np.zeros(0))
     path = [_stage(problem, current, 0, True)]
     floor = _rounding_floor(problem)
-    screen = Screen(problem)
     for order in range(1, largest + 1):
         if current.loss <= floor:
             break
-        residual = np.zeros(len(problem.y))
-        residual[problem.observed] = current.residual
-        start = np.append(current.d, screen.strongest(residual))
+        start = np.append(current.d, screen.strongest(_full_residual(problem, current)))
 
         def report(iteration: int, loss: float, order: int = order) -> None:
             if callback is not None:
@@ -197,10 +196,35 @@ def _forward_path(
     return path
 
 
+def _full_residual(problem: Problem, projection: Projection) -> Array:
+    residual = np.zeros(len(problem.y))
+    residual[problem.observed] = projection.residual
+    return residual
+
+
+def _reseat(problem: Problem, screen: Screen, stage: _Stage) -> _Stage:
+    """Move modes whose weight is held at 0 to where they explain more, if there is such a place.
+
+    A mode taken early, when others were still missing, may have ended in a wrong basin; the constraint shows it.
+    """
+    best = refine(problem, stage.d, rtol=1e-15)
+    iterations = stage.iterations + best.iterations
+    tried: set[float] = set()
+    while held := [float(d) for d in best.projection.d[~best.projection.free[: len(stage.d)]] if float(d) not in tried]:
+        tried.add(held[0])
+        others = problem.project(best.projection.d[best.projection.d != held[0]])
+        start = np.append(others.d, screen.strongest(_full_residual(problem, others)))
+        trial = refine(problem, start, rtol=1e-9)
+        iterations += trial.iterations
+        if len(start) == len(stage.d) and trial.projection.loss < (1 - 1e-6) * best.projection.loss:
+            best, tried = trial, set()
+    return _stage(problem, best.projection, iterations, best.converged)
+
+
 def _rounding_floor(problem: Problem) -> float:
-    """Loss below which residuals are rounding: samples computed in doubles carry errors of a few units each."""
+    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
     samples = len(problem.target)
-    return float(samples * (_checks.EPS * np.sqrt(samples)) ** 2 * np.max(np.abs(problem.target)) ** 2)
+    return float(samples * (_checks.EPS * samples * np.max(np.abs(problem.target))) ** 2)
 
 
 def _stage(problem: Problem, projection: Projection, iterations: int, converged: bool) -> _Stage:
@@ -220,7 +244,7 @@ def _criteria(problem: Problem, loss: float, n: int) -> tuple[float, float, floa
 
 
 def _result(
-    problem: Problem, record: Record, chosen: _Stage, path: list[_Stage], order: int, at_limit: bool
+    problem: Problem, record: Record, chosen: _Stage, path: list[_Stage], order: int, at_limit: bool, order_given: bool
 ) -> PEMResult:
     """Sort the modes, convert to `(d, r, initial state)`, and judge."""
     best = refine(problem, chosen.d, rtol=1e-15)
@@ -256,6 +280,11 @@ def _result(
         converged=best.converged,
         noiseless=noiseless,
         at_limit=at_limit,
+        order_given=order_given,
+        from_rest=problem.from_rest,
+        silent=not kappa.any(),
+        reversed_sign=at.asks_for_negative_residues_only,
+        drifting=tuple(int(l) for l in np.flatnonzero(d < problem.bin * (1 - 1e-6)) if not free[l]),
     )
     if verdict.deficiency:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
@@ -276,6 +305,7 @@ def _result(
         whiteness=verdict.whiteness,
         order_table=tuple(stage.row for stage in path),
         success=best.converged,
+        verdict=verdict.headline,
         message=verdict.message(),
         n_iterations=best.iterations + sum(stage.iterations for stage in path),
         method=problem.hold.method,

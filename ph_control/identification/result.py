@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import control as ct
@@ -75,8 +76,10 @@ class PEMResult:
         The forward path: loss and criteria for each order tried.
     success : bool
         Whether the refinement converged.
+    verdict : str
+        The verdict, in a few words.
     message : str
-        The verdict, in sentences.
+        What it rests on, in sentences.
     n_iterations : int
         Iterations of the refinement, all orders together.
     method, intersample : str
@@ -103,6 +106,7 @@ class PEMResult:
     whiteness: float
     order_table: tuple[OrderRow, ...]
     success: bool
+    verdict: str
     message: str
     n_iterations: int
     method: str
@@ -115,10 +119,10 @@ class PEMResult:
     def __post_init__(self) -> None:
         n = len(self.d)
         deviation = np.sqrt(np.diag(self.covariance))
-        object.__setattr__(
-            self, "stderr", {"d": deviation[:n], "r": deviation[n : 2 * n], "initial_state": deviation[2 * n :]}
-        )
-        for array in (self.initial_state, self.free_amplitudes, self.covariance, self.predicted, self.residuals):
+        parts = {"d": deviation[:n], "r": deviation[n : 2 * n], "initial_state": deviation[2 * n :]}
+        object.__setattr__(self, "stderr", MappingProxyType(parts))
+        locked = (self.initial_state, self.free_amplitudes, self.covariance, self.predicted, self.residuals)
+        for array in (*locked, *parts.values()):
             _checks.readonly(array)
 
     @property
@@ -143,13 +147,24 @@ class PEMResult:
 
     @property
     def final_state(self) -> Array:
-        """State one step after the last sample: where a record that goes on starts, shape (2n,)."""
+        """State one step after the last sample: where a record that goes on starts, shape (2n,).
+
+        Raises `StructureError` with an interpolated input, where it depends on the next sample: there use
+        `predict(u, initial_state='final')`.
+        """
+        if self.intersample == "foh":
+            raise StructureError(
+                "with intersample='foh' the state after the record depends on the next input sample; "
+                "use predict(u, initial_state='final')"
+            )
+        return self._state_after(0.0)
+
+    def _state_after(self, next_input: float) -> Array:
         t = self.record.dt * np.arange(self.record.samples + 1)
-        # the input of the step beyond the record is not known; a hold needs only the last sample
-        u = np.append(self.record.u, self.record.u[-1])
         response = forced_response(
-            self.system, t, u, self.initial_state, method=self.method, intersample=self.intersample
-        )
+            self.system, t, np.append(self.record.u, next_input), self.initial_state,
+            method=self.method, intersample=self.intersample,
+        )  # fmt: skip
         return np.asarray(response.x[:, -1])
 
     def predict(self, data: Any, *, initial_state: ArrayLike | str | None = None) -> ct.TimeResponseData:
@@ -159,10 +174,10 @@ class PEMResult:
         ----------
         data : TimeResponseData, pair (u, y), or array of inputs (T,)
             Inputs, with the step of the record that was fitted.
-        initial_state : array_like, shape (2n,), or {'estimate', 'fitted', 'zero'}, optional
+        initial_state : array_like, shape (2n,), or {'estimate', 'fitted', 'final', 'zero'}, optional
             State at the first sample.  'estimate' fits it to the outputs of `data`, 'fitted' takes the one of this
-            result.  Default: 'estimate' if `data` has outputs, else 'fitted'.  To go on where the fitted record
-            ended, pass `final_state`.
+            result, 'final' goes on where the fitted record ended.  Default: 'estimate' if `data` has outputs, else
+            'fitted'.
 
         Returns
         -------
@@ -182,11 +197,11 @@ class PEMResult:
         >>> t, u = 0.1 * np.arange(400), rng.standard_normal(400)
         >>> y = phc.forced_response(plant, t, u).outputs
         >>> result = phc.pem((u[:300], y[:300]), order=2, dt=0.1)
-        >>> ahead = result.predict(u[300:], initial_state=result.final_state)
+        >>> ahead = result.predict(u[300:], initial_state="final")
         >>> bool(np.allclose(ahead.outputs, y[300:], atol=1e-9))
         True
         """
-        if not isinstance(data, ct.TimeResponseData | Record | tuple | list):
+        if not isinstance(data, ct.TimeResponseData | Record) and not (isinstance(data, tuple) and len(data) == 2):
             data = (data, None)
         record = as_record(data, self.record.dt, output_needed=False)
         if initial_state is None:
@@ -200,15 +215,17 @@ class PEMResult:
         )
 
     def _named_state(self, record: Record, name: str) -> Array:
-        _checks.choice("initial_state", name, ("estimate", "fitted", "zero"))
+        _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
+        if name == "final":
+            return self._state_after(record.u[0])
         if name == "fitted":
             return self.initial_state
         if name == "zero":
             return np.zeros(2 * self.order)
         if not record.observed.any():
             raise StructureError(
-                "the record has no outputs to estimate the initial state from; pass initial_state='zero', 'fitted' "
-                "or a state"
+                "the record has no outputs to estimate the initial state from; pass initial_state='zero', 'fitted', "
+                "'final' or a state"
             )
         return estimate_initial_state(self.system, record, Hold(record.dt, self.method, self.intersample))
 
@@ -227,13 +244,15 @@ class PEMResult:
         >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
         >>> print(phc.pem((u, y), dt=0.1).summary())
         Port-Hamiltonian model of 'y' from 'u': 1 mode
+          verdict         consistent with the record
           record          500 samples, step 0.1
-          ...
+        ...
           The record is reproduced to rounding.
         """
         lines = [
             f"Port-Hamiltonian model of {self.record.output_label!r} from {self.record.input_label!r}: "
             f"{self.order} mode{'s' * (self.order != 1)}",
+            f"  verdict         {self.verdict}",
             f"  record          {self.record.samples} samples, step {self.record.dt:g}"
             + (f", {missing} outputs missing" if (missing := int((~self.record.observed).sum())) else ""),
             f"  discretisation  {self.method}"
@@ -274,10 +293,10 @@ class PEMResult:
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
         # a label such as "velocity [m/s]" carries its unit
-        name, _, unit = self.record.output_label.removesuffix("]").partition(" [")
+        name, bracket, unit = self.record.output_label.partition(" [")
         kwargs.setdefault("output_label", name)
-        if unit:
-            kwargs.setdefault("output_unit", unit)
+        if bracket:
+            kwargs.setdefault("output_unit", unit.removesuffix("]"))
         return fit_plot(self.record.time, self.record.y, self.predicted, fit_percent=self.fit_percent, **kwargs)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

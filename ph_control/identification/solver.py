@@ -84,6 +84,12 @@ class Projection:
         Q, R = np.linalg.qr(self._columns / lengths)
         return Q, R, lengths
 
+    @property
+    def asks_for_negative_residues_only(self) -> bool:
+        """Whether all residues would be negative, were they free to be."""
+        Q, R, _ = self._factors
+        return bool(np.all(_least_squares(R, Q.T @ self.problem.target)[0][: len(self.d)] < 0))
+
     @cached_property
     def free(self) -> NDArray[np.bool_]:
         """Which coefficients are not held at 0 by `kappa >= 0`."""

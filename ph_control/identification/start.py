@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .regressors import regressors
 from .solver import Problem
 
 Array = NDArray[np.float64]
@@ -23,7 +24,17 @@ _WINDOW = 12  # bins around a candidate
 _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
 _BATCH = 1 << 14
 _KEPT_BATCHES = 8  # of about 14 MB each
+_FULL_CANDIDATES = (8, 64)  # fewest and most that are compared over the whole record
+_FULL_SAMPLES = 400_000  # times candidates: what that comparison may cost
 _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
+
+
+def _constrained_energy(rhs: Array, inverse: Array, inverse_without: Array) -> Array:
+    """Energy that least squares explain, for each candidate, without the first column where its weight is negative."""
+    kappa = np.einsum("ci,ci->c", inverse[:, 0], rhs)
+    full = np.einsum("ci,cij,cj->c", rhs, inverse, rhs)
+    without = np.einsum("ci,cij,cj->c", rhs[:, 1:], inverse_without, rhs[:, 1:])
+    return np.where(kappa >= 0, full, without)
 
 
 class Screen:
@@ -49,8 +60,31 @@ class Screen:
         """Natural frequency of the mode that explains most of a residual (T,), missing samples being 0."""
         E = np.fft.rfft(residual)
         gains = np.concatenate([self._explained(E, start) for start in self.starts])
-        best = self.phase[[int(np.argmax(gains))]]
-        return float(self.problem.hold.frequency_of(best)[0])
+        peaks = self._peaks(gains)
+        d = self.problem.hold.frequency_of(self.phase[peaks])
+        return float(d[np.argmax(self._explained_in_full(residual, d))])
+
+    def _peaks(self, gains: Array) -> NDArray[np.intp]:
+        """Best candidates, no two of them neighbours: as many as a look at the whole record can afford."""
+        padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+        peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
+        count = int(np.clip(_FULL_SAMPLES / len(self.problem.u), *_FULL_CANDIDATES))
+        return peaks[np.argsort(gains[peaks])[::-1][:count]]
+
+    def _explained_in_full(self, residual: Array, d: Array) -> Array:
+        """Energy of the residual that each mode alone explains over the whole record, `kappa >= 0`.
+
+        A line of the input looks like a mode within its window; only the record as a whole tells them apart.
+        """
+        found = regressors(d, self.problem.u, self.problem.hold)
+        columns = np.stack([found.forced, found.cosine, found.sine])[:, self.problem.observed]
+        if self.problem.from_rest:
+            columns = columns[:1]
+        lengths = np.linalg.norm(columns, axis=1)
+        columns = columns / np.where(lengths > 0, lengths, 1.0)[:, None]
+        gram = np.einsum("itc,jtc->cij", columns, columns) + _RIDGE * np.eye(len(columns))
+        rhs = np.einsum("itc,t->ci", columns, residual[self.problem.observed])
+        return _constrained_energy(rhs, np.linalg.inv(gram), np.linalg.inv(gram[:, 1:, 1:]))
 
     def _explained(self, E: ComplexArray, start: int) -> Array:
         """Energy of the residual that one mode at each candidate explains within its window, `kappa >= 0`."""
@@ -61,10 +95,7 @@ class Screen:
             if len(self.starts) <= _KEPT_BATCHES:
                 self.kept[start] = bins, columns, inverses
         rhs = np.einsum("cwi,cw->ci", columns, E[bins]).real
-        kappa = np.einsum("ci,ci->c", inverses[0][:, 0], rhs)
-        with_kappa = np.einsum("ci,cij,cj->c", rhs, inverses[0], rhs)
-        without = np.einsum("ci,cij,cj->c", rhs[:, 1:], inverses[1], rhs[:, 1:])
-        return np.where(kappa >= 0, with_kappa, without)
+        return _constrained_energy(rhs, *inverses)
 
     def _columns(self, part: slice) -> Batch:
         """Bins of each window, conjugate columns for `kappa`, `Re tau`, `Im tau` there, inverse Gram matrices."""

@@ -15,6 +15,7 @@ class Verdict:
 
     n: int
     order: int
+    from_rest: bool
     spare: int
     fit_percent: float
     active: tuple[int, ...]
@@ -23,6 +24,28 @@ class Verdict:
     converged: bool
     noiseless: bool
     at_limit: bool
+    order_given: bool
+    silent: bool
+    reversed_sign: bool
+    drifting: tuple[int, ...]
+
+    @property
+    def _coloured(self) -> bool:
+        return self.whiteness < _WHITE
+
+    @property
+    def headline(self) -> str:
+        """Verdict in a line."""
+        if self.n == 0:
+            return "nothing to model"
+        if self.silent:
+            return "NOT a model: it does not respond to the input"
+        poor = self.fit_percent < _GOOD_FIT or self.at_limit or 2 * len(self.active) >= self.n
+        if (self.active or self._coloured) and poor:
+            return "NOT described by a collocated lossless model"
+        if self.active or self._coloured or self.deficiency or not self.converged:
+            return "doubtful, see below"
+        return "too few samples to judge" if self.spare < _FEW and not self.noiseless else "consistent with the record"
 
     @property
     def blind(self) -> str:
@@ -35,6 +58,11 @@ class Verdict:
     def message(self) -> str:
         """All sentences."""
         parts = []
+        if self.silent and self.n:
+            parts.append(
+                "All weights are zero: the model does not respond to the input, and what fits is free motion only."
+                + (" The residues asked for are all negative: check the polarity of the sensor." * self.reversed_sign)
+            )
         if not self.converged:
             parts.append("The refinement did not converge; the numbers above are the best found.")
         if self.n == 0:
@@ -50,6 +78,12 @@ class Verdict:
                 "better yet, as they do where one damped mode is mimicked by many lossless ones; raise max_order or "
                 "doubt the model."
             )
+        if self.drifting:
+            listed = ", ".join(str(l + 1) for l in self.drifting)
+            parts.append(
+                f"Mode{'s' * (len(self.drifting) > 1)} {listed} would complete less than a period in the record: an "
+                "offset or a drift, rather; subtract the mean or the trend first."
+            )
         if self.active and not self.deficiency:
             listed = ", ".join(str(l + 1) for l in self.active)
             parts.append(
@@ -58,16 +92,19 @@ class Verdict:
             )
         if self.deficiency:
             parts.append(self.blind[0].upper() + self.blind[1:] + ".")
-        coloured = self.whiteness < _WHITE
-        if coloured:
+        if self._coloured:
             p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
             parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
-        if self.fit_percent < _GOOD_FIT and (self.active or coloured):
+        if self.headline.startswith("NOT") and self.order_given:
+            parts.append("The order was given; a higher one may fit better: try order='auto'.")
+        if self.headline.startswith("NOT"):
             parts.append(
                 f"With a fit of {self.fit_percent:.1f} % a collocated lossless velocity model does not describe this "
-                "record: suspect damping, a sensor away from the actuator, or an output that is not the velocity "
-                "(displacement, acceleration)."
+                "record: suspect damping, a sensor away from the actuator, an output that is not the velocity "
+                "(displacement, acceleration), or an input that was not held between samples (intersample='foh')."
             )
+            if self.from_rest:
+                parts.append("The plant was taken to start at rest; if it may not have, use initial_state='estimate'.")
         if self.spare < _FEW and not self.noiseless:
             parts.append(
                 f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
