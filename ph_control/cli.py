@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from . import demo
-from .exceptions import OutputExistsError, PHControlError, StructureError
+from .exceptions import IdentifiabilityWarning, OutputExistsError, PHControlError, StructureError
 from .files import load, read_csv, save
 from .identification.pem import Progress, pem
 from .identification.result import PEMResult
@@ -39,7 +41,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     matplotlib.use("Agg")
     try:
-        arguments.run(arguments)
+        with warnings.catch_warnings():
+            # the summary says it
+            warnings.simplefilter("ignore", IdentifiabilityWarning)
+            arguments.run(arguments)
     except (PHControlError, OSError) as error:
         print(f"ph-control: {error}", file=sys.stderr)
         return 1
@@ -53,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ph-control", description="Lossless (port-Hamiltonian) models from recordings, for python-control."
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     run = commands.add_parser("demo", help="identify two known plants from noisy recordings, compare with the truth")
@@ -66,9 +72,17 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--output", type=_column, help="column of the output, by name or number from 0")
     fit.add_argument("--time", type=_column, help="column of the time, by name or number from 0")
     fit.add_argument("--dt", type=float, help="time between samples, where the table has no time column")
+    fit.add_argument("--delimiter", help="what separates the columns (default: found out)")
+    fit.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: found out)")
+    fit.add_argument("--no-header", action="store_true", help="the first row holds numbers already")
     fit.add_argument("--order", type=_order, default="auto", help="number of modes, or auto (default)")
     fit.add_argument("--max-order", type=int, default=20, help="largest order that auto tries (default 20)")
-    fit.add_argument("--method", choices=METHODS, default="exact", help="how the model meets the samples")
+    fit.add_argument(
+        "--method",
+        choices=METHODS,
+        default="exact",
+        help="exact (default); midpoint and euler for data made by such an integrator only",
+    )
     fit.add_argument("--intersample", choices=INTERSAMPLE, default="zoh", help="input between samples: held or linear")
     fit.add_argument("--initial-state", choices=("estimate", "zero"), default="estimate", help="state at the start")
     fit.add_argument("--model", type=Path, help="write the model here (JSON)")
@@ -84,8 +98,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _version() -> str:
+    try:
+        return version("ph_control")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
 def _column(text: str) -> str | int:
-    return int(text) if text.isdigit() else text
+    return int(text) if text.isascii() and text.isdigit() else text
 
 
 def _order(text: str) -> str | int:
@@ -117,11 +138,12 @@ def _new_folder(wanted: Path) -> Path:
 
 def _fit(arguments: argparse.Namespace) -> None:
     pictures = [path for path in (arguments.plot, arguments.bode) if path is not None]
-    _check_outputs([arguments.model, arguments.result, *pictures], arguments.overwrite)
+    _check_outputs(arguments.recording, [arguments.model, arguments.result, *pictures], arguments.overwrite)
     _check_pictures(pictures)
     data = read_csv(
-        arguments.recording, input=arguments.input, output=arguments.output, time=arguments.time, dt=arguments.dt
-    )
+        arguments.recording, input=arguments.input, output=arguments.output, time=arguments.time, dt=arguments.dt,
+        delimiter=arguments.delimiter, decimal=arguments.decimal, header=False if arguments.no_header else None,
+    )  # fmt: skip
     result = pem(
         data,
         arguments.order,
@@ -151,16 +173,22 @@ def _write(arguments: argparse.Namespace, result: PEMResult) -> None:
         result.plot().figure.savefig(arguments.plot, dpi=150)
         written.append(arguments.plot)
     if arguments.bode is not None:
-        bode_plot(result.system, data=result.record.as_response()).figure.savefig(arguments.bode, dpi=150)
+        bode_plot(result.system, data=result.record.as_response(), label="identified model").figure.savefig(
+            arguments.bode, dpi=150
+        )
         written.append(arguments.bode)
     if written:
         print("\nWritten: " + ", ".join(map(str, written)))
 
 
-def _check_outputs(paths: list[Path | None], overwrite: bool) -> None:
+def _check_outputs(recording: Path, paths: list[Path | None], overwrite: bool) -> None:
     """Refuse before the fit what would fail after it."""
     named = [path for path in paths if path is not None]
     for path in named:
+        if path.exists() and recording.exists() and path.samefile(recording):
+            raise OutputExistsError(f"{path} is the recording itself, which is never overwritten; name another file")
+        if path.exists() and not path.is_file():
+            raise OutputExistsError(f"{path} is not a regular file; name another one")
         if path.exists() and not overwrite:
             raise OutputExistsError(f"{path} exists; name another file, or pass --overwrite to replace it")
         if not path.resolve().parent.is_dir():

@@ -1,5 +1,6 @@
 """The command line: what it prints, writes and refuses."""
 
+import os
 import re
 import subprocess
 import sys
@@ -175,3 +176,32 @@ def test_module_runs_as_a_script():
         [sys.executable, "-m", "ph_control.cli", "--help"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0 and "demo" in done.stdout
+
+
+def test_a_recording_is_never_overwritten_by_what_is_made_of_it(capsys, recording):
+    before = recording.read_bytes()
+    status, _, err = run(capsys, "fit", recording, "--model", recording, "--overwrite")
+    assert status == 1 and "is the recording itself" in err
+    assert recording.read_bytes() == before
+
+
+def test_what_is_no_regular_file_is_refused(capsys, recording, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    status, _, err = run(capsys, "fit", recording, "--model", tmp_path / "pipe", "--overwrite")
+    assert status == 1 and "not a regular file" in err
+
+
+def test_layout_of_the_table_can_be_said(capsys, recording, tmp_path):
+    table = np.loadtxt(recording, delimiter=",", skiprows=1)
+    odd = tmp_path / "odd.txt"
+    odd.write_text("\n".join("|".join(f"{x:.10g}" for x in row) for row in table))
+    status, out, err = run(
+        capsys, "fit", odd, "--delimiter", "|", "--no-header", "--time", 0, "--input", 1, "--output", 2, "--order", 2
+    )
+    assert (status, err) == (0, "") and "2 modes" in out
+
+
+def test_version_is_told(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--version"])
+    assert stop.value.code == 0 and capsys.readouterr().out.startswith("ph-control ")
