@@ -254,15 +254,16 @@ def sampling_step(dt: Any, *, name: str = "dt") -> float:
     """Check a sampling step: one positive finite number."""
     try:
         step = float(dt)
-    except (TypeError, ValueError):
-        raise StructureError(f"{name} is {dt!r}; it must be one positive number, the time between samples") from None
-    if isinstance(dt, bool) or not np.isfinite(step) or step <= 0:
-        raise StructureError(f"{name} is {dt!r}; it must be one positive number, the time between samples")
+    except (TypeError, ValueError, OverflowError):
+        step = np.nan
+    if isinstance(dt, bool) or not 1e-100 <= step <= 1e100:
+        shown = repr(dt) if len(repr(dt)) < 40 else type(dt).__name__
+        raise StructureError(f"{name} is {shown}; it must be one positive number, a time between 1e-100 and 1e100")
     return step
 
 
 def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
     """Check a keyword that names one of a few ways."""
-    if value not in allowed:
+    if not (isinstance(value, str) and value in allowed):
         raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
     return str(value)

@@ -108,7 +108,13 @@ class _Block:
 
 def _spectral_blocks(A: Array, B: Array, C: Array, backward: float) -> list[_Block]:
     """One block for each eigenvalue; one for several that rounding does not tell apart."""
-    T, Z = schur(A, output="complex")
+    try:
+        T, Z = schur(A, output="complex")
+    except np.linalg.LinAlgError:
+        raise StructureError(
+            "the eigenvalues of A were not found: its entries, after balancing, range over "
+            f"{np.abs(A[A != 0]).min():.1e} to {np.abs(A).max():.1e}; choose another unit of time, or other states"
+        ) from None
     # of a triangular matrix: the eigenvalues come in the order of its diagonal
     values, left, right = eig(T, left=True, right=True)
     to_modes, from_modes = Z.conj().T @ B, C @ Z
