@@ -42,6 +42,11 @@ class Curve:
     nyquist: float | None = None
     doubtful: Mask | None = None
 
+    @property
+    def vanishes(self) -> bool:
+        """Whether the response is zero throughout, of which a logarithmic picture shows nothing."""
+        return not np.any(self.response)
+
     def magnitude(self, i: int, j: int) -> Array:
         """Decibels; NaN where infinite or zero."""
         size = np.abs(self.response[i, j])

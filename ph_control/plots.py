@@ -99,7 +99,8 @@ def bode_plot(
     Notes
     -----
     At its poles and zeros on the imaginary axis a lossless response is infinite or zero: the curve runs off the
-    picture there.  The phase of a one-port is then exactly +90 or -90 degrees, and steps.
+    picture there.  The phase of a one-port is then exactly +90 or -90 degrees, and steps.  A response that is zero
+    throughout has no curve, and the legend says so.
 
     The phase of systems is continuous, that of a measurement between -180 and 180 degrees.  Dots of a record are
     pale where the coherence is below one half.  Nyquist frequencies are marked: of a record, of discrete-time systems
@@ -132,7 +133,8 @@ def bode_plot(
             lines[row, j] = draw(axis, numbers, row // 2, j, unit)
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
         _label_bode(axes, numbers, unit, unit_name, gain_unit)
-        legend = _legend_above(axes[0, -1])
+        # a curve that is nowhere must at least be told
+        legend = _legend_above(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
         if title is None and ax is None:
             title = numbers.title
         if title:
@@ -195,9 +197,8 @@ def _draw_curves(axis: Axes, curves: list[Curve], values: list[Array], unit: flo
     for k, (curve, value) in enumerate(zip(curves, values, strict=True)):
         # broken lines after the first, so that equal curves are all seen
         style = _STYLES[k % len(_STYLES)]
-        lines += axis.plot(
-            curve.omega / unit, value, label=_plain(curve.label), linestyle=style, linewidth=1.4, zorder=3
-        )
+        label = _plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
+        lines += axis.plot(curve.omega / unit, value, label=label, linestyle=style, linewidth=1.4, zorder=3)
     return lines
 
 
@@ -241,10 +242,10 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: s
             axis.set_title(_plain(channel), loc="left")
 
 
-def _legend_above(axis: Axes) -> Any:
-    """Legend outside the data, where no line can hide behind it; none for a single entry."""
+def _legend_above(axis: Axes, least: int = 2) -> Any:
+    """Legend outside the data, where no line can hide behind it; none for fewer entries than `least`."""
     handles, labels = axis.get_legend_handles_labels()
-    if len(labels) < 2:
+    if len(labels) < least:
         return None
     columns = 4 if sum(map(len, labels[:4])) < 80 else 2
     return axis.legend(

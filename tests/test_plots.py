@@ -246,6 +246,33 @@ def test_a_single_lossless_system_without_a_name_is_called_the_model():
     assert legend_texts(bode_plot(plain, data=data).axes[0, 0]) == [plain.name, "data"]
 
 
+@pytest.mark.parametrize(
+    "sys",
+    [
+        phc.modes([1.0, 2.0], [0.0, 0.0]),
+        ct.tf([0], [1, 1]),
+        ct.ss([[-1.0]], [[1.0]], [[0.0]], [[0.0]]),
+        ct.tf([0], [1, 0.5], 0.1),
+    ],
+    ids=["modes", "tf", "ss", "sampled"],
+)
+def test_a_system_that_does_not_respond_is_called_zero_in_the_legend(sys):
+    plot = bode_plot(sys, label="model", omega_limits=[0.1, 10.0])
+    plot.figure.canvas.draw()
+    assert legend_texts(plot.axes[0, 0]) == ["model: zero"]
+    assert plot.legend is plot.axes[0, 0].get_legend()
+    pair = bode_plot([sys, ct.tf([1], [1, 1])], label=["still", "lag"], omega_limits=[0.1, 10.0])
+    assert legend_texts(pair.axes[0, 0]) == ["still: zero", "lag"]
+
+
+def test_a_system_without_a_name_that_does_not_respond_is_the_zero_model():
+    sys = phc.ph(phc.modes([1.0, 2.0], [0.0, 0.0]))
+    assert legend_texts(bode_plot(sys).axes[0, 0]) == ["model: zero"]
+    assert legend_texts(bode_plot(sys, data=record(frenkel_kontorova(), 512)).axes[0, 0])[0] == "model: zero"
+    # a faint response is not none
+    assert bode_plot(phc.ph(phc.modes([1.0, 2.0], [0.0, 1e-200]))).legend is None
+
+
 def test_two_frequencies_are_limits_and_more_are_the_grid():
     chain = frenkel_kontorova()
     limited = bode_plot(chain, [0.2, 3.0])
