@@ -103,8 +103,10 @@ def bode_plot(
     throughout has no curve, and the legend says so.
 
     The phase of systems is continuous, that of a measurement between -180 and 180 degrees.  Dots of a record are
-    pale where the coherence is below one half.  Nyquist frequencies are marked: of a record, of discrete-time systems
-    and of discrete-time frequency responses.
+    pale where the coherence is below one half; those of a held input leave a continuous-time curve near the Nyquist
+    frequency even without noise, mostly upwards, because sampling folds the response.
+
+    Nyquist frequencies are marked: of a record, of discrete-time systems and of discrete-time frequency responses.
 
     O(n) for each frequency, and 16 to 60 frequencies for each pole and zero.
 
@@ -247,7 +249,9 @@ def _legend_above(axis: Axes, least: int = 2) -> Any:
     handles, labels = axis.get_legend_handles_labels()
     if len(labels) < least:
         return None
-    columns = 4 if sum(map(len, labels[:4])) < 80 else 2
+    # matplotlib fills column by column, each as wide as its longest entry
+    widest = [max(map(len, column)) for column in np.array_split(np.array(labels, dtype=object), 4) if len(column)]
+    columns = 4 if sum(widest) < 80 else 2
     return axis.legend(
         handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns,
         frameon=False, borderaxespad=0.2,

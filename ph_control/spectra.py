@@ -127,7 +127,8 @@ def spectral_estimate(
 
     The response of a held ('zoh') or interpolated ('foh') input is divided by that of the hold, so that the phase of
     a lossless system is ±90 degrees up to the Nyquist frequency.  What folds back from beyond it remains in the
-    magnitude.
+    magnitude: near the Nyquist frequency the estimate lies off the continuous-time response even without noise, mostly
+    above it.
 
     A lossless mode never forgets, so a segment also shows the motion it began with: near a resonance the estimate is
     blunt, to about two bins on each side, and the coherence drops.  It is for looking, not for fitting.

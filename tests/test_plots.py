@@ -535,6 +535,18 @@ def test_away_from_its_resonances_the_estimate_meets_the_lossless_system():
     assert np.median(np.abs(ratio - 1)) < 0.05
 
 
+def test_near_the_Nyquist_frequency_the_folded_response_lifts_the_estimate_even_without_noise():
+    sys = phc.ph(phc.modes([1.0, 2.5], [1.0, 0.3]))
+    estimate = spectral_estimate(record(sys, 16384, 0.5))
+    top = (estimate.omega > 0.8 * estimate.nyquist) & (estimate.omega < 0.95 * estimate.nyquist)
+    # the held response at w + k * 2 pi / step, all k, over that of the hold at w: the sampled response
+    images = estimate.omega[top] + 2 * np.pi / 0.5 * np.arange(-2000, 2001)[:, None]
+    hold = np.sinc(images * 0.5 / (2 * np.pi)) * np.exp(-0.25j * images)
+    folded = np.sum(hold * sys(1j * images.ravel()).reshape(images.shape), axis=0) / hold[2000]
+    assert np.median(np.abs(estimate.complex[top] / sys(1j * estimate.omega[top]))) > 1.5
+    np.testing.assert_allclose(np.median(np.abs(estimate.complex[top] / folded)), 1.0, atol=0.05)
+
+
 def test_the_estimate_is_frequency_response_data_of_continuous_time_with_the_names_of_the_record():
     data = phc.forced_response(frenkel_kontorova(), 0.1 * np.arange(512), np.random.default_rng(0).normal(size=512))
     estimate = spectral_estimate(data)
