@@ -27,7 +27,7 @@ bode.figure.savefig("bode.png", dpi=110)
 damped = ct.feedback(result.system, 0.5)
 print("slowest decay with velocity feedback 0.5:", f"{max(ct.poles(damped).real):.4f}", "1/s")
 
-phc.save(result.system, "model.json")
+phc.save(result.system, "model.json", overwrite=True)
 assert np.array_equal(phc.load("model.json").d, result.d)
 
 print("largest relative error of a natural frequency:", f"{np.max(np.abs(result.d / plant.d - 1)):.1e}")
