@@ -43,6 +43,19 @@ _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _JOIN = "\x1f"  # one of them, so never part of a field
 _HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
 
+_UNIT_NAME = (
+    r"(?:(?:da|[YZEPTGMkhcdmuµμnpf])?(?:mol|cd|Pa|Hz|Wb|bar|rad|ohm|Ohm|Ω|sr|eV|min|sec|dB|[mgsAKNJWVCFSHTlLth])"
+    r"|°[CF]?|deg|degC|%|rpm|in|ft|lb|lbf|psi|hours?|minutes?|(?:milli|micro|nano)?seconds?|met(?:er|re)s?|newtons?"
+    r"|volts?|amperes?|pascals?|radians?|degrees?|kelvins?|counts?)"
+)
+_UNIT_FACTOR = _UNIT_NAME + r"(?:(?:\^|\*\*)?\(?[+-]?[0-9]\)?|[⁻]?[⁰¹²³⁴-⁹])?"
+_UNIT = re.compile(rf"(?:1/|√)?{_UNIT_FACTOR}(?:\s*[*·.⋅/ ]\s*(?:√|\()?{_UNIT_FACTOR}\)?){{0,5}}")
+_REAL = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_COMPLEX = re.compile(
+    rf"(?:\(\s*)?(?<![0-9.])[+-]?{_REAL}\s*[+-]\s*[+-]?(?:{_REAL}\s*(?:\*\s*)?[ij]|[ij]\*?{_REAL})(?![A-Za-z0-9])\)?"
+    rf"|\(\s*[+-]?{_REAL}\s*[,;]\s*[+-]?{_REAL}\s*\)"
+)
+
 
 @dataclass(frozen=True)
 class Table:
@@ -85,6 +98,8 @@ class Table:
             value = float(text.replace(",", "."))
             if np.isfinite(value):
                 return value
+        if _COMPLEX.fullmatch(text):
+            raise FileFormatError(f"{self.at(row, column)}: {_complex(text)}")
         hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
         raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
 
@@ -157,6 +172,7 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
         delimiter, lines[content[0]] = delimiter or announced[1], ""
         content = content[1:]
     sample = [lines[k] for k in content[:_SAMPLE]]
+    _refuse_complex(name, sample, content)
     delimiter = _delimiter(sample, delimiter, decimal)
     if delimiter == "\t":
         # a line of tabs is a row of missing values, not a blank line
@@ -171,6 +187,10 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
         header_line = numbers.pop(0)
         if not rows:
             raise FileFormatError(f"{name} has a header in line {header_line} and no rows of numbers below it")
+        units = _units(labels, rows, delimiter, decimal)
+        if units:
+            labels = tuple(f"{a} [{b}]" if a and b else a for a, b in zip(labels, units, strict=True))
+            del rows[0], numbers[0]
     if not rows:
         raise FileFormatError(f"{name} has no rows of numbers")
     width = _width(name, rows, numbers, delimiter, labels)
@@ -284,6 +304,53 @@ def _has_header(
     raise FileFormatError(
         f"{path}, line {numbers[0]} is neither a header nor a row of numbers: {number!r} in column {first.index('n')} "
         f"is a number, {word!r} in column {first.index('t')} is not; correct it, or pass header=True or header=False"
+    )
+
+
+def _units(labels: Sequence[str], rows: list[str], delimiter: str, decimal: str) -> list[str] | None:
+    """Units of the columns if the row below the labels holds nothing else, without any doubt; else None."""
+    if any(without_unit(label) != label for label in labels) or len(rows) < 2:
+        return None
+    fields = [field.strip().strip('"').strip() for field in _split(rows[0], delimiter)]
+    if len(fields) == len(labels) + 1 and not fields[-1]:
+        fields.pop()
+    elif len(fields) == len(labels) - 1 and not labels[-1]:
+        fields.append("")
+    units = ["" if field == "-" else re.sub(r"^(?:\[(.*)\]|\((.*)\))$", r"\1\2", field).strip() for field in fields]
+    if len(units) != len(labels) or not any(units) or not all(_is_unit(unit) for unit in units if unit):
+        return None
+    # a column with a unit holds numbers: letters above letters are a row of the table
+    below = [_kinds(_split(row, delimiter), decimal) for row in rows[1:_SAMPLE]]
+    for column, unit in enumerate(units):
+        kinds = {row[column : column + 1] for row in below}
+        if unit and not {"n"} <= kinds <= {"n", "m"}:
+            return None
+    return units
+
+
+def _is_unit(text: str) -> bool:
+    return len(text) <= 30 and _UNIT.fullmatch(text) is not None
+
+
+def _refuse_complex(path: str, sample: list[str], content: list[int]) -> None:
+    """Refuse a table with complex numbers and at most one column of others beside them, which is no recording."""
+    hits = [k for k, line in enumerate(sample) if _COMPLEX.search(line)]
+    # the first two rows may be labels and units
+    if not hits or hits[0] > 2 or hits != list(range(hits[0], len(sample))):
+        return
+    for k in hits:
+        rest = re.split(r"[,;\s]+", _COMPLEX.sub(" ", sample[k]))
+        if sum(_NUMBER["."].fullmatch(word) is not None for word in rest) > 1:
+            return
+    found = _COMPLEX.search(sample[hits[0]])
+    assert found is not None
+    raise FileFormatError(f"{path}, line {content[hits[0]] + 1}: {_complex(found[0])}")
+
+
+def _complex(text: str) -> str:
+    return (
+        f"{text!r} is a complex number; a table of these is perhaps a measured frequency response, not a recording in "
+        "time: pass the signals themselves, sampled in time, in real columns"
     )
 
 

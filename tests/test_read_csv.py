@@ -512,10 +512,63 @@ def test_decimal_point_among_decimal_commas_is_an_error(message):
     )
 
 
-def test_units_in_a_second_line_are_told_what_to_do(message):
-    text = message("t,u,y\ns,N,m\n0,1,2\n1,2,3\n")
-    assert text.startswith("record.csv, line 2, column 0 ('t'): 's' is not a number")
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "   "])
+@pytest.mark.parametrize("units", ["s,N,m/s", "[s],[N],[m/s]", "(s),(N),(m/s)", '"s","N","m/s"'])
+def test_row_of_units_below_the_labels_joins_them(read, delimiter, units):
+    content = f"time,force,velocity\n{units}\n" + PLAIN.removeprefix("t,u,y\n")
+    data = read(content.replace(",", delimiter), input="force", output="velocity")
+    assert_plain(data)
+    assert (data.input_labels, data.output_labels) == (["force [N]"], ["velocity [m/s]"])
+
+
+@pytest.mark.parametrize(
+    "unit", ["m/s^2", "m/s²", "mm", "µm", "°C", "%", "rad/s", "N*m", "N·m", "kN", "1/s", "volts", "Hz"]
+)
+def test_usual_units_are_known(read, unit):
+    assert read(f"t,u,y\ns,-,{unit}\n0,1,2\n1,2,\n").output_labels == [f"y [{unit}]"]
+    assert read(f"t,u,y,\ns,,{unit},\n0,1,2,\n1,2,3,\n").input_labels == ["u"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "t,u,y\nbad,N,m\n0,1,2\n1,2,3\n",
+        "t,u,y\nerror,error,error\n0,1,2\n1,2,3\n",
+        "t [s],u,y\ns,N,m\n0,1,2\n1,2,3\n",
+        "t,u,y\ns,1,m\n0,1,2\n1,2,3\n",
+        "t,u,y\ns,N,m\n0,1,A\n1,2,B\n",
+    ],
+)
+def test_row_of_words_that_may_be_no_units_is_told_what_to_do(message, content):
+    text = message(content)
+    assert text.startswith("record.csv, line 2, column 0 (") and "is not a number" in text
     assert text.endswith("put # in front of the line if it holds units")
+
+
+def test_row_of_units_without_rows_below_is_no_recording(message):
+    assert "one row of numbers (line 2)" in message("t,u,y\ns,N,m\n", FileFormatError)
+
+
+@pytest.mark.parametrize(
+    "number", ["1.0+2.0j", "(1.5e+00-2.5e-01j)", "1-2i", "(1,2)", "( 1.0+-2.0j)", "-.5 + 3j", "1+i2"]
+)
+@pytest.mark.parametrize("start", ["", "frequency;H\n", "frequency;H\nHz;m\n", "t;H\n"])
+@pytest.mark.parametrize("delimiter", [";", "\t", ",", " "])
+def test_table_of_complex_numbers_is_told_from_a_recording(message, number, start, delimiter):
+    text = message((start + f"1;{number}\n2;{number}\n3;{number}\n").replace(";", delimiter))
+    assert text.startswith(f"record.csv, line {start.count(chr(10)) + 1}: {number!r} is a complex number;")
+    assert "perhaps a measured frequency response, not a recording in time" in text
+
+
+def test_complex_numbers_alone_are_not_taken_for_labels(message):
+    assert message("1+2j,3+4j\n1+2j,3+4j\n", dt=1).startswith("record.csv, line 1: '1+2j' is a complex number")
+
+
+def test_complex_column_of_a_recording_is_an_error_only_where_it_is_asked_for(read, message):
+    content = "t,u,y,z\n0,1,2,1+2j\n1,2,3,2-1j\n"
+    assert read(content, input="u", output="y").outputs.tolist() == [2, 3]
+    text = message(content, input="u", output="z")
+    assert text.startswith("record.csv, line 2, column 3 ('z'): '1+2j' is a complex number")
 
 
 @pytest.mark.parametrize("row", ["1,2", "1,2,3,4", "1,2,3,,", '1,"2,3"', "end of record"])
