@@ -33,8 +33,8 @@ _MISSING = frozenset(
      "-1.#ind"]
 )  # fmt: skip
 _NUMBER = {
-    ".": re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?"),
-    ",": re.compile(r"[+-]?([0-9]+,?[0-9]*|,[0-9]+)([eE][+-]?[0-9]+)?"),
+    ".": re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?"),
+    ",": re.compile(r"[+-]?([0-9]+(,[0-9]*)?|,[0-9]+)([eE][+-]?[0-9]+)?"),
 }
 _LAYOUTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","), (",", ","))
 _SPELLED = {" ": "white space", "\t": "tab", ",": "comma", ";": "semicolon"}
@@ -157,7 +157,7 @@ class Table:
 
 def without_unit(label: str) -> str:
     """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
-    return re.sub(r"\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
+    return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
 
 
 def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:

@@ -497,6 +497,13 @@ def test_field_that_is_no_number_says_line_column_and_what_was_found(message, fi
     assert message(content).startswith(f"record.csv, line 5, column 1 ('u'): {expected}")
 
 
+@pytest.mark.parametrize("field", ["1" * 200_000 + "x", "s" + 200_000 * " " + "m", "1+2" + 200_000 * " " + "x"])
+def test_field_or_label_of_any_length_is_answered(read, message, field):
+    # a pattern that tried every way to split it would not come to an end here
+    assert "is not a number" in message(f"t,u,y\n0,1,2\n1,{field},3\n")
+    assert read(f"t,u,{field}\n0,1,2\n1,2,3\n", header=True).output_labels == [field]
+
+
 def test_error_far_down_names_its_own_line(message):
     rows = [f"{k},{k},{k}" for k in range(5000)]
     rows[4321] = "4321,4321,bad"
