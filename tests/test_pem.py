@@ -309,6 +309,15 @@ def test_a_plant_at_rest_may_be_said_to_be_at_rest():
     assert not result.initial_state.any()
 
 
+@pytest.mark.parametrize("method, intersample", [("exact", "foh"), ("midpoint", "foh"), ("exact", "zoh")])
+def test_a_plant_at_rest_under_any_input_is_fitted_exactly(method, intersample):
+    kind = {"method": method, "intersample": intersample}
+    plant, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], snr=np.inf, z0=np.zeros(4), **kind)
+    result = phc.pem((u, y), 2, dt=0.1, initial_state="zero", **kind)
+    assert np.allclose(result.r, plant.r, rtol=1e-9)
+    assert not result.initial_state.any()
+
+
 def test_constraint_is_reported_where_it_acts():
     # a mode seen with the opposite sign: sensor away from the actuator
     t, rng = 0.1 * np.arange(1000), np.random.default_rng(0)

@@ -262,9 +262,6 @@ def _result(
         np.zeros((0, 1)),
     )
     amplitudes = np.concatenate([alpha + 1j * beta, 0j * pads])
-    # the regressors count the initial state before the first sample acts through an interpolated input
-    jump = problem.hold.step(d).b1[:, 0] * kappa * problem.u[0]
-    state = state_from_amplitudes(modes, amplitudes + np.concatenate([jump, 0j * pads]))
     predicted = at.regressors.columns() @ coefficients
     residuals = record.y - predicted
     loglik, aic, bic = _criteria(problem, at.loss, n)
@@ -290,7 +287,7 @@ def _result(
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
     return PEMResult(
         system=_named_system(modes, record),
-        initial_state=state,
+        initial_state=state_from_amplitudes(modes, amplitudes),
         free_amplitudes=amplitudes,
         covariance=in_user_parameters(covariance, modes, amplitudes, free, n),
         noise_variance=variance,

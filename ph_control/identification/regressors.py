@@ -86,11 +86,7 @@ def _phi_3(z: ComplexArray, phi_2: ComplexArray) -> ComplexArray:
 
 @dataclass(frozen=True)
 class Regressors:
-    """Columns of the linear problem and their derivatives, each of shape (T, n).
-
-    The initial state they belong to is that before the input of the first sample acts through `u_{k+1}` weights:
-    `x_0 = alpha + i beta + kappa b1 u_0`.
-    """
+    """Columns of the linear problem and their derivatives, each of shape (T, n)."""
 
     forced: Array
     cosine: Array
@@ -121,9 +117,11 @@ def regressors(d: Array, u: Array, hold: Hold) -> Regressors:
     b = step.b0 + step.multiplier[:, None] * step.b1
     db0, db1 = hold.weight_derivatives(d)
     db = db0[:, None] + step.multiplier[:, None] * (slope * step.b1 + db1[:, None])
-    forced = b * X + step.b1 * u
-    forced_slope = slope * b * ((k - 1) * X - Y) + db * X + db1[:, None] * u
     free_slope = slope * k * free
+    # from rest: what an interpolated first sample adds to the state at once is taken off again
+    forced = b * X + step.b1 * (u - u[0] * free)
+    forced_slope = slope * b * ((k - 1) * X - Y) + db * X + db1[:, None] * (u - u[0] * free)
+    forced_slope -= step.b1 * u[0] * free_slope
     return Regressors(
         forced.real.T, free.real.T, -free.imag.T, forced_slope.real.T, free_slope.real.T, -free_slope.imag.T
     )
