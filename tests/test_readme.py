@@ -41,19 +41,19 @@ def test_the_python_code_runs_and_leaves_what_it_says(after_python):
     assert {"recording.csv", "model.json", "fit.png", "bode.png"} <= {path.name for path in folder.iterdir()}
 
 
-def test_the_fit_on_the_command_line_runs_on_the_recording_of_the_python_code(after_python, tmp_path):
+def test_the_fit_on_the_command_line_runs_in_the_folder_that_the_python_code_left(after_python):
     folder, done = after_python
     assert done.returncode == 0, done.stderr
     (command,) = [
         shlex.split(line) for block in blocks("sh") for line in block.splitlines() if "ph-control fit" in line
     ]
     assert command[0].endswith("ph-control")
-    (tmp_path / "recording.csv").write_bytes((folder / "recording.csv").read_bytes())
     start = "import sys; from ph_control.cli import main; sys.exit(main())"
-    fit = run(tmp_path, "-c", start, *command[1:])
+    fit = run(folder, "-c", start, *command[1:])
     assert fit.returncode == 0, fit.stderr
     assert "3 modes" in fit.stdout
-    assert {"model.json", "fit.png"} <= {path.name for path in tmp_path.iterdir()}
+    made = {command[command.index(option) + 1] for option in ("--model", "--plot")}
+    assert made <= {path.name for path in folder.iterdir()}
 
 
 def test_every_path_that_the_readme_refers_to_exists():
