@@ -10,7 +10,7 @@ import numpy as np
 from control.nlsys import NonlinearIOSystem
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks, realization
+from . import _checks, lossless
 from .exceptions import StructureError
 from .modal import ModalForm, from_frequencies, imaginary
 from .symplectic import apply_form, energy_coordinates, williamson
@@ -422,7 +422,7 @@ def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
         return PortHamiltonian(*found, **_inherited_names(source, names, "inputs", "outputs", "states"))
     if isinstance(source, ct.InputOutputSystem):
         names = _inherited_names(source, names, "inputs", "outputs")
-    return PortHamiltonian._from_modes(realization.lossless_modes(source), **names)
+    return PortHamiltonian._from_modes(lossless.lossless_modes(source), **names)
 
 
 def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
