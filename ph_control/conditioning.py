@@ -1,0 +1,326 @@
+"""How far modal data are known, and what follows: which frequencies are one, and which modes no port reaches.
+
+A system given by modes is exact.  The modes of a Hamiltonian matrix carry its rounding errors: a frequency that of
+`w^H dQ w` for the mode shape `w`, an input weight one that grows as other frequencies come near.  Frequencies
+closer than their errors form a group, of which only the subspace is determined, and with it the total weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from . import _checks
+from .exceptions import StructureError
+from .modal import ModalForm
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Labels = NDArray[np.int32]
+Energy = tuple[Array, ComplexArray, Array]  # what `symplectic.energy_coordinates` returns
+
+_EXACT = 4.0  # roundings of each exact frequency, for each degree of freedom
+
+
+@dataclass(frozen=True)
+class ModalErrors:
+    """Bounds of the errors of modal data.
+
+    Attributes
+    ----------
+    d : ndarray, shape (n,)
+        Of each frequency; two that are no farther apart than the sum of theirs cannot be told apart.
+    nu : ndarray, shape (n,)
+        Of each row of input weights, as a norm, as far as modes outside its group disturb it.
+    rigid : ndarray, shape (k,)
+        Of each row of rigid-body weights.
+    """
+
+    d: Array
+    nu: Array
+    rigid: Array
+
+
+@dataclass(frozen=True)
+class Group:
+    """Modes that cannot be told apart, with the rotation that parts what ports reach from what they do not.
+
+    Attributes
+    ----------
+    members : ndarray of int, shape (k,)
+        Indices of the modes, ascending.
+    rotation : ndarray, shape (k, k)
+        Unitary; its rows map the k modal states to the reached ones, then to the hidden ones.
+    d : ndarray, shape (k,)
+        Frequencies in the order of these rows.
+    nu : ndarray, shape (rank, m)
+        Input weights of the reached states; for one port real and positive.
+    strength, lost : float
+        Norms of all input weights, and of those of the hidden states, which count as zero.
+    """
+
+    members: NDArray[np.intp]
+    rotation: ComplexArray
+    d: Array
+    nu: ComplexArray
+    strength: float
+    lost: float
+
+    @property
+    def rank(self) -> int:
+        """Number of states that ports reach; for one port 0 or 1."""
+        return len(self.nu)
+
+
+@dataclass(frozen=True)
+class Separation:
+    """The groups of a modal form, in the order of frequencies, its reached rigid-body modes, and the bounds used."""
+
+    modes: ModalForm
+    groups: tuple[Group, ...]
+    rigid: Array
+    errors: ModalErrors
+
+    def minimal(self) -> ModalForm:
+        """Modal form of what ports reach: the same transfer function with the fewest modes."""
+        reached = [g for g in self.groups if g.rank]
+        d = np.concatenate([np.zeros(0), *(g.d[: g.rank] for g in reached)])
+        nu = np.concatenate([np.zeros((0, self.modes.nports), complex), *(g.nu for g in reached)])
+        order = np.argsort(d, kind="stable")
+        if self.modes.nports > 1:
+            return ModalForm(d[order], nu[order], self.rigid.copy())
+        # the weight of a group is the sum of those of its modes, whatever rotation was found
+        r = np.array([self.modes.r[g.members].sum() for g in reached])[order]
+        return ModalForm(d[order], np.sqrt(r).astype(complex)[:, None], self.rigid.copy(), r)
+
+    def hidden(self) -> Array:
+        """Frequencies that no port reaches, ascending."""
+        return np.sort(np.concatenate([np.zeros(0), *(g.d[g.rank :] for g in self.groups)]))
+
+    @property
+    def is_minimal(self) -> bool:
+        """Whether each mode is reached on its own, rigid-body modes too."""
+        return len(self.rigid) == len(self.modes.rigid) and all(g.rank == len(g.members) for g in self.groups)
+
+
+def separate(
+    modes: ModalForm,
+    given: tuple[Array, Array] | None = None,
+    energy: Energy | None = None,
+    *,
+    rtol: float | None = None,
+) -> Separation:
+    """Group the modes of a system, and part in each group what ports reach from what they do not.
+
+    Parameters
+    ----------
+    modes : ModalForm
+        The modes.
+    given : tuple of ndarray, optional
+        `(Q, B)` if the modes come from matrices; without, they are exact.
+    energy : tuple of ndarray, optional
+        The energy coordinates of `Q`, needed with `given`.
+    rtol : float, optional
+        Instead of error bounds: frequencies closer than `rtol * d` are one, and a residue `d |nu|^2` of at most
+        `rtol` times the largest is zero.
+
+    Returns
+    -------
+    Separation
+        The groups, and the bounds that they were found with.
+
+    Raises
+    ------
+    StructureError
+        If `rtol` is no number from 0 to 1.
+
+    Notes
+    -----
+    A group is a connected component of "no farther apart than the sum of the error bounds".  Exact frequencies
+    have the bound `4 n eps d` and exact weights none.  A mode of matrices whose weight is lost in its error joins
+    the neighbour that may have lent it, so that no residue is dropped.  O(n^2), and O(k^3) for a group of k.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> from ph_control.conditioning import separate
+    >>> [group.rank for group in separate(phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0])).groups]
+    [1, 0]
+    """
+    if rtol is not None:
+        errors = _chosen_tolerances(modes, relative_tolerance(rtol))
+    elif given is None or energy is None:
+        close = _EXACT * max(1, modes.n) * _checks.EPS * modes.d
+        errors = ModalErrors(close, np.zeros(len(modes.d)), np.zeros(len(modes.rigid)))
+    else:
+        return _separate_computed(modes, _rounding_noise(modes, *given, energy))
+    return _split(modes, _components(modes.d, errors.d), errors)
+
+
+def relative_tolerance(rtol: Any) -> float:
+    """Check a relative tolerance: a number from 0 to 1."""
+    number = isinstance(rtol, int | float | np.integer | np.floating) and not isinstance(rtol, bool)
+    if not number or not 0 <= rtol < 1:
+        raise StructureError(f"rtol is {rtol!r}; a relative tolerance is a number from 0 to 1")
+    return float(rtol)
+
+
+def _chosen_tolerances(modes: ModalForm, rtol: float) -> ModalErrors:
+    residues = modes.d * np.sum(np.abs(modes.nu) ** 2, axis=1)
+    smallest = rtol * max(residues.max(initial=0.0), float(np.sum(modes.rigid**2)))
+    return ModalErrors(0.5 * rtol * modes.d, np.sqrt(smallest / modes.d), np.full(len(modes.rigid), np.sqrt(smallest)))
+
+
+def _components(d: Array, radius: Array) -> Labels:
+    near = np.abs(d[:, None] - d) <= radius[:, None] + radius
+    return np.asarray(connected_components(near, directed=False)[1], np.int32)
+
+
+# --- groups ----------------------------------------------------------------------------------------------------
+
+
+def _split(modes: ModalForm, label: Labels, errors: ModalErrors) -> Separation:
+    members = [np.flatnonzero(label == k) for k in dict.fromkeys(label.tolist())]
+    groups = tuple(_group(modes, g, float(errors.nu[g].max())) for g in members)
+    _, sigma, Vh, rank = _reached(modes.rigid, float(errors.rigid.max(initial=0.0)))
+    return Separation(modes, groups, sigma[:rank, None] * Vh[:rank], errors)
+
+
+def _group(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Group:
+    W, sigma, Vh, rank = _reached(modes.nu[members], tolerance)
+    nu = sigma[:rank, None] * Vh[:rank]
+    parts = [_diagonal_rows(W[:, part].conj().T, modes.d[members]) for part in (slice(rank), slice(rank, None))]
+    nu = (parts[0][1] @ W[:, :rank]) @ nu
+    # gauge: the largest weight of each reached state is real and positive
+    lead = nu[np.arange(rank), np.abs(nu).argmax(axis=1)] if rank else np.ones(0)
+    turn = (np.abs(lead) / lead)[:, None]
+    rotation = np.concatenate([turn * parts[0][1], parts[1][1]])
+    d = np.concatenate([parts[0][0], parts[1][0]])
+    nu = turn * nu
+    if modes.nports == 1:
+        nu = np.abs(nu).astype(complex)
+    return Group(members, rotation, d, nu, float(np.linalg.norm(sigma)), float(np.linalg.norm(sigma[rank:])))
+
+
+def _reached(rows: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], Array, NDArray[Any], int]:
+    """Singular value decomposition of input weights, and how many of the values stand out."""
+    W, sigma, Vh = np.linalg.svd(rows)
+    rounding = max(rows.shape) * _checks.EPS * float(sigma.max(initial=0.0))
+    return W, sigma, Vh, int(np.sum(sigma > max(tolerance, rounding)))
+
+
+def _diagonal_rows(rows: ComplexArray, d: Array) -> tuple[Array, ComplexArray]:
+    """Turn orthonormal rows among themselves so that the motion `diag(d)` does not couple them."""
+    if np.ptp(d) == 0 or len(rows) == 0:
+        return np.full(len(rows), d[0]), rows
+    # about the mean, so that frequencies that nearly coincide keep their differences
+    mean = float(d.mean())
+    spread, Y = np.linalg.eigh((rows * (d - mean)) @ rows.conj().T)
+    return mean + spread, Y.conj().T @ rows
+
+
+# --- modes of matrices -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """First-order effects of rounding on modal data.
+
+    `coupling` (n, n) bounds the coupling between modes, in the unit of frequencies; its diagonal is the error of `d`.
+    `local` (n,) bounds what rounding makes of `S B` for exact `S`, `rigid` (k,) the error of the rigid weights.
+    """
+
+    coupling: Array
+    local: Array
+    rigid: Array
+
+
+def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _Noise:
+    """Bounds for errors `|dQ_ij| <= c eps sqrt(Q_ii Q_jj)` in Q, which no choice of units changes.
+
+    Cholesky factors err as much, and so does `S^T diag(d, d) S` however it was computed.  Reducing `F^T J F` adds
+    errors of the size of its norm.  `c = 4 + sqrt(n)`: measured errors grow slower than that.
+    """
+    d, E, E0 = energy
+    n = len(Q) // 2
+    unit = (4 + np.sqrt(n)) * _checks.EPS
+    root = np.sqrt(np.maximum(np.diag(Q), 0.0))
+    scale = np.where(root > 0, root, 1.0)
+    rows = E / np.sqrt(d)[:, None]
+    # the columns of the inverse of a symplectic matrix are its rows, positions and momenta exchanged
+    shape = np.linalg.norm(np.concatenate([rows[:, n:], rows[:, :n]], axis=1) * root, axis=1) / np.sqrt(2)
+    blocks = _blocks(Q)
+    block = np.concatenate([blocks, blocks])[np.abs(E).argmax(axis=1)] if len(E) else blocks[:0]
+    products = root[:n] * root[n:]
+    peak = float(products.max(initial=0.0)) or 1.0
+    size = peak * np.sqrt(np.bincount(blocks, (products / peak) ** 2))[block]
+    together = block[:, None] == block
+    ratio = np.sqrt(d[:, None] / d)
+    coupling = unit * together * (np.multiply.outer(shape, shape) + size * 0.5 * (ratio + 1 / ratio))
+    inputs = float(np.linalg.norm(root[:, None] * B))
+    local = unit * np.linalg.norm(rows / scale, axis=1) * inputs
+    return _Noise(coupling, local, unit * _rigid_noise(modes, E, E0, scale, shape, size, inputs))
+
+
+def _blocks(Q: Array) -> Labels:
+    """For each degree of freedom a label that it shares with those that `Q` couples to it."""
+    n = len(Q) // 2
+    pattern = Q != 0
+    coupled = pattern[:n, :n] | pattern[:n, n:] | pattern[n:, :n] | pattern[n:, n:]
+    return np.asarray(connected_components(coupled, directed=False)[1], np.int32)
+
+
+def _rigid_noise(
+    modes: ModalForm, E: ComplexArray, E0: Array, scale: Array, shape: Array, size: Array, inputs: float
+) -> Array:
+    """What disturbs the rigid-body weights, in units of rounding: every mode is as far as its frequency."""
+    if len(E0) == 0:
+        return np.zeros(0)
+    dual = np.linalg.pinv(np.concatenate([E.real, E.imag, E0]) / scale)[:, 2 * len(E) :]
+    own = np.linalg.norm(dual, axis=0)
+    weight = np.linalg.norm(modes.nu, axis=1)
+    mixed = own * float(shape @ weight) + float((size / np.sqrt(modes.d)) @ weight)
+    result: Array = mixed + np.linalg.norm(E0 / scale, axis=1) * inputs
+    return result
+
+
+def _separate_computed(modes: ModalForm, noise: _Noise) -> Separation:
+    """Groups of modes with rounding errors: first by frequency, then joined where weight is lost to a neighbour."""
+    close = np.diag(noise.coupling).copy()
+    label = _components(modes.d, close)
+    while True:
+        lent = _lent_weight(modes, noise, label)
+        both = noise.coupling / (modes.d[:, None] + modes.d) @ np.linalg.norm(modes.nu, axis=1)
+        error = lent.sum(axis=1) + both + noise.local
+        of_group = np.sqrt(np.bincount(label, error**2))[label] if len(label) else error
+        found = _split(modes, label, ModalErrors(close, of_group, noise.rigid))
+        joined = _join_lenders(found, lent, label)
+        if np.array_equal(joined, label):
+            return found
+        label = joined
+
+
+def _lent_weight(modes: ModalForm, noise: _Noise, label: Labels) -> Array:
+    """Entry (l, j): the weight that mode l may owe to mode j of another group, more the nearer they are."""
+    apart = label[:, None] != label
+    gap = np.where(apart, np.abs(modes.d[:, None] - modes.d), np.inf)
+    return noise.coupling / gap * np.linalg.norm(modes.nu, axis=1)
+
+
+def _join_lenders(found: Separation, lent: Array, label: Labels) -> Labels:
+    """Join each group that would lose weight with the one that most of it may come from.
+
+    Dropped, the weight would be missing in the total; rotated back into the joint subspace, it is not.
+    """
+    joined = label.copy()
+    strength = {int(label[g.members[0]]): g.strength for g in found.groups}
+    for group in found.groups:
+        lender = int(label[np.unravel_index(lent[group.members].argmax(), (len(group.members), len(label)))[1]])
+        rounding = len(label) * _checks.EPS * strength[lender] ** 2
+        if group.lost**2 > rounding and lent[group.members].any():
+            joined[joined == joined[group.members[0]]] = joined[np.flatnonzero(label == lender)[0]]
+    return joined
