@@ -1,5 +1,6 @@
 """Lossless (port-Hamiltonian) linear systems for python-control."""
 
+from .coefficients import ScaledCoefficients
 from .exceptions import (
     FileFormatError,
     FileMissingError,

@@ -195,6 +195,27 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
     return array
 
 
+def transfer_coefficients(a: ArrayLike, c: ArrayLike) -> tuple[Array, Array]:
+    """Check the coefficients of a lossless transfer function: the even ones of `a`, and `c`."""
+    denominator, numerator = real_array("a", a, 1), real_array("c", c, 1)
+    if len(denominator) != 2 * len(numerator):
+        raise StructureError(
+            f"a has {len(denominator)} entries and c has {len(numerator)}; needed (a_0 .. a_(2n-1)) and "
+            "(c_1, c_3 .. c_(2n-1)): twice as many"
+        )
+    if denominator[1::2].any():
+        worst = 2 * int(np.abs(denominator[1::2]).argmax()) + 1
+        raise StructureError(
+            f"a[{worst}] is {denominator[worst]:.6g}, needed 0: the denominator of a lossless "
+            "system without a pole at 0 is even"
+        )
+    even = denominator[0::2]
+    if even.size and even.min() <= 0:
+        worst = 2 * int(even.argmin())
+        raise StructureError(f"a[{worst}] is {denominator[worst]:.6g}, needed > 0: a product of (s^2 + d^2), d > 0")
+    return even, numerator
+
+
 def conjugate_closed(name: str, value: ArrayLike) -> NDArray[np.complex128]:
     """Check the zeros or poles of a real system: finite, and each with its conjugate."""
     try:

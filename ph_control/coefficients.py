@@ -20,6 +20,7 @@ from . import _twofloat as tf
 Array = NDArray[np.float64]
 Exponents = NDArray[np.int64]
 
+COEFFICIENT_LIMIT = 1e-4  # relative error of a frequency beyond which coefficients no longer tell it
 _LOWEST = -(2**60)  # stands for the exponent of 0
 _FAR = 1100  # binary places: a term that much smaller than another leaves no trace in their sum
 _ROOM = np.finfo(np.longdouble).maxexp - 24  # binary exponents up to which plain numbers are used
@@ -69,6 +70,16 @@ class ScaledCoefficients:
         """Return the numbers as doubles; infinite or 0 where they leave the range of doubles."""
         with np.errstate(over="ignore", under="ignore"):
             return np.ldexp(self.mantissa, np.clip(self.exponent, -5000, 5000).astype(np.int32))
+
+    def reversed(self) -> ScaledCoefficients:
+        """Return the numbers in the opposite order."""
+        return ScaledCoefficients(self.mantissa[::-1].copy(), self.exponent[::-1].copy())
+
+    def spread(self) -> ScaledCoefficients:
+        """Coefficients of even powers without the last as those of all powers below it: a 0 after each."""
+        mantissa, exponent = np.zeros(2 * len(self.mantissa) - 2), np.zeros(2 * len(self.mantissa) - 2, np.int64)
+        mantissa[0::2], exponent[0::2] = self.mantissa[:-1], self.exponent[:-1]
+        return ScaledCoefficients(mantissa, exponent)
 
     @property
     def fit_doubles(self) -> bool:
@@ -171,7 +182,7 @@ def _from_roots(x: Array) -> Array:
     polynomials = [np.array([a, 1.0]) for a in x]
     while len(polynomials) > 1:
         pairs = [polynomials[i : i + 2] for i in range(0, len(polynomials), 2)]
-        polynomials = [np.convolve(*pair) if len(pair) == 2 else pair[0] for pair in pairs]
+        polynomials = [np.convolve(pair[0], pair[1]) if len(pair) == 2 else pair[0] for pair in pairs]
     return polynomials[0]
 
 
@@ -227,9 +238,9 @@ def modes_from_coefficients(a: Array, c: Array) -> tuple[Array, Array, Array, Ar
     error_kappa = (moved * error_y + _checks.EPS * rounding) / np.abs(slope[0])
     d, error_d = _square_root(y), 0.5 * error_y / np.sqrt(size)
     order = np.argsort(d)
-    found = (np.ldexp(value[order], shift) for value, shift in ((d, unit), (kappa[0] + kappa[1], 2 * unit)))
-    errors = (np.ldexp(value[order], shift) for value, shift in ((error_d, unit), (error_kappa, 2 * unit)))
-    return *found, *errors
+    # with c scaled by one power less than a, residues have kept their unit
+    kappas = (kappa[0] + kappa[1])[order], error_kappa[order]
+    return np.ldexp(d[order], unit), kappas[0], np.ldexp(error_d[order], unit), kappas[1]
 
 
 def _exactly(values: Array) -> tf.Pair:

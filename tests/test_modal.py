@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import (
     EPS,
-    coefficients,
     dense_matrices,
     dense_transfer_function,
     foster_zeros,
@@ -266,64 +264,6 @@ def test_the_zeros_of_several_ports_are_those_of_the_dense_system_matrix(n, port
     assert np.max(np.abs(np.sort(truth.imag) - modes.zeros.imag)) < 100 * np.sqrt(EPS)
     worst = max(np.linalg.svd(left - z * right, compute_uv=False)[-1] for z in modes.zeros)
     assert worst < 100 * size * EPS * np.linalg.norm(left)
-
-
-# --- coefficients --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["one", "regular", "clustered to 1e-6", "repeated"])
-@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-def test_coefficients_have_full_relative_accuracy(name, scale):
-    d = scale * np.sort(SPECTRA[name])[:16]
-    r = weights(len(d))
-    a, c = phc.modes(d, r).coefficients()
-    exact_a, exact_c = coefficients(d, r)
-    assert np.all(a[1::2] == 0)
-    allowed = 4 * len(d) * EPS
-    assert max(abs(Fraction(float(x)) / y - 1) for x, y in zip(a[0::2], exact_a, strict=True)) < allowed
-    assert max(abs(Fraction(float(x)) / y - 1) for x, y in zip(c, exact_c, strict=True)) < allowed
-
-
-def test_coefficients_of_sixty_modes_spread_over_1e12_have_full_relative_accuracy():
-    d = np.logspace(-6, 6, 60)
-    a, c = phc.modes(d, weights(60)).coefficients()
-    exact_a, exact_c = coefficients(d, weights(60))
-    for got, truth in ((a[0::2], exact_a), (c, exact_c)):
-        assert max(abs(Fraction(float(x)) / y - 1) for x, y in zip(got, truth, strict=True)) < 240 * EPS
-
-
-@pytest.mark.parametrize(
-    "d",
-    [
-        np.arange(1, 31) * 1e-9,
-        np.arange(1, 41) * 1e9,
-        np.logspace(-8, 8, 100),
-        np.r_[np.linspace(1e-3, 2e-3, 60), np.full(40, 1e4)],
-        2.0 ** np.array([-256.6, -256.59, 255.79, 255.8]),
-    ],
-    ids=["slow", "fast", "spread", "two groups", "digits lost on the way only"],
-)
-def test_coefficients_that_leave_the_range_of_doubles_are_refused_not_returned_as_zero(d):
-    with pytest.raises(phc.StructureError, match=f"coefficients of {len(d)} modes from .* exceed the range of doubles"):
-        phc.modes(d, np.ones(len(d))).coefficients()
-
-
-def test_coefficients_of_a_system_that_no_port_reaches_are_those_of_zero_over_its_poles():
-    a, c = phc.modes([1.0, 2.0], [0.0, 0.0]).coefficients()
-    assert np.array_equal(a, [4, 0, 5, 0])
-    assert np.array_equal(c, [0, 0])
-
-
-@pytest.mark.parametrize(
-    ("modes", "message"),
-    [
-        (phc.ph(np.eye(2), np.eye(2)).modes, "this one has 2 ports and 0 rigid-body modes"),
-        (phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0]).modes, "this one has 1 ports and 1 rigid-body modes"),
-    ],
-)
-def test_coefficients_need_one_port_and_no_rigid_body_mode(modes, message):
-    with pytest.raises(phc.StructureError, match=message):
-        modes.coefficients()
 
 
 # --- the minimal form ----------------------------------------------------------------------------------------------
