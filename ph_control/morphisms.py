@@ -17,6 +17,7 @@ from scipy.linalg import matrix_balance
 
 from . import _checks
 from .coefficients import cofactors
+from .conditioning import relative_tolerance
 from .exceptions import StructureError
 from .symplectic import apply_form, is_symplectic, symplectic_form
 from .systems import PortHamiltonian
@@ -271,7 +272,7 @@ def expressive_power(
     n = len(frequencies)
     nu = vector[:n] + 1j * vector[n:]
     kappa = frequencies * np.abs(nu) ** 2
-    dark = kappa <= (0.0 if rtol is None else tolerance(rtol) * kappa.max(initial=0.0))
+    dark = kappa <= (0.0 if rtol is None else relative_tolerance(rtol) * kappa.max(initial=0.0))
     nu = np.where(dark, 0.0, nu)
     groups = resonances(frequencies, rtol)
     columns = [np.zeros((n, 0), complex)]
@@ -390,7 +391,7 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
             f"({sys2.nstates}, {sys1.nstates})"
         )
     size = max(matrix.shape)
-    allowed = 100 * max(1, size) * _checks.EPS if rtol is None else tolerance(rtol)
+    allowed = 100 * max(1, size) * _checks.EPS if rtol is None else relative_tolerance(rtol)
     scale1, A1, B1, C1, D1 = balanced(sys1)
     scale2, A2, B2, C2, D2 = balanced(sys2)
     matrix = matrix * scale1 / scale2[:, None]
@@ -467,7 +468,7 @@ def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
 
 def resonances(d: Array, rtol: float | None = None) -> list[Indices]:
     """Groups of indices of equal frequencies, ascending; those closer than `rtol * d`, default `8 n eps`, are equal."""
-    close = 8 * max(1, len(d)) * _checks.EPS if rtol is None else tolerance(rtol)
+    close = 8 * max(1, len(d)) * _checks.EPS if rtol is None else relative_tolerance(rtol)
     order = np.argsort(d, kind="stable")
     gaps = np.diff(d[order])
     return np.split(order, np.flatnonzero(gaps > close * d[order][1:]) + 1) if len(d) else []
@@ -498,13 +499,6 @@ def comparable(sys1: ct.StateSpace, sys2: ct.StateSpace) -> None:
             f"the systems have the time bases dt = {sys1.dt} and dt = {sys2.dt}; both must be continuous, or discrete "
             "with the same step"
         ) from None
-
-
-def tolerance(rtol: float) -> float:
-    """Check a relative tolerance."""
-    if isinstance(rtol, bool) or not isinstance(rtol, int | float | np.floating) or not 0 <= rtol < 1:
-        raise StructureError(f"rtol is {rtol!r}; a relative tolerance is from 0 to 1")
-    return float(rtol)
 
 
 def _symplectic(S: ArrayLike, n: int) -> Array:

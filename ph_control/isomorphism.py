@@ -1,0 +1,465 @@
+"""Isomorphisms between linear systems, and verdicts on whether there is one.
+
+Two routes.  For port-Hamiltonian systems the frequencies and weights decide, and Williamson's normal form gives the
+isomorphism.  For any other systems the eigenvalues are matched, each cluster of them as one block, and a small
+linear problem is solved in each block; nothing needs powers of a matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, schur
+from scipy.linalg.lapack import ztrsen, ztrsyl
+from scipy.sparse.csgraph import connected_components
+
+from . import _checks
+from .conditioning import relative_tolerance, separate
+from .exceptions import StructureError
+from .modal import ModalForm
+from .morphisms import balanced, comparable, is_morphism
+from .partial_fractions import SAFETY, clusters
+from .systems import PortHamiltonian
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Indices = NDArray[np.intp]
+
+_MARGIN = 4.0  # between a bound of an error and what is called a difference
+_NEAR = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of frequencies below which modes are taken to mix
+_SMALL = 16  # states up to which all eigenvalues may be treated as one block
+_PARALLEL = 1e-8  # ports whose weights in a group of modes differ by less give no direction of their own
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Answer to a question of equivalence; true if it holds.
+
+    Attributes
+    ----------
+    holds : bool
+        The answer.
+    residual : float
+        Relative size of what speaks against it.
+    allowed : float
+        What the residual is held against: a multiple of the rounding errors of the data, or what was asked for.
+    witness : object
+        What proves it, or None: the matrix `L`, the pair `(P, A)`, or the common modal form.
+    reason : str
+        The answer in words.
+    """
+
+    holds: bool
+    residual: float
+    allowed: float
+    witness: Any
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+def are_isomorphic(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | None = None) -> Verdict:
+    """Tell whether two systems are the same up to an invertible change of states, `~sys` of the paper.
+
+    Parameters
+    ----------
+    sys1, sys2 : control.StateSpace
+        Any two linear systems with the same inputs, outputs and time base.
+    rtol : float, optional
+        Relative tolerance of frequencies, weights and residuals; default a bound of their rounding errors.
+
+    Returns
+    -------
+    Verdict
+        With the isomorphism `L`, shape (N, N), from the states of `sys1` to those of `sys2` as witness, its largest
+        relative residual (see `is_morphism`) and what was allowed.
+
+    Raises
+    ------
+    StructureError
+        If they are no state-space systems, their ports or time bases differ, or `rtol` is no tolerance.
+
+    Notes
+    -----
+    Minimal systems have one isomorphism or none.  Two port-Hamiltonian systems, minimal or not, are isomorphic iff
+    their frequencies agree with their multiplicities and, at each distinct frequency, the sums of the weights `r`
+    agree (for m ports, of the matrices `nu^H nu`): in modal coordinates an isomorphism takes the weights of a
+    frequency to one another by a matrix `G` with `G nu_1 = nu_2` and `G^H nu_2 = nu_1`, so their lengths agree; and if
+    they do, a unitary `G` exists.  Other systems are compared through their eigenvalues.  O(N^3), and more where many
+    eigenvalues coincide.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> from ph_control.isomorphism import are_isomorphic
+    >>> verdict = are_isomorphic(phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]), phc.ph(np.diag([1.0, 4.0]), [1.0, 0.0]))
+    >>> bool(verdict), verdict.witness
+    (True, array([[ 0.,  1.],
+           [-1.,  0.]]))
+    >>> print(are_isomorphic(phc.ph(np.eye(2), [1.0, 0.0]), phc.ph(2 * np.eye(2), [1.0, 0.0])).reason)
+    the frequencies differ: 1 and 2
+    """
+    comparable(sys1, sys2)
+    if rtol is not None:
+        relative_tolerance(rtol)
+    if sys1.nstates != sys2.nstates:
+        return Verdict(False, 1.0, 0.0, None, f"they have {sys1.nstates} and {sys2.nstates} states")
+    if sys1.nstates == 0:
+        return _judge([np.zeros((0, 0))], sys1, sys2, 0.0 if rtol is None else rtol)
+    if _definite(sys1) and _definite(sys2):
+        return _compare_williamson(sys1, sys2, rtol)
+    return _compare_eigenblocks(sys1, sys2, rtol)
+
+
+def system_isomorphism(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | None = None) -> Array | None:
+    """Invertible matrix from the states of one system to those of another that keeps inputs and outputs.
+
+    Parameters
+    ----------
+    sys1, sys2 : control.StateSpace
+        Any two linear systems with the same inputs, outputs and time base.
+    rtol : float, optional
+        Relative tolerance; default a bound of the rounding errors.
+
+    Returns
+    -------
+    ndarray, shape (N, N), or None
+        `L` with `L A1 = A2 L`, `L B1 = B2`, `C1 = C2 L`; None if there is none, for the reason that
+        `are_isomorphic` gives.
+
+    Raises
+    ------
+    StructureError
+        If they are no state-space systems, their ports or time bases differ, or `rtol` is no tolerance.
+
+    Notes
+    -----
+    As for `are_isomorphic`.
+
+    Examples
+    --------
+    How the states of a plain system map to those of its port-Hamiltonian form:
+
+    >>> import control as ct, ph_control as phc
+    >>> from ph_control.isomorphism import system_isomorphism
+    >>> plain = ct.ss([[0.0, -4.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.0)
+    >>> system_isomorphism(plain, phc.ph(plain)).round(12)
+    array([[ 0.70710678,  0.        ],
+           [ 0.        , -1.41421356]])
+    """
+    verdict = are_isomorphic(sys1, sys2, rtol=rtol)
+    return verdict.witness if verdict else None
+
+
+def _judge(candidates: list[Array], sys1: ct.StateSpace, sys2: ct.StateSpace, allowed: float) -> Verdict:
+    """Measure candidates of an isomorphism and decide on the best."""
+    checks = [is_morphism(L, sys1, sys2) for L in candidates]
+    best = min(range(len(checks)), key=lambda k: checks[k].residual)
+    L, check = candidates[best], checks[best]
+    invertible = check.rank == len(L)
+    if check.residual > allowed:
+        return Verdict(False, check.residual, allowed, None, "no change of states takes one to the other")
+    if not invertible:
+        return Verdict(False, check.residual, allowed, None, f"every morphism found is singular, of rank {check.rank}")
+    return Verdict(True, check.residual, allowed, L, "an invertible change of states takes one to the other")
+
+
+# --- frequencies and weights, each with the bound of its error ------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Modes of a system with bounds of the errors of `d` and of the norms of `nu`, both absolute.
+
+    `groups` are modes of which only the total weight is determined.
+    """
+
+    modes: ModalForm
+    d_error: Array
+    nu_error: Array
+    groups: tuple[Indices, ...]
+
+    @property
+    def conditioning(self) -> float:
+        """Largest relative error of a frequency."""
+        return float(np.max(self.d_error / self.modes.d, initial=_checks.EPS))
+
+
+def modal_spectrum(modes: ModalForm, given: tuple[Array, Array] | None = None, energy: Any = None) -> Spectrum:
+    """Spectrum of modes that were given, or computed from the matrices `(Q, B)`."""
+    found = separate(modes, given, energy)
+    rounding = 2 * max(1, modes.n) * _checks.EPS
+    nu_error = found.errors.nu + rounding * np.linalg.norm(modes.nu, axis=1)
+    return Spectrum(modes, found.errors.d, nu_error, tuple(group.members for group in found.groups))
+
+
+def port_hamiltonian_spectrum(sys: PortHamiltonian) -> Spectrum:
+    """Spectrum of a port-Hamiltonian system."""
+    return modal_spectrum(sys.modes, sys._given, None if sys._given is None else sys._energy)
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """What speaks most against the equality of two spectra."""
+
+    residual: float
+    allowed: float
+    reason: str
+
+    @property
+    def decides(self) -> bool:
+        """Whether it is more than rounding explains."""
+        return self.residual > self.allowed
+
+
+def filter_mismatch(first: Spectrum, second: Spectrum, rtol: float | None = None) -> Mismatch:
+    """Compare the transfer functions of two spectra, residue by residue.
+
+    Poles whose error disks overlap count as one, with the sum of their residues.
+    """
+    d = np.concatenate([first.modes.d, second.modes.d])
+    d_error = np.concatenate([first.d_error, second.d_error]) * _MARGIN if rtol is None else 0.5 * rtol * d
+    K = np.concatenate([_residues(first.modes), _residues(second.modes)])
+    size = np.linalg.norm(K, axis=(1, 2))
+    rigid = max(float(np.linalg.norm(np.atleast_1d(s.modes.kappa_0))) for s in (first, second))
+    whole = max(float(size.max(initial=0.0)), rigid)
+    sign = np.repeat([1.0, -1.0], [len(first.modes.d), len(second.modes.d)])
+    worst = _rigid_mismatch(first.modes, second.modes, whole, rtol)
+    if whole == 0.0:
+        return worst
+    nu_error = np.concatenate([first.nu_error, second.nu_error]) * _MARGIN
+    error = nu_error * (2 * np.sqrt(d * size) + d * nu_error) + size * d_error / d
+    together = np.abs(d[:, None] - d) <= d_error[:, None] + d_error
+    for members in (*first.groups, *(members + len(first.modes.d) for members in second.groups)):
+        together[np.ix_(members, members)] |= rtol is None
+    label = connected_components(together, directed=False)[1]
+    for group in (np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)):
+        residual = float(np.linalg.norm(np.tensordot(sign[group], K[group], axes=1))) / whole
+        rounding = 8 * max(1, len(d)) * _checks.EPS
+        allowed = float(error[group].sum()) / whole + rounding if rtol is None else max(rtol, _checks.EPS)
+        found = Mismatch(residual, allowed, _describe(group, d, K, sign))
+        worst = max(worst, found, key=lambda m: m.residual / m.allowed)
+    return worst
+
+
+def _residues(modes: ModalForm) -> ComplexArray:
+    return modes.d[:, None, None] * modes.nu.conj()[:, :, None] * modes.nu[:, None, :]
+
+
+def _rigid_mismatch(first: ModalForm, second: ModalForm, whole: float, rtol: float | None) -> Mismatch:
+    difference = float(np.linalg.norm(np.atleast_1d(first.kappa_0 - second.kappa_0)))
+    allowed = SAFETY * max(1, first.n, second.n) * _checks.EPS if rtol is None else rtol
+    return Mismatch(difference / whole if whole else 0.0, max(allowed, _checks.EPS), "the residues at 0 differ")
+
+
+def _describe(group: Indices, d: Array, K: ComplexArray, sign: Array) -> str:
+    """Say what differs at one frequency."""
+    totals = [float(np.trace(K[group[sign[group] == s]].sum(axis=0)).real) for s in (1.0, -1.0)]
+    return f"the residues at frequency {d[group].mean():.6g} differ: {totals[0]:.6g} and {totals[1]:.6g}"
+
+
+# --- port-Hamiltonian systems ----------------------------------------------------------------------------------------
+
+
+def _definite(sys: ct.StateSpace) -> bool:
+    """Whether a system has Williamson coordinates: port-Hamiltonian, without rigid-body modes."""
+    return isinstance(sys, PortHamiltonian) and len(sys.d) == sys.n
+
+
+def _compare_williamson(sys1: PortHamiltonian, sys2: PortHamiltonian, rtol: float | None) -> Verdict:
+    first, second = port_hamiltonian_spectrum(sys1), port_hamiltonian_spectrum(sys2)
+    # sorted, so equal multisets agree entry by entry
+    gap = np.abs(sys1.d - sys2.d) / sys1.d
+    allowed = np.full(len(gap), max(rtol or 0.0, _checks.EPS))
+    if rtol is None:
+        allowed = _MARGIN * (first.d_error + second.d_error) / sys1.d
+    l = int(np.argmax(gap / allowed))
+    if gap[l] > allowed[l]:
+        reason = f"the frequencies differ: {sys1.d[l]:.6g} and {sys2.d[l]:.6g}"
+        return Verdict(False, float(gap[l]), float(allowed[l]), None, reason)
+    mismatch = filter_mismatch(first, second, rtol)
+    if mismatch.decides:
+        return Verdict(False, mismatch.residual, mismatch.allowed, None, mismatch.reason)
+    floor = _MARGIN * sys1.n * (first.conditioning + second.conditioning)
+    S1, S2 = sys1.S, sys2.S
+    nu1, nu2 = ((S @ sys.B)[: sys.n] + 1j * (S @ sys.B)[sys.n :] for S, sys in ((S1, sys1), (S2, sys2)))
+    back = np.linalg.inv(S2)
+    # equal frequencies share a block; what rounding mixes among near ones is put right by the smallest rotation
+    equal = clusters(sys1.d.astype(complex), 4 * sys1.n * _checks.EPS * sys1.d)
+    U = block_unitary(nu1, nu2, equal)
+    candidates = [back @ real_form(U) @ S1]
+    for close in (*_NEAR, float(allowed.max())):
+        groups = clusters(sys1.d.astype(complex), close * sys1.d / 2)
+        if len(groups) < len(equal):
+            candidates.append(back @ real_form(_smallest_rotation(U @ nu1, nu2, groups) @ U) @ S1)
+    return _judge(candidates, sys1, sys2, floor if rtol is None else rtol)
+
+
+def block_unitary(nu1: ComplexArray, nu2: ComplexArray, groups: list[Indices]) -> ComplexArray:
+    """Unitary matrix, block-diagonal over groups of indices, that takes `nu1` nearest to `nu2`."""
+    U = np.zeros((len(nu1), len(nu1)), complex)
+    for group in groups:
+        left, _, right = np.linalg.svd(nu2[group] @ nu1[group].conj().T)
+        U[np.ix_(group, group)] = left @ right
+    return U
+
+
+def _smallest_rotation(nu1: ComplexArray, nu2: ComplexArray, groups: list[Indices]) -> ComplexArray:
+    """Unitary matrix near the identity, block-diagonal over groups, that takes `nu1` to `nu2` of nearly equal size."""
+    R = np.zeros((len(nu1), len(nu1)), complex)
+    for group in groups:
+        from_, to = (np.linalg.pinv(nu[group], rcond=_PARALLEL) for nu in (nu1, nu2))
+        I = np.eye(len(group))
+        turned = nu2[group] @ from_ + (I - nu2[group] @ to) @ (I - nu1[group] @ from_)
+        left, _, right = np.linalg.svd(turned)
+        R[np.ix_(group, group)] = left @ right
+    return R
+
+
+def real_form(U: ComplexArray) -> Array:
+    """Real matrix on `(Re x, Im x)` of a complex one on x."""
+    return np.block([[U.real, -U.imag], [U.imag, U.real]])
+
+
+# --- any systems ---------------------------------------------------------------------------------------------------
+
+
+def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float | None) -> Verdict:
+    """Match the eigenvalues in clusters and solve for one block of the isomorphism in each."""
+    first, second = _Eigenvalues.of(sys1), _Eigenvalues.of(sys2)
+    n = len(first.values)
+    values = np.concatenate([first.values, second.values])
+    radius = np.concatenate([first.radius, second.radius]) * SAFETY
+    if rtol is not None:
+        radius = np.maximum(radius, 0.5 * rtol * np.abs(values))
+    for group in clusters(values, radius):
+        ours = int(np.sum(group < n))
+        if 2 * ours != len(group):
+            center = values[group].mean()
+            reason = f"{ours} and {len(group) - ours} of their eigenvalues are at {center:.6g}"
+            return Verdict(False, 1.0, float(radius[group].max() / (abs(center) or 1.0)), None, reason)
+    candidates, floor = [], 0.0
+    partitions = [clusters(values, np.maximum(radius, 0.5 * close * np.abs(values))) for close in (0.0, *_NEAR)]
+    if n <= _SMALL:
+        partitions.append([np.arange(2 * n)])
+    for k, groups in enumerate(partitions):
+        if k == 0 or len(groups) < len(partitions[k - 1]):
+            L, error = _from_blocks(first, second, groups, radius)
+            candidates.append(L * second.scale[:, None] / first.scale)
+            floor = max(floor, error)
+    return _judge(candidates, sys1, sys2, SAFETY * floor if rtol is None else rtol)
+
+
+def _from_blocks(
+    first: _Eigenvalues, second: _Eigenvalues, groups: list[Indices], radius: Array
+) -> tuple[Array, float]:
+    """Isomorphism from one block for each group of eigenvalues, and the error of the worst of them."""
+    n = len(first.values)
+    values = np.concatenate([first.values, second.values])
+    L, worst = np.zeros((n, n)), 0.0
+    for group in groups:
+        ours, theirs = group[group < n], group[group >= n] - n
+        around = values[group].imag
+        if len(ours) != len(theirs) or around.max() < -radius[group].max():
+            continue  # below the real axis are the conjugates of the blocks above
+        left, right = first.block(ours), second.block(theirs)
+        error = SAFETY * _checks.EPS * n * (1 / left.separation + 1 / right.separation)
+        G = _block_solution(left, right, max(first.size, second.size), error)
+        part = (right.columns @ G @ left.rows).real
+        L += 2 * part if around.min() > radius[group].max() else part
+        worst = max(worst, error)
+    return L, worst
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Restriction `T` of a matrix to the invariant subspace of some eigenvalues, with its projection and ports."""
+
+    columns: ComplexArray
+    rows: ComplexArray
+    T: ComplexArray
+    inputs: ComplexArray
+    outputs: ComplexArray
+    separation: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Eigenvalues:
+    """Schur form of a balanced system, with its eigenvalues and how far rounding may have moved them."""
+
+    scale: Array
+    T: ComplexArray
+    Z: ComplexArray
+    B: Array
+    C: Array
+    values: ComplexArray
+    radius: Array
+    size: float
+
+    @classmethod
+    def of(cls, sys: ct.StateSpace) -> _Eigenvalues:
+        scale, A, B, C, _ = balanced(sys)
+        try:
+            T, Z = schur(A, output="complex")
+            values, left, right = eig(T, left=True, right=True)
+        except np.linalg.LinAlgError:
+            raise StructureError(
+                "the eigenvalues of A were not found; choose another unit of time, or states"
+            ) from None
+        size = float(np.linalg.norm(A))
+        overlap = np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), _checks.EPS)
+        # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
+        radius = np.minimum(len(A) * _checks.EPS * size / overlap, _checks.EPS**0.25 * size)
+        return cls(scale, T, Z, B, C, values, radius, size)
+
+    def block(self, group: Indices) -> _Block:
+        """Split a cluster of eigenvalues off: reorder the Schur form, then solve a Sylvester equation."""
+        n, k = len(self.T), len(group)
+        select = np.zeros(n, np.int32)
+        select[group] = 1
+        T, Q, _, _, separation, _, _ = ztrsen(select, self.T, np.eye(n, dtype=complex), lwork=max(1, 2 * k * (n - k)))
+        Q = self.Z @ Q
+        columns, rows = Q[:, :k], Q[:, :k].conj().T
+        if k < n:
+            X, scale, _ = ztrsyl(T[:k, :k], T[k:, k:], T[:k, k:], isgn=-1)
+            rows = rows + X @ Q[:, k:].conj().T / scale
+        separation = max(float(separation), _checks.EPS)
+        return _Block(columns, rows, T[:k, :k], rows @ self.B, self.C @ columns, separation)
+
+
+def _block_solution(first: _Block, second: _Block, size: float, error: float) -> ComplexArray:
+    """Best `G` with `G T1 = T2 G`, `G b1 = b2`, `c1 = c2 G`; where it is not unique, a well-conditioned one."""
+    k = len(first.T)
+    I = np.eye(k)
+    scale_b = max(np.linalg.norm(first.inputs), np.linalg.norm(second.inputs)) or 1.0
+    scale_c = max(np.linalg.norm(first.outputs), np.linalg.norm(second.outputs)) or 1.0
+    # the two blocks have the same center but for rounding
+    T1, T2 = (block.T - np.trace(block.T) / k * I for block in (first, second))
+    system = np.concatenate(
+        [
+            (np.kron(T1.T, I) - np.kron(I, T2)) / (size or 1.0),
+            np.kron(first.inputs.T, I) / scale_b,
+            np.kron(I, second.outputs) / scale_c,
+        ]
+    )
+    wanted = np.concatenate(
+        [np.zeros(k * k), second.inputs.ravel(order="F") / scale_b, first.outputs.ravel(order="F") / scale_c]
+    )
+    U, sigma, Vh = np.linalg.svd(system)
+    rank = int(np.sum(sigma > error))
+    particular = Vh[:rank].conj().T @ ((U[:, :rank].conj().T @ wanted) / sigma[:rank])
+    free = Vh[rank:].conj().T
+    # invertible unless chosen badly, if anything is: start nearest the identity, then at random
+    rng = np.random.default_rng(0)
+    typical = float(np.linalg.norm(particular)) / np.sqrt(k) or 1.0
+    starts = [I.astype(complex)] + [rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for _ in range(4)]
+    choices = [
+        (particular + typical * free @ (free.conj().T @ start.ravel(order="F"))).reshape(k, k, order="F")
+        for start in (starts if rank < k * k else starts[:1])
+    ]
+    return min(choices, key=lambda G: 1 / max(np.linalg.svd(G, compute_uv=False)[-1], 1e-300) * np.linalg.norm(G))
