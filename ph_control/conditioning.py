@@ -7,7 +7,7 @@ closer than their errors form a group, of which only the subspace is determined,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -78,12 +78,27 @@ class Group:
 
 @dataclass(frozen=True)
 class Separation:
-    """The groups of a modal form, in the order of frequencies, its reached rigid-body modes, and the bounds used."""
+    """A modal form, parted.
+
+    Attributes
+    ----------
+    modes : ModalForm
+        The whole.
+    groups : tuple of Group
+        Its oscillating modes, in the order of frequencies.
+    rigid : ndarray, shape (rank, m)
+        Input weights of the reached rigid-body modes.
+    errors : ModalErrors
+        The bounds that were used.
+    strength : ndarray, shape (n,)
+        For each mode the norm of all input weights at its frequency: unreached if no larger than its bound.
+    """
 
     modes: ModalForm
     groups: tuple[Group, ...]
     rigid: Array
     errors: ModalErrors
+    strength: Array
 
     def minimal(self) -> ModalForm:
         """Modal form of what ports reach: the same transfer function with the fewest modes."""
@@ -187,7 +202,10 @@ def _split(modes: ModalForm, label: Labels, errors: ModalErrors) -> Separation:
     members = [np.flatnonzero(label == k) for k in dict.fromkeys(label.tolist())]
     groups = tuple(_group(modes, g, float(errors.nu[g].max())) for g in members)
     _, sigma, Vh, rank = _reached(modes.rigid, float(errors.rigid.max(initial=0.0)))
-    return Separation(modes, groups, sigma[:rank, None] * Vh[:rank], errors)
+    strength = np.empty(len(modes.d))
+    for group in groups:
+        strength[group.members] = group.strength
+    return Separation(modes, groups, sigma[:rank, None] * Vh[:rank], errors, strength)
 
 
 def _group(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Group:
@@ -250,20 +268,38 @@ def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _No
     unit = (4 + np.sqrt(n)) * _checks.EPS
     root = np.sqrt(np.maximum(np.diag(Q), 0.0))
     scale = np.where(root > 0, root, 1.0)
+    blocks = _blocks(Q)
+    inside, inside_rigid = (np.concatenate([blocks, blocks])[_support(rows)] for rows in (E, E0))
+    sizes = _norms(blocks, root[:n] * root[n:])
+    inputs = _norms(np.concatenate([blocks, blocks]), np.linalg.norm(root[:, None] * B, axis=1))
+
     rows = E / np.sqrt(d)[:, None]
     # the columns of the inverse of a symplectic matrix are its rows, positions and momenta exchanged
     shape = np.linalg.norm(np.concatenate([rows[:, n:], rows[:, :n]], axis=1) * root, axis=1) / np.sqrt(2)
-    blocks = _blocks(Q)
-    block = np.concatenate([blocks, blocks])[np.abs(E).argmax(axis=1)] if len(E) else blocks[:0]
-    products = root[:n] * root[n:]
-    peak = float(products.max(initial=0.0)) or 1.0
-    size = peak * np.sqrt(np.bincount(blocks, (products / peak) ** 2))[block]
-    together = block[:, None] == block
+    size = sizes[inside]
     ratio = np.sqrt(d[:, None] / d)
-    coupling = unit * together * (np.multiply.outer(shape, shape) + size * 0.5 * (ratio + 1 / ratio))
-    inputs = float(np.linalg.norm(root[:, None] * B))
-    local = unit * np.linalg.norm(rows / scale, axis=1) * inputs
-    return _Noise(coupling, local, unit * _rigid_noise(modes, E, E0, scale, shape, size, inputs))
+    together = inside[:, None] == inside
+    coupling = together * (np.multiply.outer(shape, shape) + size * 0.5 * (ratio + 1 / ratio))
+    local = np.linalg.norm(rows / scale, axis=1) * inputs[inside]
+
+    # a rigid-body mode is as far from every other as that one's frequency
+    dual = np.linalg.pinv(np.concatenate([E.real, E.imag, E0]) / scale)[:, 2 * len(E) :] if len(E0) else E0.T
+    weight = np.linalg.norm(modes.nu, axis=1)
+    mixed = np.multiply.outer(np.linalg.norm(dual, axis=0), shape) + size / np.sqrt(d)
+    rigid = ((inside_rigid[:, None] == inside) * mixed) @ weight
+    rigid = rigid + np.linalg.norm(E0 / scale, axis=1) * inputs[inside_rigid]
+    return _Noise(unit * coupling, unit * local, unit * rigid)
+
+
+def _norms(label: Labels, values: Array) -> Array:
+    """Norm of the values of each label, whatever their size."""
+    peak = float(np.abs(values).max(initial=0.0)) or 1.0
+    return peak * np.sqrt(np.bincount(label, (values / peak) ** 2))
+
+
+def _support(rows: NDArray[Any]) -> NDArray[np.intp]:
+    """For each row a state that it involves."""
+    return np.abs(rows).argmax(axis=1) if len(rows) else np.zeros(0, np.intp)
 
 
 def _blocks(Q: Array) -> Labels:
@@ -274,34 +310,23 @@ def _blocks(Q: Array) -> Labels:
     return np.asarray(connected_components(coupled, directed=False)[1], np.int32)
 
 
-def _rigid_noise(
-    modes: ModalForm, E: ComplexArray, E0: Array, scale: Array, shape: Array, size: Array, inputs: float
-) -> Array:
-    """What disturbs the rigid-body weights, in units of rounding: every mode is as far as its frequency."""
-    if len(E0) == 0:
-        return np.zeros(0)
-    dual = np.linalg.pinv(np.concatenate([E.real, E.imag, E0]) / scale)[:, 2 * len(E) :]
-    own = np.linalg.norm(dual, axis=0)
-    weight = np.linalg.norm(modes.nu, axis=1)
-    mixed = own * float(shape @ weight) + float((size / np.sqrt(modes.d)) @ weight)
-    result: Array = mixed + np.linalg.norm(E0 / scale, axis=1) * inputs
-    return result
-
-
 def _separate_computed(modes: ModalForm, noise: _Noise) -> Separation:
-    """Groups of modes with rounding errors: first by frequency, then joined where weight is lost to a neighbour."""
-    close = np.diag(noise.coupling).copy()
-    label = _components(modes.d, close)
+    """Groups of modes with rounding errors: by frequency, then joined where weight is lost to a neighbour."""
+    label = _components(modes.d, np.diag(noise.coupling))
+    by_frequency = found = _split(modes, label, _computed_errors(modes, noise, label))
     while True:
-        lent = _lent_weight(modes, noise, label)
-        both = noise.coupling / (modes.d[:, None] + modes.d) @ np.linalg.norm(modes.nu, axis=1)
-        error = lent.sum(axis=1) + both + noise.local
-        of_group = np.sqrt(np.bincount(label, error**2))[label] if len(label) else error
-        found = _split(modes, label, ModalErrors(close, of_group, noise.rigid))
-        joined = _join_lenders(found, lent, label)
+        joined = _join_lenders(found, _lent_weight(modes, noise, label), label)
         if np.array_equal(joined, label):
-            return found
+            return replace(found, errors=by_frequency.errors, strength=by_frequency.strength)
         label = joined
+        found = _split(modes, label, _computed_errors(modes, noise, label))
+
+
+def _computed_errors(modes: ModalForm, noise: _Noise, label: Labels) -> ModalErrors:
+    conjugates = noise.coupling / (modes.d[:, None] + modes.d) @ np.linalg.norm(modes.nu, axis=1)
+    error = _lent_weight(modes, noise, label).sum(axis=1) + conjugates + noise.local
+    of_group = np.sqrt(np.bincount(label, error**2))[label] if len(label) else error
+    return ModalErrors(np.diag(noise.coupling).copy(), of_group, noise.rigid)
 
 
 def _lent_weight(modes: ModalForm, noise: _Noise, label: Labels) -> Array:

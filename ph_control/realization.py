@@ -139,7 +139,7 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     >>> small.d, small.r
     (array([0.5, 1. ]), array([2., 2.]))
     """
-    system = ph(sys)
+    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
     return _named_like(system, _separation(system, rtol).minimal())
 
 
@@ -192,7 +192,7 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     >>> (T @ [3.0, 4.0, 0.0, 0.0]).round(12) + 0.0
     array([5., 0., 0., 0.])
     """
-    system = ph(sys)
+    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
     if system.ninputs != 1:
         raise StructureError(
             f"the system has {system.ninputs} ports; the Kalman decomposition is that of one port: choose one by "
@@ -267,7 +267,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     >>> large.d, large.r
     (array([1., 2., 4.]), array([0.5 , 0.  , 0.25]))
     """
-    system = ph(sys)
+    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
     n = system.n
     if not isinstance(m, int | np.integer) or isinstance(m, bool) or m < n:
         raise StructureError(
@@ -328,7 +328,7 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
       resonance: the frequencies 1 and 2 differ by 0.2 of their size, one frequency up to 4.8e-15
       degeneracy: the residue of mode 2 is 0.025 of the largest, unreached up to 0.0e+00
     """
-    system = ph(sys)
+    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
     if system.ninputs != 1:
         raise StructureError(
             f"the system has {system.ninputs} ports; the canonical margins are those of one port: choose one by its "
@@ -442,10 +442,7 @@ def _least_residue(found: Separation) -> tuple[float, float, int | None]:
     d = found.modes.d
     if len(d) == 0:
         return 1.0, 0.0, None
-    strength = np.empty(len(d))
-    for g in found.groups:
-        strength[g.members] = g.strength
-    residue, allowed = d * strength**2, d * found.errors.nu**2
+    residue, allowed = d * found.strength**2, d * found.errors.nu**2
     largest = float(residue.max()) or 1.0
     mode = int((residue - allowed).argmin())
     return float(residue[mode]) / largest, float(allowed[mode]) / largest, mode
