@@ -82,12 +82,12 @@ def test_a_ragged_list_is_refused():
     assert refusal(lambda: phc.ph(I, [[1], [0, 1]])).startswith("B is not a rectangular array of numbers: ")
 
 
-def test_a_semidefinite_matrix_is_refused_where_williamson_needs_a_definite_one_and_only_there():
+def test_a_free_momentum_is_refused_where_the_normal_form_has_no_place_for_it_and_only_there():
     Q = np.diag([0.0, 1.0])
     message = (
-        f"Q is only positive semidefinite: smallest eigenvalue after scaling to unit diagonal 0, needed > "
-        f"{LEAST_SEMIDEFINITE}; Williamson's normal form with d > 0 needs a positive definite Q: "
-        "ground the rigid-body mode or remove it"
+        "Q is only positive semidefinite and its kernel is not symplectic: rank 1, kernel of dimension 1, its "
+        f"symplectic part of dimension 0 (eigenvalues below {LEAST_SEMIDEFINITE} after scaling to unit diagonal count as "
+        "zero); no S gives diag(d, d): use williamson_semidefinite(Q), or ground or remove the 1 rigid-body mode(s)"
     )
     assert refusal(lambda: phc.williamson(Q)) == message
     sys = phc.ph(Q, [0.0, 1.0])

@@ -207,9 +207,15 @@ BAD = {
     "not symmetric": ([[1.0, 1e-3], [0.0, 1.0]], r"not symmetric: .* = 1\.0e-03, allowed .*; pass \(Q \+ Q\.T\)/2"),
     "indefinite": (np.diag([1.0, -1.0]), "Q is indefinite: smallest eigenvalue .* -1, allowed"),
     "zero diagonal": ([[0.0, 1.0], [1.0, 1.0]], "Q is indefinite"),
-    "semidefinite": (np.diag([0.0, 1.0]), "only positive semidefinite: .* ground the rigid-body mode"),
-    "semidefinite, coupled": (np.ones((2, 2)), "only positive semidefinite"),
-    "zero": (np.zeros((2, 2)), "only positive semidefinite"),
+    "free": (
+        np.diag([0.0, 1.0]),
+        r"not symplectic: rank 1, kernel of dimension 1, its symplectic part of dimension 0 \(",
+    ),
+    "free, coupled": (np.ones((2, 2)), r"use williamson_semidefinite\(Q\), or ground or remove the 1 rigid-body mode"),
+    "free and cyclic": (
+        np.diag([0.0, 0.0, 1.0, 0.0]),
+        "rank 1, kernel of dimension 3, its symplectic part of dimension 2",
+    ),
     "NaN": ([[1.0, 0.0], [0.0, np.nan]], r"1 of 4 entries are NaN or infinite, the first at index \(1, 1\)"),
     "infinite": ([[np.inf, 0.0], [0.0, 1.0]], "not finite"),
     "complex": (np.eye(2) + 1e-3j, "Q is complex: largest imaginary part 0.001"),
@@ -234,7 +240,7 @@ def test_definiteness_is_decided_relative_to_the_size_of_the_matrix(scale):
         if accepted:
             assert np.all(phc.williamson(Q)[0] > 0)
         else:
-            with pytest.raises(phc.StructureError, match="only positive semidefinite"):
+            with pytest.raises(phc.StructureError, match="only positive semidefinite and its kernel is not symplectic"):
                 phc.williamson(Q)
 
 
