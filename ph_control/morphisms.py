@@ -19,7 +19,7 @@ from . import _checks
 from .coefficients import cofactors
 from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .symplectic import apply_form, is_symplectic, symplectic_form
+from .pairs import parameter_pair, resonances, symplectic_inverse, symplectic_matrix
 from .systems import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ Indices = NDArray[np.intp]
 def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None) -> Array:
     """Morphism from the controllable Hamiltonian system CH(d, v) to a port-Hamiltonian one.
 
-    The target is `Q = S^T diag(d, d) S`, `B = S^{-1} v` (Theorem 3.2 (i) of the paper): structure is preserved for
+    The target is `Q = S^T diag(d, d) S`, `B = S^{-1} v` (Theorem 3.3 (i) of the paper): structure is preserved for
     every symplectic `S`, and the image is the reachable part.
 
     Parameters
@@ -81,7 +81,7 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
     L[:n, 1::2], L[n:, 1::2] = low, high
     _checks.representable(f"the entries of the morphism for {n} modes", L)
     if S is not None:
-        L = symplectic_inverse(_symplectic(S, n)) @ L
+        L = symplectic_inverse(symplectic_matrix(S, n)) @ L
     return L
 
 
@@ -89,7 +89,7 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
 def observable_morphism(sys: PortHamiltonian) -> Array:
     """Morphism from a port-Hamiltonian system to its observable Hamiltonian system OH(d, v).
 
-    Theorem 3.2 (ii) of the paper, with `v = S B` (Section 3 prints `S^{-1} B` in places).  The image has all of the
+    Theorem 3.3 (ii) of the paper, with `v = S B` (Section 3 prints `S^{-1} B` in places).  The image has all of the
     outputs; the kernel is what no output shows.
 
     Parameters
@@ -284,7 +284,7 @@ def expressive_power(
     # a complex direction is two real ones, w and i w
     missing = np.concatenate([np.block([[W.real], [W.imag]]), np.block([[-W.imag], [W.real]])], axis=1)
     if S is not None:
-        missing = symplectic_inverse(_symplectic(S, n)) @ missing
+        missing = symplectic_inverse(symplectic_matrix(S, n)) @ missing
     return ExpressivePower(
         2 * n - missing.shape[1],
         tuple(int(l) for l in np.flatnonzero(dark)),
@@ -450,35 +450,6 @@ def scaled_rank(L: Array) -> int:
 # --- arguments ---------------------------------------------------------------------------------------------------
 
 
-def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-    """Check a pair `(d, v)` of the paper: n positive frequencies and a vector of 2n weights."""
-    frequencies = _checks.natural_frequencies(d)
-    _checks.in_range("d", frequencies)
-    vector = _checks.real_array("v", v)
-    if vector.shape != (2 * len(frequencies),):
-        several = vector.ndim == 2 and vector.shape[0] == 2 * len(frequencies)
-        hint = "; pairs (d, v) are those of one port" if several else ""
-        raise StructureError(
-            f"v has shape {vector.shape}; with {len(frequencies)} natural frequencies it must be "
-            f"({2 * len(frequencies)},){hint}"
-        )
-    _checks.in_range("v", vector)
-    return frequencies, vector
-
-
-def resonances(d: Array, rtol: float | None = None) -> list[Indices]:
-    """Groups of indices of equal frequencies, ascending; those closer than `rtol * d`, default `8 n eps`, are equal."""
-    close = 8 * max(1, len(d)) * _checks.EPS if rtol is None else relative_tolerance(rtol)
-    order = np.argsort(d, kind="stable")
-    gaps = np.diff(d[order])
-    return np.split(order, np.flatnonzero(gaps > close * d[order][1:]) + 1) if len(d) else []
-
-
-def symplectic_inverse(S: Array) -> Array:
-    """`S^{-1} = J^T S^T J` of a symplectic matrix, exactly."""
-    return apply_form(apply_form(S).T)
-
-
 def comparable(sys1: ct.StateSpace, sys2: ct.StateSpace) -> None:
     """Refuse two systems between which no morphism can be: kinds, ports, time bases."""
     for name, sys in (("sys1", sys1), ("sys2", sys2)):
@@ -499,21 +470,6 @@ def comparable(sys1: ct.StateSpace, sys2: ct.StateSpace) -> None:
             f"the systems have the time bases dt = {sys1.dt} and dt = {sys2.dt}; both must be continuous, or discrete "
             "with the same step"
         ) from None
-
-
-def _symplectic(S: ArrayLike, n: int) -> Array:
-    """Check a symplectic matrix for n degrees of freedom."""
-    matrix = _checks.real_array("S", S, 2)
-    if matrix.shape != (2 * n, 2 * n):
-        raise StructureError(f"S has shape {matrix.shape}; with {n} natural frequencies it must be ({2 * n}, {2 * n})")
-    if not is_symplectic(matrix):
-        residual = np.abs(matrix.T @ apply_form(matrix) - symplectic_form(n)).max()
-        size = max(1.0, float(np.linalg.norm(matrix, 2)) ** 2)
-        raise StructureError(
-            f"S is not symplectic: max |S^T J S - J| / max(1, ||S||^2) = {residual / size:.1e}, allowed "
-            f"{200 * n * _checks.EPS:.1e}; take S from williamson(Q)"
-        )
-    return matrix
 
 
 def _port_hamiltonian(sys: PortHamiltonian) -> None:

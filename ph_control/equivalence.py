@@ -1,0 +1,260 @@
+"""When two lossless systems, or two pairs `(d, v)`, are the same.
+
+`~filter` asks for the same transfer function.  On pairs `(d, v)` the relation `~star` is what isomorphism is on
+port-Hamiltonian systems; on canonical pairs its classes are the orbits of `act`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks
+from .coefficients import amplification
+from .conditioning import relative_tolerance
+from .exceptions import StructureError
+from .isomorphism import Spectrum, Verdict, block_unitary, filter_mismatch, modal_spectrum, real_form
+from .modal import ModalForm
+from .pairs import parameter_pair, resonances
+from .partial_fractions import from_state_space
+from .symplectic import apply_form
+from .systems import modes
+
+Array = NDArray[np.float64]
+
+
+# --- the same transfer function ---------------------------------------------------------------------------------------
+
+
+def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
+    """Tell whether two lossless systems have the same transfer function, `~filter` of the paper.
+
+    Parameters
+    ----------
+    sys1, sys2 : PortHamiltonian, ModalForm, any lossless system, or tuple
+        Systems that `ph` takes, or pairs `(d, v)`; as many ports each.
+    rtol : float, optional
+        Relative tolerance of poles, and of residues relative to the largest; default bounds of their errors.
+
+    Returns
+    -------
+    Verdict
+        With the common minimal modal form as witness; residual and bound are those of the residue that speaks most
+        against it, relative to the largest.
+
+    Raises
+    ------
+    StructureError, NotLosslessError
+        If the arguments are no lossless systems, or their numbers of ports differ.
+
+    Notes
+    -----
+    Compares the minimal coordinates: equal poles are merged, unreached modes have the residue 0.  The paper's
+    criterion, Theorem 4.5 (II), compares `e_1 .. e_n`, which is not enough: see `filter_coefficients`.  O(n^3) at
+    most, for the modes of matrices.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> from ph_control.equivalence import same_filter
+    >>> bool(same_filter(phc.modes([1.0, 1.0, 5.0], [0.5, 0.25, 0.0]), ([1.0], [0.0, 0.75**0.5])))
+    True
+    >>> print(same_filter(phc.modes(1.0, 2.0), phc.modes(2.0, 1.0)).reason)
+    the residues at frequency 1 differ: 2 and 0
+    """
+    if rtol is not None:
+        relative_tolerance(rtol)
+    first, second = _spectrum(sys1), _spectrum(sys2)
+    ports = first.modes.nports, second.modes.nports
+    if ports[0] != ports[1]:
+        raise StructureError(f"the systems have {ports[0]} and {ports[1]} ports; filters of as many ports compare")
+    found = filter_mismatch(first, second, rtol)
+    if found.decides:
+        return Verdict(False, found.residual, found.allowed, None, found.reason)
+    return Verdict(True, found.residual, found.allowed, first.modes.minimal(rtol=rtol), "poles and residues agree")
+
+
+def _spectrum(sys: Any) -> Spectrum:
+    """Modes of anything lossless, with the bounds of their errors."""
+    if isinstance(sys, tuple):
+        if len(sys) != 2:
+            raise StructureError(f"a tuple of {len(sys)} is no system; a pair (d, v) has two parts")
+        return modal_spectrum(_modes_of_pair(*parameter_pair(*sys)))
+    if isinstance(sys, ModalForm):
+        return modal_spectrum(sys)
+    own = getattr(sys, "modes", None)
+    if isinstance(own, ModalForm):
+        given = getattr(sys, "_given", None)
+        return modal_spectrum(own, given, None if given is None else sys._energy)
+    found = modal_spectrum(modes(sys))
+    d, size = found.modes.d, np.linalg.norm(np.atleast_2d(found.modes.kappa.T), axis=0)
+    if isinstance(sys, ct.StateSpace):
+        form = from_state_space(sys.A, sys.B, sys.C, sys.D)
+        nearest = np.abs(1j * d[:, None] - form.poles).argmin(axis=1) if len(d) else np.zeros(0, int)
+        d_error, residue_error = form.pole_error[nearest], 2 * form.residue_error[nearest]
+    else:
+        d_error = amplification(d) * _checks.EPS * d
+        residue_error = amplification(d) * _checks.EPS * size
+    nu_error = residue_error / np.sqrt(d * size)
+    return Spectrum(found.modes, found.d_error + d_error, found.nu_error + nu_error, found.groups)
+
+
+def _modes_of_pair(d: Array, v: Array) -> ModalForm:
+    n = len(d)
+    order = np.argsort(d, kind="stable")
+    r = v[:n] ** 2 + v[n:] ** 2
+    return ModalForm(d[order], (v[:n] + 1j * v[n:])[order, None], np.zeros((0, 1)), r[order])
+
+
+@np.errstate(over="ignore")  # what overflows is refused
+def filter_coefficients(d: ArrayLike, v: ArrayLike) -> Array:
+    """Coefficients `e_1 .. e_{2n}` that determine the transfer function of CH(d, v).
+
+    They are the Markov parameters `e_m = C A^{2(m-1)} B`; those of odd powers are 0.
+
+    Parameters
+    ----------
+    d : array_like, shape (n,)
+        Natural frequencies, positive, in any order.
+    v : array_like, shape (2n,)
+        Input vector in Williamson coordinates.
+
+    Returns
+    -------
+    ndarray, shape (2n,)
+        `e_m = (-1)^{m-1} sum_l r_l d_l^{2m-1}`.
+
+    Raises
+    ------
+    StructureError
+        If `d` and `v` do not fit, or a coefficient exceeds the range of doubles.
+
+    Notes
+    -----
+    The paper prints n of them (Theorem 4.5 (II)) and claims `e_m = 0` beyond; corrected here: they follow
+    `e_m = -a_{2n-2} e_{m-1} - .. - a_0 e_{m-n}` for `m > n`, and two systems of n modes can agree in the first 2n - 1.
+    A sum of positive terms each: full relative accuracy.  O(n^2).
+
+    Examples
+    --------
+    The counterexample to the printed theorem: `e_1` agrees, the transfer functions `2 s / (s^2 + 1)` and
+    `2 s / (s^2 + 4)` do not.
+
+    >>> from ph_control.equivalence import filter_coefficients, same_filter
+    >>> filter_coefficients([1.0], [2**0.5, 0.0]).round(12)
+    array([ 2., -2.])
+    >>> filter_coefficients([2.0], [1.0, 0.0])
+    array([ 2., -8.])
+    >>> bool(same_filter(([1.0], [2**0.5, 0.0]), ([2.0], [1.0, 0.0])))
+    False
+    """
+    frequencies, vector = parameter_pair(d, v)
+    n = len(frequencies)
+    r = vector[:n] ** 2 + vector[n:] ** 2
+    powers = np.vander(frequencies**2, 2 * n, increasing=True).T
+    e = (powers @ (r * frequencies)) * np.where(np.arange(2 * n) % 2, -1.0, 1.0)
+    _checks.representable(f"the filter coefficients of {n} modes", e)
+    return e
+
+
+# --- pairs (d, v) -----------------------------------------------------------------------------------------------------
+
+
+def star_equivalent(
+    d1: ArrayLike, v1: ArrayLike, d2: ArrayLike, v2: ArrayLike, *, rtol: float | None = None
+) -> Verdict:
+    """Tell whether two pairs `(d, v)` stand for isomorphic port-Hamiltonian systems, `~star` of the paper.
+
+    Parameters
+    ----------
+    d1 : array_like, shape (n,)
+        Natural frequencies of the first pair, positive, in any order.
+    v1 : array_like, shape (2n,)
+        Its input vector.
+    d2 : array_like, shape (n,)
+        Natural frequencies of the second pair.
+    v2 : array_like, shape (2n,)
+        Its input vector.
+    rtol : float, optional
+        Relative tolerance; default `32 n eps`.
+
+    Returns
+    -------
+    Verdict
+        The witness is `(P, A)`, a permutation matrix (n, n) and an invertible matrix (2n, 2n) with
+        `P Dhat1 P^T = Dhat2`, `A^T Dhat1 A v1 = Dhat1 v1`, `A J Dhat1 = J Dhat1 A` and `v2 = P A v1`, where P also
+        stands for `diag(P, P)` and `Dhat = diag(d, d)`; the residual is the largest of these four conditions.
+
+    Raises
+    ------
+    StructureError
+        If `d` and `v` of a pair do not fit, or `rtol` is no tolerance.
+
+    Notes
+    -----
+    Holds iff the frequencies agree with their multiplicities and, at each distinct frequency, the sums of
+    `r_l = v_l^2 + v_{n+l}^2`: A is then a unitary matrix for each frequency.  By the same token `~star` and equality
+    of the coefficients `a` and `c` coincide for all pairs, not only for canonical ones.  O(n^3).
+
+    Examples
+    --------
+    >>> from ph_control.equivalence import star_equivalent
+    >>> verdict = star_equivalent([1.0, 2.0], [1.0, 0.0, 0.0, 3.0], [2.0, 1.0], [3.0, 0.0, 0.0, -1.0])
+    >>> bool(verdict)
+    True
+    >>> P, A = verdict.witness
+    >>> P
+    array([[0., 1.],
+           [1., 0.]])
+    """
+    (first, ours), (second, theirs) = (_named_pair(k, *pair) for k, pair in ((1, (d1, v1)), (2, (d2, v2))))
+    n = len(first)
+    allowed = 32 * max(1, n) * _checks.EPS if rtol is None else relative_tolerance(rtol)
+    if len(second) != n:
+        return Verdict(False, 1.0, allowed, None, f"they have {n} and {len(second)} modes")
+    sigma = np.empty(n, int)
+    sigma[np.argsort(second, kind="stable")] = np.argsort(first, kind="stable")
+    nu1 = (ours[:n] + 1j * ours[n:])[:, None]
+    nu2 = np.empty((n, 1), complex)
+    nu2[sigma, 0] = theirs[:n] + 1j * theirs[n:]
+    P = np.eye(n)[sigma]
+    A = real_form(block_unitary(nu1, nu2, resonances(first, rtol)))
+    residuals = star_residuals(P, A, first, ours, second, theirs)
+    worst = max(residuals, key=lambda name: residuals[name])
+    if residuals[worst] > allowed:
+        return Verdict(False, residuals[worst], allowed, None, f"the {worst} differ")
+    return Verdict(True, residuals[worst], allowed, (P, A), "a permutation and turns within frequencies link them")
+
+
+def _named_pair(k: int, d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    try:
+        return parameter_pair(d, v)
+    except StructureError as error:
+        raise StructureError(f"pair {k}: {error}") from None
+
+
+def star_residuals(P: Array, A: Array, d1: Array, v1: Array, d2: Array, v2: Array) -> dict[str, float]:
+    """Relative residuals of the four conditions of `~star`, by what they compare."""
+    n = len(d1)
+    energy, weights = reduced_residuals(A, d1, v1)
+    moved = (P @ (A @ v1).reshape(2, n).T).T.ravel()
+    size = float(np.linalg.norm(v2)) or float(np.linalg.norm(moved)) or 1.0
+    return {
+        "frequencies": float(np.max(np.abs(P @ d1 - d2) / d2, initial=0.0)),
+        "energies of the inputs": energy,
+        "motions": weights,
+        "input weights": float(np.linalg.norm(v2 - moved)) / size,
+    }
+
+
+def reduced_residuals(A: Array, d: Array, v: Array) -> tuple[float, float]:
+    """Relative residuals of `A^T Dhat A v = Dhat v` and `A J Dhat = J Dhat A`."""
+    D = np.concatenate([d, d])
+    scale = float(np.linalg.norm(np.abs(A).T @ (D * (np.abs(A) @ np.abs(v))))) or 1.0
+    energy = float(np.linalg.norm(A.T @ (D * (A @ v)) - D * v)) / scale
+    generator = apply_form(np.diag(D))
+    size = float(np.linalg.norm(A) * D.max(initial=0.0)) or 1.0
+    return energy, float(np.linalg.norm(A @ generator - generator @ A)) / size
