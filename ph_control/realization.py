@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from .conditioning import Group, Separation, separate
+from .conditioning import Energy, Group, Separation, separate
 from .exceptions import StructureError
 from .modal import ModalForm
 from .systems import PortHamiltonian, ph
@@ -36,6 +36,10 @@ class KalmanDecomposition(NamedTuple):
         In Williamson coordinates, with an input matrix that is exactly 0; possibly without states.
     T : ndarray, shape (2n, 2n)
         Symplectic; maps the states `z` of the system to `(q_reachable, q_hidden, p_reachable, p_hidden)`.
+
+    Examples
+    --------
+    See `kalman_decomposition`.
     """
 
     reachable: PortHamiltonian
@@ -257,7 +261,8 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     -----
     Corrects the paper: with `P = I` and `m - n >= 2` the frequency 1 is repeated, and the observable Hamiltonian
     companion matrix of the lifted system has Jordan blocks, that is, free responses that grow.  Distinct
-    frequencies avoid it.  The arrays have `4 m^2` entries.
+    frequencies avoid it.  The modes of the system stay as they are, to the last bit of their frequencies; the
+    arrays have `4 m^2` entries.
 
     Examples
     --------
@@ -283,7 +288,9 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     Q[np.ix_(old, old)] = system.Q
     Q[new, new] = np.concatenate([added, added])
     B[old] = system.B
-    return PortHamiltonian(Q, B, inputs=system.input_labels, outputs=system.output_labels)
+    lifted = PortHamiltonian(Q, B, inputs=system.input_labels, outputs=system.output_labels)
+    lifted._views["_energy"] = _lifted_energy(system._energy, added, old, new)
+    return lifted
 
 
 def canonical_margins(sys: Any) -> CanonicalMargins:
@@ -356,6 +363,20 @@ def _rows_by_frequency(groups: tuple[Group, ...], rows: ComplexArray, *, reached
     d = np.concatenate([np.zeros(0), *(g.d[part] for g, part in parts)])
     turned = [g.rotation[part] @ rows[g.members] for g, part in parts]
     return np.concatenate([rows[:0], *turned])[np.argsort(d, kind="stable")]
+
+
+def _lifted_energy(
+    energy: Energy, added: Array, old: NDArray[np.intp], new: NDArray[np.intp]
+) -> tuple[Array, ComplexArray, Array]:
+    """Energy coordinates of the lifted system: those of the system, to the last bit, and of the added modes."""
+    d, E, E0 = energy
+    n, size, root = len(d), len(old) + len(new), np.sqrt(added)
+    rows, rigid = np.zeros((n + len(added), size), complex), np.zeros((len(E0), size))
+    rows[:n, old], rigid[:, old] = E, E0
+    rows[n:, new] = np.concatenate([np.diag(root), 1j * np.diag(root)], axis=1)
+    frequencies = np.concatenate([d, added])
+    order = np.argsort(frequencies, kind="stable")
+    return frequencies[order], rows[order], rigid
 
 
 # --- padding -------------------------------------------------------------------------------------------------
