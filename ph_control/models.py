@@ -1,4 +1,4 @@
-"""Known systems: LC circuits and chains of masses and springs, in physical coordinates."""
+"""Known systems in physical coordinates: LC circuits, chains of masses and springs, mass and stiffness matrices."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
 
 from . import _checks
 from .exceptions import StructureError
@@ -168,6 +169,145 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
         raise StructureError(f"n is {n!r}; the number of masses is a whole number, at least 1")
     return spring_chain(np.ones(n), 1.0, ground=np.eye(1, int(n))[0], **names)
+
+
+def from_second_order(
+    M: ArrayLike, K: ArrayLike, b: ArrayLike, *, condense: bool = False, **names: Any
+) -> PortHamiltonian:
+    """Undamped structure `M q'' + K q = b u` with the velocity at the force, `y = b^T q'`, as its output.
+
+    Parameters
+    ----------
+    M : array_like, shape (n, n)
+        Mass matrix, symmetric positive definite.
+    K : array_like, shape (n, n)
+        Stiffness matrix, symmetric positive semidefinite; its kernel makes rigid-body modes.
+    b : array_like, shape (n,) or (n, m)
+        Where the forces act, one column for each port.
+    condense : bool
+        Eliminate massless degrees of freedom (zero rows of `M`), on which no force may act.  They follow the others
+        without delay, so nothing is lost: `K` is replaced by its Schur complement.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default as for `spring_chain`, `q_i, p_i` with
+        the numbers, from 1, of the degrees of freedom that have mass.
+
+    Returns
+    -------
+    PortHamiltonian
+        From force to velocity.  States: displacements and momenta `p = M q'`.
+
+    Raises
+    ------
+    StructureError
+        If a matrix is not square, symmetric and of the size of the others, `K` is indefinite, or `M` is singular and
+        cannot be, or is not to be, condensed: the message names the massless degrees of freedom.
+
+    Notes
+    -----
+    `Q = diag(K, M^{-1})`, `B = (0, b)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The natural frequencies
+    are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  All is dense: O(n^3).
+
+    Examples
+    --------
+    >>> from ph_control.models import from_second_order
+    >>> from_second_order([[1, 0], [0, 1]], [[5, -4], [-4, 5]], [1, 0]).d
+    array([1., 3.])
+    >>> floating = from_second_order([[1, 0], [0, 3]], [[1, -1], [-1, 1]], [1, 0])
+    >>> round(floating.modes.kappa_0, 12)  # as one rigid body: 1 / (1 + 3)
+    0.25
+    """
+    mass, stiffness = _square("M", M), _square("K", K)
+    if mass.shape != stiffness.shape:
+        raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
+    force = _forces(b, len(mass))
+    kept = np.diag(mass) > 0
+    if not kept.all():
+        stiffness, force = _condensed(stiffness, force, kept, condense)
+        mass = mass[np.ix_(kept, kept)]
+    n, ports = force.shape
+    Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
+    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse_mass(mass), force
+    inputs, outputs = (["F"], ["v"]) if ports == 1 else (_numbered("F", ports), _numbered("v", ports))
+    states = [f"{letter}_{k + 1}" for letter in "qp" for k in np.flatnonzero(kept)]
+    return ph(Q, B, **_named(names, inputs, outputs, states))
+
+
+def _square(name: str, value: ArrayLike) -> Array:
+    """Check a mass or stiffness matrix: square, symmetric, positive semidefinite."""
+    array = _checks.real_array(name, value, 2)
+    n = len(array)
+    if array.shape != (n, n) or n == 0:
+        raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
+    padded = np.zeros((2 * n, 2 * n))
+    padded[:n, :n] = array
+    checked = _checks.hamiltonian_matrix(padded, name=name)[:n, :n]
+    return _symmetric(checked)
+
+
+def _symmetric(A: Array) -> Array:
+    return 0.5 * (A + A.T)
+
+
+def _forces(b: ArrayLike, n: int) -> Array:
+    array = _checks.real_array("b", b)
+    if array.ndim not in (1, 2) or array.shape[0] != n or array.size == 0:
+        raise StructureError(
+            f"b has shape {array.shape}; with {n} degrees of freedom it must be ({n},) or ({n}, ports)"
+        )
+    return array.reshape(n, -1)
+
+
+def _condensed(K: Array, b: Array, kept: NDArray[np.bool_], condense: bool) -> tuple[Array, Array]:
+    """Stiffness and forces on the degrees of freedom that have mass."""
+    massless = ~kept
+    where = _listed(np.flatnonzero(massless))
+    if not condense:
+        raise StructureError(
+            f"M is singular: {massless.sum()} of {len(K)} degrees of freedom have no mass ({where}, counted from 1); "
+            "from_second_order(M, K, b, condense=True) eliminates them statically, or give them mass"
+        )
+    if not kept.any():
+        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
+    loaded = np.flatnonzero(massless & np.any(b != 0, axis=1))
+    if len(loaded):
+        raise StructureError(
+            f"a force acts on degrees of freedom without mass ({_listed(loaded)}, counted from 1), which would make "
+            "their velocity depend on the rate of the force; move the force, or give them mass"
+        )
+    inner = K[np.ix_(massless, massless)]
+    smallest, tolerance = _checks.smallest_scaled_eigenvalue(inner)
+    if smallest <= tolerance:
+        raise StructureError(
+            f"the degrees of freedom without mass ({where}, counted from 1) cannot be eliminated: the smallest "
+            f"eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > {tolerance:.1e}; one "
+            "of their motions meets no spring"
+        )
+    W = _solve_root(inner, K[np.ix_(massless, kept)])
+    return _symmetric(K[np.ix_(kept, kept)] - W.T @ W), b[kept]
+
+
+def _inverse_mass(M: Array) -> Array:
+    """Inverse of a mass matrix, exactly symmetric."""
+    smallest, tolerance = _checks.smallest_scaled_eigenvalue(M)
+    if smallest <= tolerance:
+        raise StructureError(
+            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
+            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy; choose coordinates in "
+            "which it is one of them, or give it mass"
+        )
+    root = _solve_root(M, np.eye(len(M)))
+    return _symmetric(root.T @ root)
+
+
+def _solve_root(A: Array, right: Array) -> Array:
+    """`X` with `X^T X = right^T A^{-1} right` for a positive definite `A`."""
+    scaled, scale = _checks.unit_diagonal(A)
+    return solve_triangular(np.linalg.cholesky(scaled), right / scale[:, None], lower=True)
+
+
+def _listed(indices: NDArray[np.intp]) -> str:
+    shown = ", ".join(str(k + 1) for k in indices[:8])
+    return shown + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")
 
 
 def _laplacian(stiffness: Array) -> Array:
