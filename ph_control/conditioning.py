@@ -249,11 +249,10 @@ class _Noise:
     """First-order effects of rounding on modal data.
 
     `coupling` (n, n) bounds the coupling between modes, in the unit of frequencies; its diagonal is the error of `d`.
-    `local` (n,) bounds what rounding makes of `S B` for exact `S`, `rigid` (k,) the error of the rigid weights.
+    `rigid` (k,) bounds the error of the rigid weights.
     """
 
     coupling: Array
-    local: Array
     rigid: Array
 
 
@@ -280,7 +279,6 @@ def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _No
     ratio = np.sqrt(d[:, None] / d)
     together = inside[:, None] == inside
     coupling = together * (np.multiply.outer(shape, shape) + size * 0.5 * (ratio + 1 / ratio))
-    local = np.linalg.norm(rows / scale, axis=1) * inputs[inside]
 
     # a rigid-body mode is as far from every other as that one's frequency
     dual = np.linalg.pinv(np.concatenate([E.real, E.imag, E0]) / scale)[:, 2 * len(E) :] if len(E0) else E0.T
@@ -288,7 +286,7 @@ def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _No
     mixed = np.multiply.outer(np.linalg.norm(dual, axis=0), shape) + size / np.sqrt(d)
     rigid = ((inside_rigid[:, None] == inside) * mixed) @ weight
     rigid = rigid + np.linalg.norm(E0 / scale, axis=1) * inputs[inside_rigid]
-    return _Noise(unit * coupling, unit * local, unit * rigid)
+    return _Noise(unit * coupling, unit * rigid)
 
 
 def _norms(label: Labels, values: Array) -> Array:
@@ -323,8 +321,9 @@ def _separate_computed(modes: ModalForm, noise: _Noise) -> Separation:
 
 
 def _computed_errors(modes: ModalForm, noise: _Noise, label: Labels) -> ModalErrors:
+    # the part that mixes with the conjugate modes also covers the rounding of the product S B
     conjugates = noise.coupling / (modes.d[:, None] + modes.d) @ np.linalg.norm(modes.nu, axis=1)
-    error = _lent_weight(modes, noise, label).sum(axis=1) + conjugates + noise.local
+    error = _lent_weight(modes, noise, label).sum(axis=1) + conjugates
     of_group = np.sqrt(np.bincount(label, error**2))[label] if len(label) else error
     return ModalErrors(np.diag(noise.coupling).copy(), of_group, noise.rigid)
 

@@ -291,6 +291,22 @@ def test_with_several_ports_a_frequency_stays_as_often_as_the_ports_reach_it(n, 
     assert np.max(np.abs(small(s) - truth)) < 1e5 * EPS * np.max(np.abs(truth))
 
 
+@relaxed
+@given(st.integers(1, 5), st.integers(1, 3), st.integers(0, 2), seeds)
+def test_the_rotation_of_a_group_takes_its_weights_onto_the_reached_states(k, ports, kept, seed):
+    rng = np.random.default_rng(seed)
+    rank = min(k, ports, kept)
+    factors = [rng.standard_normal(shape) + 1j * rng.standard_normal(shape) for shape in ((k, rank), (rank, ports))]
+    (group,) = separate(ModalForm(np.full(k, 3.0), factors[0] @ factors[1], np.zeros((0, ports)))).groups
+    assert group.rank == rank
+    assert np.max(np.abs(group.rotation @ group.rotation.conj().T - np.eye(k))) < 100 * EPS
+    wanted = np.concatenate([group.nu, np.zeros((k - rank, ports))])
+    assert np.max(np.abs(group.rotation @ factors[0] @ factors[1] - wanted)) <= 200 * EPS * (group.strength or 1)
+    largest = group.nu[np.arange(rank), np.abs(group.nu).argmax(axis=1)] if rank else np.ones(0)
+    assert np.all(largest.real > 0)
+    assert np.all(np.abs(largest.imag) <= 4 * EPS * np.abs(largest))
+
+
 def test_rigid_body_modes_merge_into_one_and_unreached_ones_go():
     chain = phc.spring_chain([1.0, 2.0, 3.0], [4.0, 5.0])
     both = phc.ph(*direct_sum(chain, chain))
@@ -551,6 +567,37 @@ def test_more_frequencies_are_added_where_the_gap_is_larger():
     assert np.all((pad > 1.1) & (pad < 1000))
     steps = np.diff(np.log2(np.r_[1.001, pad, 1024.0]))
     assert np.ptp(steps) < 1e-12
+
+
+def evenly_in_gaps(edges, counts):
+    """Points evenly inside each gap; the two outer ends are free, so that the last point there stands on the end."""
+    points = []
+    for k, (low, high, count) in enumerate(zip(edges[:-1], edges[1:], counts, strict=True)):
+        if k == 0:
+            points += [low + (high - low) * i / count for i in range(count)]
+        elif k == len(counts) - 1:
+            points += [low + (high - low) * (i + 1) / count for i in range(count)]
+        else:
+            points += [low + (high - low) * (i + 1) / (count + 1) for i in range(count)]
+    return np.array(points)
+
+
+def least_step(points, known):
+    steps = np.abs(points[:, None] - np.r_[known, points])
+    steps[np.arange(len(points)), len(known) + np.arange(len(points))] = np.inf
+    return steps.min()
+
+
+@relaxed
+@given(st.integers(1, 3), st.integers(1, 4), seeds)
+def test_no_other_distribution_over_the_gaps_leaves_a_larger_least_distance(n, more, seed):
+    known = np.sort(np.random.default_rng(seed).uniform(-3, 3, n))
+    large = lift(phc.modes(2.0**known, np.ones(n)), n + more)
+    found = least_step(np.log2(np.diag(large.Q)[n : n + more]), known)
+    edges = np.r_[known[0] - 1, known, known[-1] + 1]
+    choices = [c for c in itertools.product(range(more + 1), repeat=n + 1) if sum(c) == more]
+    best = max(least_step(evenly_in_gaps(edges, counts), known) for counts in choices)
+    assert abs(found - best) < 1e-12
 
 
 def test_frequencies_given_for_the_padding_are_used_in_their_order():
