@@ -86,8 +86,8 @@ def test_a_free_momentum_is_refused_where_the_normal_form_has_no_place_for_it_an
     Q = np.diag([0.0, 1.0])
     message = (
         "Q is only positive semidefinite and its kernel is not symplectic: rank 1, kernel of dimension 1, its "
-        f"symplectic part of dimension 0 (eigenvalues below {LEAST_SEMIDEFINITE} after scaling to unit diagonal count as "
-        "zero); no S gives diag(d, d): use williamson_semidefinite(Q), or ground or remove the 1 rigid-body mode(s)"
+        f"symplectic part of dimension 0 (eigenvalues below {LEAST_SEMIDEFINITE} after scaling to unit diagonal count "
+        "as zero); no S gives diag(d, d): use williamson_semidefinite(Q), or ground or remove the 1 rigid-body mode(s)"
     )
     assert refusal(lambda: phc.williamson(Q)) == message
     sys = phc.ph(Q, [0.0, 1.0])

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.io import mmread
+from scipy.linalg import eigh
+from scipy.sparse import csr_array
 
 from ph_control import PortHamiltonian, StructureError
-from ph_control.models import frenkel_kontorova, lc_circuit, spring_chain
+from ph_control.models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
 
 EPS = np.finfo(float).eps
 BENCHMARK = Path(__file__).resolve().parents[2] / "shared" / "data" / "models" / "phbench_params_and_refs.json"
@@ -211,6 +214,156 @@ def test_the_chain_leaves_its_arguments_alone():
 def test_a_bad_chain_is_refused_by_name(arguments, message):
     with pytest.raises(StructureError, match=message):
         spring_chain(**arguments)
+
+
+# --- mass and stiffness matrices ---
+
+
+def random_structure(n, rng, rigid=0):
+    """Random M > 0 and K >= 0 with a kernel of dimension `rigid`."""
+    F = rng.standard_normal((n, n + 2))
+    G = rng.standard_normal((n, n - rigid))
+    return F @ F.T, G @ G.T
+
+
+def dynamic_stiffness(M, K, b, s):
+    """`b^T s (s^2 M + K)^{-1} b`, straight from the equations of motion."""
+    b = np.asarray(b, float).reshape(len(M), -1)
+    return s * b.T @ np.linalg.solve(s**2 * M + K, b.astype(complex))
+
+
+@quick
+@given(st.integers(1, 8), st.integers(1, 3), st.booleans(), st.integers(0, 2**32 - 1))
+def test_a_second_order_model_has_the_response_of_its_equations_of_motion(n, ports, floating, seed):
+    rng = np.random.default_rng(seed)
+    M, K = random_structure(n, rng, int(floating))
+    b = rng.standard_normal((n, ports))
+    sys = from_second_order(M, K, b)
+    assert (sys.n, len(sys.d)) == (n, n - floating)
+    inverse = np.linalg.inv(M)
+    assert np.max(np.abs(sys.Q[n:, n:] - inverse)) < 100 * n * EPS * np.linalg.cond(M) * np.max(np.abs(inverse))
+    assert np.array_equal(sys.Q, sys.Q.T)
+    assert not sys.Q[:n, n:].any() and np.array_equal(sys.B, np.r_[0 * b, b])
+    condition = np.linalg.cond(M) * np.linalg.norm(K, 2) * np.linalg.norm(inverse, 2)
+    for s in (1.0 + 2j, 0.5, 0.1 + 10j):
+        truth = dynamic_stiffness(M, K, b, s)
+        assert np.max(np.abs(sys.horner(s)[:, :, 0] - truth)) < 1e3 * n * EPS * (1 + condition) * np.max(np.abs(truth))
+
+
+def test_a_chain_by_its_matrices_is_the_chain():
+    masses = np.array([1.0, 2.0, 4.0])
+    chain = spring_chain(masses, [3.0, 5.0], ground=[1.0, 0.0, 0.0])
+    same = from_second_order(np.diag(masses), chain.Q[:3, :3], [1.0, 0.0, 0.0])
+    assert np.max(np.abs(same.Q - chain.Q)) <= 2 * EPS
+    assert np.array_equal(same.B, chain.B)
+    assert (same.input_labels, same.output_labels, same.state_labels) == (["F"], ["v"], chain.state_labels)
+
+
+def test_massless_degrees_of_freedom_are_refused_by_number_and_condensed_on_request():
+    # mass - spring - massless joint - spring - mass: the joint makes the two springs one
+    M = np.diag([1.0, 0.0, 3.0])
+    K = np.array([[2.0, -2.0, 0.0], [-2.0, 5.0, -3.0], [0.0, -3.0, 3.0]])
+    b = [1.0, 0.0, 0.0]
+    with pytest.raises(
+        StructureError, match=r"M is singular: 1 of 3 .* have no mass \(2, counted from 1\); .*condense=True"
+    ):
+        from_second_order(M, K, b)
+    sys = from_second_order(M, K, b, condense=True)
+    same = spring_chain([1.0, 3.0], 1 / (1 / 2 + 1 / 3))
+    assert np.max(np.abs(sys.Q - same.Q)) < 8 * EPS
+    assert sys.state_labels == ["q_1", "q_3", "p_1", "p_3"]
+    # nothing is lost: the response is that of the full equations
+    for s in (0.3 + 1j, 2.0):
+        assert abs(sys(s) / dynamic_stiffness(M, K, b, s)[0, 0] - 1) < 100 * EPS
+
+
+def test_condensing_where_every_degree_of_freedom_has_mass_changes_nothing():
+    M, K = random_structure(3, np.random.default_rng(0))
+    plain, condensed = (from_second_order(M, K, [1, 0, 0], condense=flag) for flag in (False, True))
+    assert np.array_equal(plain.Q, condensed.Q)
+
+
+STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "b": [1.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"M": np.eye(3)}, r"M has shape \(3, 3\) and K \(2, 2\); they must be the same"),
+        ({"M": np.ones((2, 3))}, r"M has shape \(2, 3\); it must be \(n, n\)"),
+        ({"K": np.zeros((0, 0))}, "K has shape .*at least one degree of freedom"),
+        ({"M": [[1.0, 0.1], [0.0, 1.0]]}, "M is not symmetric"),
+        ({"K": np.diag([1.0, -1.0])}, "K is indefinite"),
+        ({"M": np.ones((2, 2))}, "M is singular: its smallest eigenvalue .* a combination of degrees of freedom"),
+        ({"M": np.ones((2, 2)), "condense": True}, "choose coordinates in which it is one of them"),
+        ({"M": np.zeros((2, 2)), "condense": True}, "M is zero"),
+        ({"M": np.diag([0.0, 1.0]), "condense": True}, r"a force acts on .* without mass \(1, counted from 1\)"),
+        (
+            {"M": np.diag([1.0, 0.0]), "K": np.diag([1.0, 0.0]), "condense": True},
+            "one of their motions meets no spring",
+        ),
+        ({"b": [1.0, 0.0, 0.0]}, r"b has shape \(3,\); with 2 degrees of freedom it must be \(2,\) or \(2, ports\)"),
+        ({"b": np.zeros((2, 0))}, r"b has shape \(2, 0\)"),
+        ({"b": 1.0}, r"b has shape \(\)"),
+        ({"M": csr_array(np.eye(2))}, r"pass an array \(a sparse matrix by its toarray\(\)\)"),
+    ],
+)
+def test_a_bad_structure_is_refused_by_name(change, message):
+    with pytest.raises(StructureError, match=message):
+        from_second_order(**(STRUCTURE | change))
+
+
+def test_ports_and_names_of_a_structure():
+    two = from_second_order(np.eye(2), STRUCTURE["K"], np.eye(2), name="frame")
+    assert (two.name, two.input_labels, two.output_labels) == ("frame", ["F_1", "F_2"], ["v_1", "v_2"])
+    assert from_second_order(**STRUCTURE, inputs="hammer").input_labels == ["hammer"]
+
+
+# --- structures of others ---
+
+
+def matrix(folder, name):
+    found = mmread(folder / "structures" / f"{name}.mtx")
+    return np.asarray(found.todense() if hasattr(found, "todense") else found, dtype=float)
+
+
+def test_a_free_structure_has_six_rigid_modes_and_the_elastic_frequencies_of_its_finite_element_program(data_folder):
+    with np.load(data_folder / "structures" / "nas2cam_k0.npz") as file:
+        M, K, squares = file["M"], file["K"], file["lam_ref"]
+    sys = from_second_order(M, K, np.eye(len(M))[0])
+    assert (sys.n, len(sys.d), len(sys.modes.rigid)) == (54, 48, 6)
+    assert np.max(np.abs(sys.d**2 / squares[6:] - 1)) < 1e-6
+    assert np.count_nonzero(sys.poles() == 0) == 12
+
+
+def test_a_wing_has_its_reference_frequencies(data_folder):
+    with np.load(data_folder / "structures" / "wingbeam75.npz") as file:
+        M, K, reference = file["M"], file["K"], file["f_ref_hz"]
+    frequencies = from_second_order(M, K, np.eye(len(M))[0]).d / (2 * np.pi)
+    # as near as the condition of the structure, 4e8, allows
+    assert np.max(np.abs(frequencies / reference - 1)) < EPS * np.linalg.cond(K)
+
+
+@pytest.mark.parametrize("names", [("lund_mass", "lund_stiffness"), ("bcsstm02", "bcsstk02")])
+def test_the_frequencies_of_a_structure_are_those_of_its_eigenproblem(data_folder, names):
+    M, K = (matrix(data_folder, name) for name in names)
+    squares = eigh(K, M, eigvals_only=True)
+    found = from_second_order(M, K, np.eye(len(M))[0]).d ** 2
+    assert np.all(np.abs(found - squares) < 10 * EPS * squares.max() + EPS * np.linalg.cond(M) * squares)
+
+
+def test_a_structure_with_massless_degrees_of_freedom_is_refused_with_the_reason_or_condensed(data_folder):
+    M, K = matrix(data_folder, "bcsstm01"), matrix(data_folder, "bcsstk01")
+    b = np.eye(48)[0]
+    with pytest.raises(StructureError, match=r"24 of 48 degrees of freedom have no mass \(4, 5, 6, 10, .* \.\. 48"):
+        from_second_order(M, K, b)
+    sys = from_second_order(M, K, b, condense=True)
+    hertz = sys.d / (2 * np.pi)
+    assert (sys.n, len(sys.d)) == (24, 24)
+    assert (round(hertz[0], 2), round(hertz[-1], 1)) == (0.83, 37.7)
+    # the pencil itself, by its inverse: M v = mu K v has the massless motions at mu = 0
+    mu = eigh(M, K, eigvals_only=True)[24:][::-1]
+    assert np.all(np.abs(1 / sys.d**2 - mu) < EPS * np.linalg.cond(K) * mu)
 
 
 # --- published references ---

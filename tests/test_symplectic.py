@@ -257,6 +257,80 @@ def test_symmetry_is_decided_relative_to_the_size_of_the_matrix(scale):
         phc.williamson(skewed(1.1 * 1e-6 * 2), rtol=1e-6)
 
 
+# --- a symplectic kernel -------------------------------------------------------------------------------------------
+
+
+@relaxed
+@given(st.integers(0, 5), st.integers(1, 3), seeds, st.sampled_from([1.0, 1e9, 1e-9, 1e100, 1e-100]))
+def test_a_symplectic_kernel_of_dimension_two_m_makes_m_frequencies_exactly_zero(oscillating, cyclic, seed, scale):
+    rng = np.random.default_rng(seed)
+    d0 = np.sort(rng.uniform(0.5, 5.0, oscillating))
+    Q, S0 = random_hamiltonian(np.r_[np.zeros(cyclic), d0], rng)
+    Q = scale * Q
+    d, S = phc.williamson(Q)
+    assert np.array_equal(d[:cyclic], np.zeros(cyclic))
+    allowed = 100 * len(d) * EPS * (norm(Q) / scale) * norm(S0) ** 2
+    assert np.all(np.abs(d[cyclic:] / scale - d0) < allowed)
+    _, symplectic = residuals(np.eye(len(Q)), d, S)
+    assert symplectic < 5
+    assert norm((S.T * np.r_[d, d]) @ S - Q) <= 20 * len(d) * EPS * norm(Q)
+
+
+def test_the_frequencies_of_a_symplectic_kernel_and_of_the_system_are_the_same():
+    Q, _ = random_hamiltonian([0.0, 1.0, 0.0, 3.0], np.random.default_rng(8))
+    sys = phc.ph(Q, np.ones(8))
+    d, S = phc.williamson(Q)
+    assert np.array_equal(d, np.r_[0.0, 0.0, sys.d])
+    assert np.array_equal(sys.S, S)
+
+
+def test_a_free_momentum_beside_a_cyclic_pair_is_refused_with_the_dimensions_of_the_kernel():
+    S = random_symplectic(4, np.random.default_rng(9))
+    Q = S.T @ np.diag([0.0, 0.0, 0.0, 2.0, 1.0, 1.0, 0.0, 2.0]) @ S
+    with pytest.raises(phc.StructureError, match="rank 4, kernel of dimension 4, its symplectic part of dimension 2"):
+        phc.williamson(0.5 * (Q + Q.T))
+
+
+# --- large and ill-conditioned -------------------------------------------------------------------------------------
+
+LARGE = {
+    # spectrum and the exponents of the squeeze: Q has a condition number of about 1e12
+    "repeated": lambda n: (np.repeat([1.0, 2.0], [n // 2, n - n // 2]), 6.9),
+    "clustered": lambda n: (1 + 1e-9 * np.arange(n), 6.9),
+    "ratio 1e12": lambda n: (np.logspace(-6, 6, n), 0.0),
+    "ratio 1e6, squeezed": lambda n: (np.logspace(-3, 3, n), 3.45),
+}
+
+
+def hold_to_the_bounds_of_large_matrices(Q, d0):
+    """Backward error, both symplectic errors, and where known the frequencies."""
+    d, S = phc.williamson(Q)
+    J = symplectic_form(len(d))
+    assert norm((S.T * np.r_[d, d]) @ S - Q) < 1e-13 * norm(Q)
+    # the exact S rounded to doubles is symplectic to eps ||S||^2 only; 1e-12 where that allows it
+    allowed = max(1e-12, EPS * norm(S) ** 2)
+    assert norm(S.T @ apply_form(S) - J) < allowed
+    assert norm(S @ apply_form(S.T) - J) < allowed
+    if d0 is not None:
+        assert np.max(np.abs(d / np.sort(d0) - 1)) < 10 * EPS * np.linalg.cond(Q)
+
+
+@pytest.mark.parametrize("n", [20, 100])
+@pytest.mark.parametrize("name", LARGE)
+def test_a_matrix_of_condition_1e12_has_an_exact_normal_form_whatever_its_spectrum(name, n):
+    d0, squeeze = LARGE[name](n)
+    Q, _ = random_hamiltonian(d0, np.random.default_rng(n), squeeze)
+    assert 1e10 < np.linalg.cond(Q) < 1e13
+    hold_to_the_bounds_of_large_matrices(Q, d0)
+
+
+@pytest.mark.parametrize("n", [20, 100, 500])
+def test_a_dense_matrix_of_condition_1e12_has_an_exact_normal_form(n):
+    U, _ = np.linalg.qr(np.random.default_rng(n).standard_normal((2 * n, 2 * n)))
+    Q = (U * np.logspace(0, 12, 2 * n)) @ U.T
+    hold_to_the_bounds_of_large_matrices(0.5 * (Q + Q.T), None)
+
+
 # --- energy coordinates and the skew normal form -------------------------------------------------------------------
 
 
