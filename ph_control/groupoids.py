@@ -387,7 +387,8 @@ class ReducedGroupoid:
         verdict = star_equivalent(d1, v1, d2, v2, rtol=rtol)
         if not verdict:
             raise StructureError(f"there is no arrow between pairs that are not equivalent: {verdict.reason}")
-        return cls(*verdict.witness, np.asarray(d1), np.asarray(v1))
+        P, A = verdict.witness
+        return cls(P, A, *parameter_pair(d1, v1))
 
     @classmethod
     def is_arrow(cls, P: ArrayLike, A: ArrayLike, d: ArrayLike, v: ArrayLike) -> bool:

@@ -343,6 +343,9 @@ def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float |
             center = values[group].mean()
             reason = f"{ours} and {len(group) - ours} of their eigenvalues are at {center:.6g}"
             return Verdict(False, 1.0, float(radius[group].max() / (abs(center) or 1.0)), None, reason)
+        offence = _seen_by_one_only(first, second, group)
+        if offence is not None:
+            return offence
     candidates, floor = [], 0.0
     partitions = [clusters(values, np.maximum(radius, 0.5 * close * np.abs(values))) for close in (0.0, *_NEAR)]
     if n <= _SMALL:
@@ -353,6 +356,25 @@ def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float |
             candidates.append(L * second.scale[:, None] / first.scale)
             floor = max(floor, error)
     return _judge(candidates, sys1, sys2, SAFETY * floor if rtol is None else rtol)
+
+
+def _seen_by_one_only(first: _Eigenvalues, second: _Eigenvalues, group: Indices) -> Verdict | None:
+    """Refusal if inputs reach, or outputs see, these eigenvalues in one system but not in the other.
+
+    A morphism would be singular there; its smallest singular value would be rounding, which looks like any number.
+    """
+    n = len(first.values)
+    left, right = first.block(group[group < n]), second.block(group[group >= n] - n)
+    error = SAFETY * _checks.EPS * n * (1 / left.separation + 1 / right.separation)
+    center = (np.trace(left.T) + np.trace(right.T)) / len(group)
+    for what, a, b, whole in (
+        ("inputs reach", left.inputs, right.inputs, (first.B, second.B)),
+        ("outputs see", left.outputs, right.outputs, (first.C, second.C)),
+    ):
+        size = [float(np.linalg.norm(part) / (np.linalg.norm(M) or 1.0)) for part, M in zip((a, b), whole, strict=True)]
+        if min(size) <= error and max(size) > np.sqrt(error):
+            return Verdict(False, max(size), error, None, f"the {what} the eigenvalue {center:.6g} in one of them only")
+    return None
 
 
 def _from_blocks(

@@ -437,14 +437,16 @@ def balanced(sys: ct.StateSpace) -> tuple[Array, Array, Array, Array, Array]:
 
 
 def scaled_rank(L: Array) -> int:
-    """Numerical rank of `L` after scaling rows and columns to largest entries near 1."""
+    """Numerical rank of `L` after scaling rows and columns to largest entries near 1, those of mere rounding apart."""
+    size = np.abs(L)
+    noise = max(L.shape) * _checks.EPS * size.max(initial=0.0)
+    L = L[np.ix_(size.max(axis=1, initial=0.0) > noise, size.max(axis=0, initial=0.0) > noise)]
     if L.size == 0:
         return 0
     for axis in (1, 0, 1, 0):
-        size = np.abs(L).max(axis=axis, keepdims=True)
-        L = L / np.where(size > 0, size, 1.0)
+        L = L / np.abs(L).max(axis=axis, keepdims=True)
     sigma = np.linalg.svd(L, compute_uv=False)
-    return int(np.sum(sigma > max(L.shape) * _checks.EPS * sigma[0])) if sigma[0] > 0 else 0
+    return int(np.sum(sigma > max(L.shape) * _checks.EPS * sigma[0]))
 
 
 # --- arguments ---------------------------------------------------------------------------------------------------
