@@ -11,7 +11,7 @@ from scipy.linalg import hessenberg, solve_triangular, svd
 from scipy.sparse.csgraph import connected_components
 
 from . import _checks
-from ._twofloat import Pair, divide, two_sum
+from ._twofloat import Pair, divide, two_prod, two_sum
 from .exceptions import StructureError
 
 Array = NDArray[np.float64]
@@ -283,12 +283,14 @@ def _reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     d = sigma[zero:]
     root = np.sqrt(np.concatenate([d, d]))[:, None]
     rows = _product(_pair(planes.T), _pair(F))
-    S, gain = _back_to_symplectic(np.concatenate([d, d]), divide(rows, (root, np.zeros_like(root))))
-    return d * gain, S, _product(_pair(still.T), _pair(F))
+    S, excess = _back_to_symplectic(np.concatenate([d, d]), divide(rows, (root, np.zeros_like(root))))
+    # what the steps did to the length of the rows belongs to d: its Rayleigh quotient, free of the rounding of roots
+    square, rest = two_prod(root[: len(d), 0], root[: len(d), 0])
+    return square + (rest + square * excess), S, _product(_pair(still.T), _pair(F))
 
 
 def _back_to_symplectic(weight: Array, S: Pair) -> tuple[Pair, Array]:
-    """Newton steps on `S J S^T = J`; also the factors by which they took `q_l J p_l^T` to 1.
+    """Newton steps on `S J S^T = J`; also by how much `q_l J p_l^T` was more than 1 before them.
 
     Rounding leaves a skew defect of about `eps d_max / sqrt(d_j d_l)`.  Of two rows the one with the smaller
     weight takes most of their correction, so that the energy `S^T diag(weight) S` stays as it is.  In pairs of
@@ -297,15 +299,17 @@ def _back_to_symplectic(weight: Array, S: Pair) -> tuple[Pair, Array]:
     n = len(weight) // 2
     total = weight[:, None] + weight
     share = np.where(total > 0, weight / np.where(total > 0, total, 1.0), 0.5)
-    gain = np.ones(n)
+    excess = np.zeros(n)
     for _ in range(5):
         defect = _poisson(S, symplectic_form(n))
-        gain = gain * (1 + np.clip(np.diag(defect, n), -0.5, 0.5))
+        # bounded, so that d stays positive where nothing can be told from rounding
+        step = np.clip(np.diag(defect, n), -0.5, 0.5)
+        excess = excess + step + excess * step
         S = two_sum(S[0], S[1] + (share * defect) @ apply_form(S[0]))
         # a step squares the defect
         if np.max(np.abs(defect), initial=0.0) ** 2 <= _checks.EPS:
             break
-    return S, gain
+    return S, excess
 
 
 def _complete(d: Array, S: Pair, still: Pair) -> Array:
