@@ -1,7 +1,10 @@
 """Lossless (port-Hamiltonian) linear systems for python-control."""
 
+from .affine import AffineHamiltonian, Symmetry, affine, is_even, is_odd
+from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian, ch, oh, tf
 from .coefficients import ScaledCoefficients
 from .exceptions import (
+    ConditioningWarning,
     FileFormatError,
     FileMissingError,
     IdentifiabilityWarning,
@@ -18,7 +21,16 @@ from .identification.result import PEMResult
 from .modal import ModalForm
 from .models import frenkel_kontorova, lc_circuit, spring_chain
 from .plots import bode_plot, fit_plot
+from .realization import (
+    CanonicalMargins,
+    KalmanDecomposition,
+    canonical_margins,
+    kalman_decomposition,
+    lift,
+    minreal,
+)
 from .response import forced_response, impulse_response, initial_response, step_response
+from .sampling import EnergyBalance, energy_balance, sample
 from .spectra import spectral_estimate
 from .symplectic import is_hamiltonian_matrix, is_symplectic, symplectic_form, williamson
 from .systems import PortHamiltonian, modes, ph

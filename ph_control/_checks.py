@@ -195,6 +195,52 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
     return array
 
 
+def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    """Check the parameters of a canonical form: `d` of n positive, or 2n non-negative entries, and `v` of 2n."""
+    vector = np.atleast_1d(real_array("v", v))
+    if vector.ndim == 2 and vector.shape[1] == 1:
+        vector = vector[:, 0].copy()
+    if vector.ndim != 1 or len(vector) % 2:
+        raise StructureError(f"v has shape {np.shape(v)}; it must be (2n,) for n natural frequencies")
+    in_range("v", vector)
+    frequencies = np.atleast_1d(real_array("d", d))
+    if frequencies.shape == vector.shape and len(vector):
+        if frequencies.min() < 0:
+            worst = int(frequencies.argmin())
+            raise StructureError(
+                f"d is negative: d[{worst}] = {frequencies[worst]:.6g}; the entries of (d_1, d_2) are >= 0"
+            )
+    elif frequencies.shape == (len(vector) // 2,):
+        frequencies = natural_frequencies(frequencies)
+    else:
+        raise StructureError(
+            f"d has shape {frequencies.shape} and v has shape {vector.shape}; needed n natural frequencies, or the "
+            "2n entries (d_1, d_2) of a semidefinite energy, and v of 2n entries"
+        )
+    in_range("d", frequencies)
+    return readonly(frequencies), readonly(vector)
+
+
+def symplectic_matrix(S: ArrayLike, size: int) -> Array:
+    """Check a symplectic matrix of a given size: `S^T J S = J` relative to the size of `S`."""
+    array = real_array("S", S, 2)
+    if array.shape != (size, size):
+        raise StructureError(f"S has shape {array.shape}; needed ({size}, {size})")
+    n = size // 2
+    half = array[:n].T @ array[n:]
+    residual = half - half.T
+    residual[:n, n:] -= np.eye(n)
+    residual[n:, :n] += np.eye(n)
+    scale = max(1.0, float(np.linalg.norm(array, 2)) ** 2) if size else 1.0
+    measured, allowed = float(np.max(np.abs(residual), initial=0.0)) / scale, 100 * size * EPS
+    if measured > allowed:
+        raise StructureError(
+            f"S is not symplectic: max |S^T J S - J| / ||S||^2 = {measured:.1e}, allowed {allowed:.1e}; "
+            "williamson(Q) gives one, or take a product of symplectic matrices"
+        )
+    return array
+
+
 def transfer_coefficients(a: ArrayLike, c: ArrayLike) -> tuple[Array, Array]:
     """Check the coefficients of a lossless transfer function: the even ones of `a`, and `c`."""
     denominator, numerator = real_array("a", a, 1), real_array("c", c, 1)

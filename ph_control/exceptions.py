@@ -69,3 +69,7 @@ class IdentifiabilityWarning(UserWarning):
 
 class ResolutionWarning(UserWarning):
     """A time grid does not resolve, or does not show, some of the modes."""
+
+
+class ConditioningWarning(UserWarning):
+    """Rounding to doubles leaves fewer digits in a result than a user would expect."""

@@ -16,8 +16,10 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from . import _checks
+from .coefficients import COEFFICIENT_LIMIT, modes_from_coefficients
+from .discrete import continuous, sampling_rule
 from .exceptions import NotLosslessError, StructureError
-from .modal import ModalForm
+from .modal import ModalForm, imaginary
 from .partial_fractions import (
     SAFETY,
     PoleResidueForm,
@@ -35,7 +37,7 @@ _UNSEEN = 1e-4  # of the whole: a residue lost in its error bound must also be s
 
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
-def lossless_modes(sys: Any) -> ModalForm:
+def lossless_modes(sys: Any, method: str | None = None, intersample: str = "zoh") -> ModalForm:
     """Minimal modal form of any lossless linear time-invariant system, or `NotLosslessError`.
 
     Takes a continuous-time `control.StateSpace` or `control.TransferFunction` (so also what `control.zpk`
@@ -43,28 +45,74 @@ def lossless_modes(sys: Any) -> ModalForm:
     """
     if isinstance(sys, scipy.signal.lti):
         return decide(_from_scipy(sys))
-    if isinstance(sys, scipy.signal.dlti) or (isinstance(sys, ct.lti.LTI) and sys.isdtime(strict=True)):
+    if isinstance(sys, scipy.signal.dlti):
         raise NotLosslessError(
-            [
-                f"the system is discrete-time (dt = {sys.dt}), needed continuous time: identify or convert it to "
-                "continuous time first"
-            ]
+            [f"the system is discrete-time (dt = {sys.dt}); give it as a control.StateSpace, with how it was sampled"]
         )
     if not isinstance(sys, ct.StateSpace | ct.TransferFunction):
         raise StructureError(
             f"no port-Hamiltonian form of an object of type {type(sys).__name__}; pass a StateSpace, a "
             "TransferFunction, a zero-pole-gain system, a ModalForm, or the matrices Q and B"
         )
+    rule = sampling_rule(sys, method, intersample) if sys.isdtime(strict=True) else None
     _ports(sys.noutputs, sys.ninputs)
+    if rule is None and isinstance(sys, ct.TransferFunction) and sys.issiso():
+        return _from_transfer_function(sys.num_list[0][0], sys.den_list[0][0])
+    form = _poles_and_residues(sys)
+    return decide(form if rule is None else continuous(form, *rule))
+
+
+def _poles_and_residues(sys: Any) -> PoleResidueForm:
     if isinstance(sys, ct.StateSpace):
-        return decide(from_state_space(sys.A, sys.B, sys.C, sys.D))
-    if sys.issiso():
-        return decide(from_polynomials(sys.num_list[0][0], sys.den_list[0][0]))
+        return from_state_space(sys.A, sys.B, sys.C, sys.D)
     entries = [
         [from_polynomials(sys.num_list[i][j], sys.den_list[i][j]) for j in range(sys.ninputs)]
         for i in range(sys.noutputs)
     ]
-    return decide(assemble(entries))
+    return assemble(entries) if len(entries) > 1 else entries[0][0]
+
+
+def _from_transfer_function(num: Array, den: Array) -> ModalForm:
+    """Modes of an odd transfer function with twice the digits, if its roots are simple; of any other in doubles."""
+    form = from_polynomials(num, den)
+    parts = _even_and_odd(num, den)
+    exact = modes_from_coefficients(*parts) if parts is not None else None
+    if exact is not None and np.max(exact[2] / exact[0]) <= COEFFICIENT_LIMIT:
+        return decide(_sharpened(form, *exact))
+    try:
+        return decide(form)
+    except (NotLosslessError, StructureError):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            lost = float(np.nanmax(form.pole_error / np.abs(form.poles), initial=0.0))
+        if parts is None or lost < COEFFICIENT_LIMIT:
+            raise
+        raise StructureError(
+            f"the coefficients of the transfer function carry {max(0.0, -np.log10(lost)):.1f} digits of its poles, "
+            f"needed {-np.log10(COEFFICIENT_LIMIT):.0f}: the rest is lost in their rounding to doubles; give natural "
+            "frequencies and weights, zeros, poles and gain, or a state space instead"
+        ) from None
+
+
+def _even_and_odd(num: Array, den: Array) -> tuple[Array, Array] | None:
+    """Coefficients of `s sum c_k s^{2k} / sum a_k s^{2k}`, monic and ascending, if the transfer function is one."""
+    num, den = (np.trim_zeros(np.asarray(p, float), "f")[::-1] for p in (num, den))
+    n = (len(den) - 1) // 2
+    if len(den) % 2 == 0 or n == 0 or len(num) > 2 * n or den[1::2].any() or num[0::2].any() or den[0::2].min() <= 0:
+        return None
+    c = np.zeros(n)
+    c[: len(num[1::2])] = num[1::2]
+    top = den[-1]
+    return den[0:-1:2] / top, c / top
+
+
+def _sharpened(form: PoleResidueForm, d: Array, kappa: Array, d_error: Array, kappa_error: Array) -> PoleResidueForm:
+    """Replace poles and residues by better ones; the bounds, of coefficients that are not rounded well, stay larger."""
+    order = 2 * len(d)
+    poles, none = imaginary(np.concatenate([d, -d])), np.zeros(order)
+    residues = np.concatenate([kappa, kappa])[:, None, None] * complex(0.5)
+    pole_error, residue_error = (2 * order * np.concatenate([e, e]) for e in (d_error, 0.5 * kappa_error))
+    size = float(np.abs(residues).max())
+    return PoleResidueForm(poles, residues, pole_error, residue_error, none, none, size, form.feedthrough)
 
 
 def _ports(noutputs: int, ninputs: int) -> None:

@@ -41,6 +41,11 @@ class Step:
     b1: ComplexArray
     c: ComplexArray
 
+    @classmethod
+    def of(cls, d: Array, b: ComplexArray, c: ComplexArray, h: float, method: str, intersample: str) -> Step:
+        """One step of `x' = -i d x + b u`, `y = Re(c x)`."""
+        return cls(*step_factors(d, h, method), *input_weights(d, b, h, method, intersample), c)
+
     def powers(self, k: Array) -> ComplexArray:
         """`lambda^k` for integers k, shape (N, len(k))."""
         rotation = tf.cis_multiples(self.phase, k)
@@ -62,7 +67,7 @@ def discretize(modes: ModalForm, h: float, method: str = "exact", intersample: s
     d = np.concatenate([modes.d, np.zeros(len(modes.rigid))])
     b = np.concatenate([modes.nu, modes.rigid])
     c = np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
-    return Step(*step_factors(d, h, method), *input_weights(d, b, h, method, intersample), c)
+    return Step.of(d, b, c, h, method, intersample)
 
 
 def step_factors(d: Array, h: float, method: str) -> tuple[Array, tf.Pair]:

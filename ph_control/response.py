@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from . import _checks
 from ._instants import default_time_vector, time_step
 from .exceptions import StructureError
-from .propagation import INTERSAMPLE, METHODS, discretize, simulate
-from .symplectic import apply_form
-from .systems import PortHamiltonian
+from .lossless_system import LosslessSystem
+from .motion import Rule, check_finite, trajectory
+from .propagation import INTERSAMPLE, METHODS
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -38,7 +38,7 @@ def forced_response(
 
     Parameters
     ----------
-    sysdata : PortHamiltonian, or list of them
+    sysdata : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, or list of them
         System to simulate.
     timepts : array_like, shape (T,)
         Equally spaced instants; default as in `step_response`.
@@ -63,7 +63,7 @@ def forced_response(
     Raises
     ------
     StructureError
-        If the system is not a `PortHamiltonian`, the instants are not equally spaced, or sizes do not fit.
+        If the system is none of these, the instants are not equally spaced, or sizes do not fit.
 
     Notes
     -----
@@ -116,7 +116,7 @@ def step_response(
 
     Parameters
     ----------
-    sysdata : PortHamiltonian, or list of them
+    sysdata : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, or list of them
         System to simulate.
     timepts : array_like, shape (T,), or a number
         Equally spaced instants, or the last one.  By default 20 samples in the shortest period and 3 of the
@@ -162,7 +162,7 @@ def step_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: PortHamiltonian, t: Array) -> TimeResponseData:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
             return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), named["initial_state"]
 
@@ -218,7 +218,7 @@ def impulse_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: PortHamiltonian, t: Array) -> TimeResponseData:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
@@ -274,7 +274,7 @@ def initial_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: PortHamiltonian, t: Array) -> TimeResponseData:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         picked, one = _selected("output", named, sys.noutputs)
         u = np.zeros((sys.ninputs, t.size))
         y, states = _solve(sys, t, u, named["initial_state"], method, "zoh", True)
@@ -305,7 +305,7 @@ def _resolve_aliases(named: dict[str, Any], aliases: dict[str, Any]) -> None:
 
 
 def _each(
-    sysdata: Any, run: Callable[[PortHamiltonian, Array], TimeResponseData], timepts: Any, samples: int | None
+    sysdata: Any, run: Callable[[LosslessSystem, Array], TimeResponseData], timepts: Any, samples: int | None
 ) -> Any:
     """Run one system, or each of a list on common instants."""
     several = isinstance(sysdata, list | tuple)
@@ -313,17 +313,17 @@ def _each(
     if not systems:
         raise StructureError("the list of systems is empty; give at least one")
     for sys in systems:
-        if not isinstance(sys, PortHamiltonian):
+        if not isinstance(sys, LosslessSystem):
             raise StructureError(
-                f"this is a {type(sys).__name__}, not a PortHamiltonian; convert it with ph(sys), or use the function "
-                "of the same name of python-control"
+                f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or "
+                "use the function of the same name of python-control"
             )
     t = _instants(systems, timepts, samples)
     responses = [run(sys, t) for sys in systems]
     return TimeResponseList(responses) if several else responses[0]
 
 
-def _instants(systems: list[PortHamiltonian], timepts: Any, samples: int | None) -> Array:
+def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:
     if timepts is not None and np.ndim(timepts) > 0:
         return _checks.time_vector(timepts)[0]
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
@@ -334,7 +334,7 @@ def _instants(systems: list[PortHamiltonian], timepts: Any, samples: int | None)
 
 
 def _forced(
-    sys: PortHamiltonian, t: Array, inputs: Any, initial_state: Any, method: str, intersample: str,
+    sys: LosslessSystem, t: Array, inputs: Any, initial_state: Any, method: str, intersample: str,
     keep: bool | None, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
     u = _input_signal(inputs, sys.ninputs, t.size, transpose)
@@ -350,7 +350,7 @@ def _forced(
 
 
 def _traces(
-    sys: PortHamiltonian, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
+    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
     method: str, intersample: str, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
@@ -410,61 +410,15 @@ def _initial_state(value: Any, size: int) -> Array:
 
 
 def _solve(
-    sys: PortHamiltonian, t: Array, u: Array, initial_state: Any, method: str, intersample: str, states: bool
+    sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str, states: bool
 ) -> tuple[Array, Array | None]:
     """Outputs (m, T) and, on request, states (2n, T)."""
     _checks.choice("method", method, METHODS)
     _checks.choice("intersample", intersample, INTERSAMPLE)
-    h = time_step(t)
+    rule = Rule(time_step(t), method, intersample)
     z0 = _initial_state(initial_state, sys.nstates)
-    d, E, E0 = sys._energy
     with np.errstate(over="ignore", invalid="ignore"):
-        x0 = np.concatenate([(E @ z0) / np.sqrt(d), (E0 @ z0).astype(complex)])
-        y, x = simulate(discretize(sys.modes, h, method, intersample), u, x0, states=states)
-        z = None if x is None else _states(sys, x[: len(d)], x0[: len(d)], z0, u, h, method, intersample)
-    if not (np.isfinite(y).all() and (z is None or np.isfinite(z).all())):
-        growth = np.hypot(1.0, h * d.max(initial=0.0)) if method == "euler" else 1.0
-        cure = "use method='exact' or a smaller step" if growth > 1 else "scale the input, the state or time"
-        raise StructureError(
-            f"the response exceeds the range of doubles: with method={method!r} and step {h:.4g} the fastest mode "
-            f"grows by {growth:.4g} a step; {cure}"
-        )
+        y, z = trajectory(sys, u, z0, rule, states=states)
+    fastest = sys.modes.d.max(initial=0.0)
+    check_finite(y, z, float(np.hypot(1.0, rule.h * fastest)) if method == "euler" else 1.0, rule)
     return y, z
-
-
-def _states(
-    sys: PortHamiltonian, x: ComplexArray, x0: ComplexArray, z0: Array, u: Array, h: float, method: str,
-    intersample: str,
-) -> Array:  # fmt: skip
-    """Phase-space trajectory (2n, T) from that of the oscillating modes; rigid-body motion is integrated."""
-    d, E, E0 = sys._energy
-    root = np.sqrt(d)[:, None]
-    if 2 * len(d) == sys.nstates:
-        return _phase_space(E / root, x)
-    U, W = _input_integrals(u, h, method, intersample)
-    X = ((E @ sys.B) @ U - root * (x - x0[:, None])) / (1j * d[:, None])
-    X0 = np.outer(E0 @ z0, h * np.arange(u.shape[1])) + (E0 @ sys.B) @ W
-    return z0[:, None] + apply_form((E.conj().T @ X).real + E0.T @ X0) + sys.B @ U
-
-
-def _phase_space(rows: ComplexArray, x: ComplexArray) -> Array:
-    """Invert `x = S z` by `S^{-1} = -J S^T J`."""
-    S = np.concatenate([rows.real, rows.imag])
-    return -apply_form(S.T @ apply_form(np.concatenate([x.real, x.imag])))
-
-
-def _input_integrals(u: Array, h: float, method: str, intersample: str) -> tuple[Array, Array]:
-    """First and second integral of the input over time, by the rule of the method; shape (m, T) each."""
-    now, then = u[:, :-1], u[:, 1:]
-    mean = now if intersample == "zoh" else 0.5 * (now + then)
-    zero = np.zeros((len(u), 1))
-    U = np.concatenate([zero, h * np.cumsum(mean, axis=1)], axis=1)
-    if method == "euler":
-        gain = h * U[:, :-1]
-    elif method == "midpoint":
-        gain = 0.5 * h * (U[:, :-1] + U[:, 1:])
-    elif intersample == "zoh":
-        gain = h * U[:, :-1] + 0.5 * h * h * now
-    else:
-        gain = h * U[:, :-1] + h * h * (now / 3 + then / 6)
-    return U, np.concatenate([zero, np.cumsum(gain, axis=1)], axis=1)

@@ -2,49 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import control as ct
 import numpy as np
-from control.nlsys import NonlinearIOSystem
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, lossless
+from .casimirs import normal_form
+from .conditioning import separate
 from .exceptions import StructureError
-from .modal import ModalForm, from_frequencies, imaginary
+from .lossless_system import LosslessSystem, View, inherited_names, literal
+from .modal import ModalForm, from_frequencies
 from .symplectic import apply_form, energy_coordinates, williamson
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-class _View:
-    """A matrix computed on first access, kept, and locked against rebinding and writing."""
-
-    def __init__(self, compute: Callable[[Any], Any]) -> None:
-        self.compute = compute
-        self.__doc__ = compute.__doc__
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    def __get__(self, system: Any, owner: type | None = None) -> Any:
-        if system is None:
-            return self
-        if self.name not in system._views:
-            value = self.compute(system)
-            system._views[self.name] = _checks.readonly(value) if isinstance(value, np.ndarray) else value
-        return system._views[self.name]
-
-    def __set__(self, system: Any, value: Any) -> None:
-        raise AttributeError(
-            f"{self.name} of a {type(system).__name__} cannot be changed: the system would no longer be lossless; "
-            "make a new one with ph(Q, B), or a free StateSpace with control.ss(sys)"
-        )
-
-
-class PortHamiltonian(ct.StateSpace):
+class PortHamiltonian(LosslessSystem):
     """Linear port-Hamiltonian system `z' = J Q z + B u`, `y = B^T Q z`.
 
     A `control.StateSpace`: every function of python-control takes it.  Use `ph` to make one from matrices, from
@@ -87,61 +63,40 @@ class PortHamiltonian(ct.StateSpace):
     array([0.+0.33333333j])
     """
 
+    _factory = "ph(Q, B)"
     _modes: ModalForm | None
     _given: tuple[Array, Array] | None
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
         matrix = _checks.hamiltonian_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
-        self._setup((_checks.readonly(matrix), _checks.readonly(ports)), None, names)
+        self._fill((_checks.readonly(matrix), _checks.readonly(ports)), None, names)
 
-    def _setup(self, given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> None:
-        if "dt" in names:
-            raise StructureError(
-                "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
-            )
-        self._views: dict[str, Any] = {}
-        self._given = given
-        self._modes = modes
+    def _fill(self, given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> None:
+        self._given, self._modes = given, modes
         if given is not None:
-            size, ports = given[1].shape
+            self._setup(len(given[1]), given[1].shape[1], names)
         else:
             assert modes is not None
-            size, ports = 2 * modes.n, modes.nports
-        sizes = {"inputs": ports, "outputs": ports, "states": size}
-        for kind, count in sizes.items():
-            if names.get(kind) is None and names.get(kind[:-1]) is None:
-                names[kind] = count
-        # StateSpace.__init__ would build and store dense matrices; its base class keeps the names and the timebase
-        NonlinearIOSystem.__init__(
-            self,
-            lambda t, x, u, params: self.A @ np.atleast_1d(x) + self.B @ np.atleast_1d(u),
-            lambda t, x, u, params: self.C @ np.atleast_1d(x),
-            dt=0,
-            **names,
-        )
-        for kind, count in sizes.items():
-            found = len(getattr(self, kind[:-1] + "_labels"))
-            if found != count:
-                raise StructureError(f"{found} names given for {count} {kind}; give one name for each, all different")
+            self._setup(2 * modes.n, modes.nports, names)
 
     @classmethod
     def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
         """System in Williamson coordinates, its matrices not built until somebody looks."""
         self = cls.__new__(cls)
-        self._setup(None, modes, names)
+        self._fill(None, modes, names)
         return self
 
     @classmethod
     def _from_matrices(cls, Q: Array, B: Array, **names: Any) -> PortHamiltonian:
         """System from arrays that are known to be valid."""
         self = cls.__new__(cls)
-        self._setup((_checks.readonly(Q), _checks.readonly(B)), None, names)
+        self._fill((_checks.readonly(Q), _checks.readonly(B)), None, names)
         return self
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
-    @_View
+    @View
     def Q(self) -> Array:
         """Hamiltonian matrix, shape (2n, 2n), read-only."""
         if self._given is not None:
@@ -150,7 +105,7 @@ class PortHamiltonian(ct.StateSpace):
             np.concatenate([np.zeros(len(self.modes.rigid)), self.d, np.ones(len(self.modes.rigid)), self.d])
         )
 
-    @_View
+    @View
     def B(self) -> Array:
         """Input matrix, shape (2n, m), read-only."""
         if self._given is not None:
@@ -158,24 +113,19 @@ class PortHamiltonian(ct.StateSpace):
         modes = self.modes
         return np.concatenate([0 * modes.rigid, modes.nu.real, modes.rigid, modes.nu.imag])
 
-    @_View
+    @View
     def A(self) -> Array:
         """Dynamics matrix `J Q`, shape (2n, 2n), read-only."""
         return apply_form(self.Q)
 
-    @_View
+    @View
     def C(self) -> Array:
         """Output matrix `B^T Q`, shape (m, 2n), read-only."""
         return self.B.T @ self.Q
 
-    @_View
-    def D(self) -> Array:
-        """Feedthrough, zeros of shape (m, m), read-only."""
-        return np.zeros((self.ninputs, self.ninputs))
-
     # --- modal coordinates -----------------------------------------------------------------------------------------
 
-    @_View
+    @View
     def _energy(self) -> tuple[Array, ComplexArray, Array]:
         """`energy_coordinates` of Q: frequencies, complex rows and rigid rows."""
         if self._given is not None:
@@ -200,11 +150,6 @@ class PortHamiltonian(ct.StateSpace):
         return self._modes
 
     @property
-    def n(self) -> int:
-        """Number of degrees of freedom; there are 2n states."""
-        return int(self.nstates) // 2
-
-    @property
     def d(self) -> Array:
         """Natural frequencies (symplectic eigenvalues of Q), ascending, rad per unit time; no rigid-body modes."""
         return self.modes.d
@@ -214,13 +159,13 @@ class PortHamiltonian(ct.StateSpace):
         """Weights `r_l = v_l^2 + v_{n+l}^2` in the order of `d`; (n, m) for several ports."""
         return self.modes.r
 
-    @_View
+    @View
     def v(self) -> Array:
         """Williamson input vector `v = S B`, shape (2n,), or (2n, m) for several ports."""
         v = self.S @ self.B
         return v[:, 0].copy() if self.ninputs == 1 else v
 
-    @_View
+    @View
     def S(self) -> Array:
         """Symplectic matrix of Williamson's normal form, `Q = S^T diag(d, d) S`, shape (2n, 2n).
 
@@ -233,7 +178,9 @@ class PortHamiltonian(ct.StateSpace):
     @property
     def is_canonical(self) -> bool:
         """Whether the system is controllable, which is the same as observable: all `d` differ and all `r > 0`."""
-        return 2 * self.n == 2 * len(self.d) and self.modes.is_minimal
+        if len(self.d) < self.n:
+            return False
+        return separate(self.modes, self._given, None if self._given is None else self._energy).is_minimal
 
     def hamiltonian(self, z: ArrayLike) -> Any:
         """Stored energy `z^T Q z / 2`.
@@ -272,22 +219,6 @@ class PortHamiltonian(ct.StateSpace):
 
     # --- what python-control asks a system ------------------------------------------------------------------------
 
-    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
-        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
-
-        Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
-        """
-        return self.modes.evaluate(_checks.complex_points("the points", x))
-
-    def poles(self) -> ComplexArray:
-        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
-        d = self.d
-        return imaginary(np.concatenate([-d[::-1], np.zeros(2 * (self.n - len(d))), d]))
-
-    def zeros(self) -> ComplexArray:
-        """Zeros; all on the imaginary axis.  See `ModalForm.zeros`."""
-        return self.modes.zeros.copy()
-
     def __add__(self, other: Any) -> Any:
         """Parallel connection; PH with a PH system of the same number of ports, or with the number 0."""
         if isinstance(other, PortHamiltonian) and other.ninputs == self.ninputs:
@@ -322,30 +253,15 @@ class PortHamiltonian(ct.StateSpace):
         return PortHamiltonian._from_modes(ModalForm(m.d, root * m.nu, root * m.rigid, factor * m.r))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        names = {
-            "name": self.name,
-            "inputs": self.input_labels,
-            "outputs": self.output_labels,
-            "states": self.state_labels,
-        }
-        return _restore, (self._given, self._modes if self._given is None else None, names)
+        return _restore, (self._given, self._modes if self._given is None else None, self._names())
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
-            text = f"ph(\n{_literal(self.Q)},\n{_literal(self.B)}"
-        else:
-            m = self.modes
-            text = f"ph(ModalForm(\n{_literal(m.d)},\n{_literal(m.nu)},\n{_literal(m.rigid)})"
+            return self._repr_of(self.Q, self.B)
+        m = self.modes
+        text = ",\n".join(literal(array) for array in (m.d, m.nu, m.rigid))
         labels = self._label_repr()
-        return text + (f",\n{labels})" if labels else ")")
-
-
-def _literal(array: NDArray[Any]) -> str:
-    """Text that evaluates to the same array, bit for bit; beyond 1000 entries numpy shows the corners only."""
-    if array.size == 0:
-        return f"zeros({array.shape})"
-    with np.printoptions(floatmode="unique", threshold=1000):
-        return repr(array)
+        return f"ph(ModalForm(\n{text})" + (f",\n{labels})" if labels else ")")
 
 
 def _restore(given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> PortHamiltonian:
@@ -370,7 +286,15 @@ def _direct_sum(first: PortHamiltonian, second: PortHamiltonian) -> tuple[Array,
     return Q, B
 
 
-def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
+def ph(
+    Q: Any,
+    B: ArrayLike | None = None,
+    *,
+    J: ArrayLike | None = None,
+    method: str | None = None,
+    intersample: str = "zoh",
+    **names: Any,
+) -> PortHamiltonian:
     """Make a port-Hamiltonian system.
 
     Parameters
@@ -380,6 +304,12 @@ def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
         continuous-time `control.StateSpace` or `control.TransferFunction`, or one of `scipy.signal`.
     B : array_like, shape (2n,) or (2n, m), optional
         Input matrix.
+    J : array_like, shape (2n, 2n), optional
+        Any invertible skew matrix, of the equations `z' = J Q z + B u`; default the canonical one.
+    method : {'exact', 'midpoint', 'euler'}, optional
+        How a discrete-time system was sampled; needed for such a system, and for no other.
+    intersample : {'zoh', 'foh'}
+        What its input did between samples; 'midpoint' with 'foh' is the bilinear (Tustin) transformation.
     **names
         `name`, `inputs`, `outputs`, `states` as for `control.ss`; names of a given system are kept.
 
@@ -387,7 +317,8 @@ def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
     -------
     PortHamiltonian
         A state-space system that already is in PH normal form keeps its coordinates; any other arrives in
-        Williamson coordinates, minimal.
+        Williamson coordinates, minimal.  With `J` the states are `darboux(J) z`.  Of an `AffineHamiltonian` it is the
+        derivative.
 
     Raises
     ------
@@ -410,19 +341,27 @@ def ph(Q: Any, B: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
     (array([2.]), array([1.]))
     """
     if B is not None:
+        if J is not None:
+            Q, B, _ = normal_form(Q, B, J)
         return PortHamiltonian(Q, B, **names)
     source = Q
+    if J is not None:
+        raise StructureError("J is given without B; it belongs to the matrices Q and B of z' = J Q z + B u")
+    if method is not None and not (isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)):
+        raise StructureError(f"method={method!r} says how a discrete-time system was sampled; this one is not sampled")
     if isinstance(source, ModalForm):
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, PortHamiltonian):
         given, modes = source._given, source._modes
-        names = _inherited_names(source, names, "inputs", "outputs", "states")
+        names = inherited_names(source, names, "inputs", "outputs", "states")
         return _restore(given, modes if given is None else None, names)
+    if isinstance(source, LosslessSystem):
+        return source._converted(**names)
     if isinstance(source, ct.StateSpace) and source.isctime() and (found := _normal_form(source)):
-        return PortHamiltonian(*found, **_inherited_names(source, names, "inputs", "outputs", "states"))
+        return PortHamiltonian(*found, **inherited_names(source, names, "inputs", "outputs", "states"))
     if isinstance(source, ct.InputOutputSystem):
-        names = _inherited_names(source, names, "inputs", "outputs")
-    return PortHamiltonian._from_modes(lossless.lossless_modes(source), **names)
+        names = inherited_names(source, names, "inputs", "outputs")
+    return PortHamiltonian._from_modes(lossless.lossless_modes(source, method, intersample), **names)
 
 
 def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
@@ -454,15 +393,6 @@ def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
     if r is not None:
         return from_frequencies(d, r)
     return d if isinstance(d, ModalForm) else ph(d).modes
-
-
-def _inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
-    """Names given, completed by those of the source; python-control takes `input` for `inputs` and so on."""
-    kept = {} if source._generic_name_check() else {"name": source.name}
-    for kind in kinds:
-        if names.get(kind) is None and names.get(kind[:-1]) is None:
-            kept[kind] = getattr(source, kind[:-1] + "_labels")
-    return kept | {key: value for key, value in names.items() if value is not None or key not in kept}
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is in no normal form

@@ -13,9 +13,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 # low to high; a package counts as one place
 ORDER = (
     "exceptions", "_checks", "_twofloat", "_instants", "coefficients", "symplectic", "semidefinite", "casimirs",
-    "modal", "conditioning", "propagation", "partial_fractions", "lossless", "lossless_system", "systems",
-    "canonical_forms", "realization", "morphisms", "isomorphism", "equivalence", "groupoids", "motion", "sampling", "response",
-    "models", "spectra", "bode", "plots", "_documents", "_tables", "files", "identification", "demo", "cli",
+    "modal", "conditioning", "propagation", "partial_fractions", "discrete", "lossless", "lossless_system", "systems",
+    "canonical_forms", "affine", "realization", "pairs", "morphisms", "isomorphism", "equivalence", "groupoids",
+    "motion", "sampling", "response", "models", "spectra", "bode", "plots", "_documents", "_tables", "files",
+    "identification", "demo", "cli",
 )  # fmt: skip
 
 # the package itself collects the public names, and python -m starts the command line: nothing imports these two

@@ -521,14 +521,17 @@ def test_a_constant_is_refused_and_a_zero_feedthrough_is_not():
 
 
 @pytest.mark.parametrize("dt", [0.1, True])
-def test_a_sampled_system_is_refused(dt):
+def test_a_sampled_system_is_refused_without_the_method_of_sampling(dt):
     expected = (
-        f"the system is discrete-time (dt = {dt}), needed continuous time: "
-        "identify or convert it to continuous time first",
+        f"the system is discrete-time (dt = {dt}), needed continuous time; pass the method by which it was sampled: "
+        "ph(sys, method='exact'), 'midpoint' or 'euler'",
     )
     assert violations(ct.tf([1, 0], [1, 0, 1], dt)) == expected
     assert violations(ct.ss([[0, 1], [-1, 0]], [[0], [1]], [[0, 1]], 0, dt)) == expected
-    assert violations(scipy.signal.dlti([1, 0], [1, 0, 1], dt=dt)) == expected
+    (found,) = violations(scipy.signal.dlti([1, 0], [1, 0, 1], dt=dt))
+    assert found == (
+        f"the system is discrete-time (dt = {dt}); give it as a control.StateSpace, with how it was sampled"
+    )
 
 
 def test_a_system_with_more_inputs_than_outputs_is_refused():

@@ -452,7 +452,7 @@ BAD = {
     "no systems": (lambda: phc.step_response([], T3), "the list of systems is empty"),
     "plain state space": (
         lambda: phc.step_response(ct.ss(ONE), T3),
-        r"this is a StateSpace, not a PortHamiltonian; convert it with ph\(sys\)",
+        r"this is a StateSpace, not a lossless system of this package; convert it with ph\(sys\)",
     ),
     "transfer function": (lambda: phc.forced_response(ct.tf([1, 0], [1, 0, 1]), T3), "this is a TransferFunction"),
     "one plain in a list": (lambda: phc.initial_response([ONE, ct.ss(ONE)], T3), "this is a StateSpace"),

@@ -1,0 +1,372 @@
+"""Affine Hamiltonian systems, whose output is conjugate to their input, and the symmetry of transfer functions.
+
+Displacement under a force, charge under a voltage: `z' = J Q z - J B u`, `y = B^T z`.  The transfer function is even,
+and its product with `s` that of the port-Hamiltonian system `(Q, -J B)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _checks
+from .exceptions import NotLosslessError, StructureError
+from .lossless_system import LosslessSystem, View, inherited_names
+from .modal import ModalForm
+from .symplectic import apply_form
+from .systems import PortHamiltonian, ph
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class AffineHamiltonian(LosslessSystem):
+    """Affine Hamiltonian input-output system `z' = J Q z - J B u`, `y = B^T z`.
+
+    A `control.StateSpace`.  Use `affine` to make one.
+
+    Parameters
+    ----------
+    Q : array_like, shape (2n, 2n)
+        Hamiltonian matrix, symmetric positive semidefinite.
+    B : array_like, shape (2n,) or (2n, m)
+        Interaction `B^T z` of m ports with their inputs: what is measured, and what the inputs act on.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Raises
+    ------
+    StructureError
+        If `Q` or `B` is not as `PortHamiltonian` needs them.
+
+    See Also
+    --------
+    affine, PortHamiltonian
+
+    Notes
+    -----
+    `G(s) = sum_l kappa_l / (s^2 + d_l^2) + kappa_0 / s^2` with the residues of `derivative()`.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> spring = phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0])
+    >>> spring([0.0])
+    array([0.25+0.j])
+    """
+
+    _factory = "affine(Q, B)"
+    _integrated = True
+
+    def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
+        matrix = _checks.hamiltonian_matrix(Q)
+        ports = _checks.port_matrix(B, len(matrix))
+        bracket = ports.T @ apply_form(ports)
+        size = float(np.max(np.abs(bracket), initial=0.0))
+        allowed = 8 * len(matrix) * _checks.EPS * float(np.linalg.norm(ports)) ** 2
+        if size > allowed:
+            raise StructureError(
+                f"the outputs of the ports do not commute: max |B^T J B| = {size:.3g}, allowed {allowed:.1e}; the "
+                "inputs would then act on the derivatives of the outputs directly, which has no port-Hamiltonian form"
+            )
+        self._velocity = PortHamiltonian._from_matrices(matrix, apply_form(0.0 - ports))
+        self._interaction = _checks.readonly(ports)
+        self._setup(len(ports), ports.shape[1], names)
+
+    @View
+    def Q(self) -> Array:
+        """Hamiltonian matrix, shape (2n, 2n), read-only."""
+        return self._velocity.Q
+
+    @View
+    def A(self) -> Array:
+        """Dynamics matrix `J Q`, shape (2n, 2n), read-only."""
+        return self._velocity.A
+
+    @View
+    def B(self) -> Array:
+        """Input matrix `-J B` of the state equation, shape (2n, m), read-only."""
+        return self._velocity.B
+
+    @View
+    def C(self) -> Array:
+        """Output matrix `B^T`, shape (m, 2n), read-only."""
+        return self._interaction.T.copy()
+
+    @property
+    def modes(self) -> ModalForm:
+        """Modal form of `derivative()`; this system has the same frequencies, and an integrator more."""
+        return self._velocity.modes
+
+    @property
+    def d(self) -> Array:
+        """Natural frequencies, ascending, rad per unit time."""
+        return self._velocity.d
+
+    def derivative(self, **names: Any) -> PortHamiltonian:
+        """Port-Hamiltonian system `(Q, -J B)`: the same states, the time derivative of the output.
+
+        Parameters
+        ----------
+        **names
+            `name`, `inputs`, `outputs`, `states` as for `control.ss`; inputs and states keep their names.
+
+        Returns
+        -------
+        PortHamiltonian
+            In the same coordinates.
+
+        Notes
+        -----
+        `y' = B^T J Q z = (-J B)^T Q z`, since `B^T J B` is skew; for several ports it must vanish.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0]).derivative().B.T + 0.0
+        array([[0., 1.]])
+        """
+        v = self._velocity
+        return PortHamiltonian._from_matrices(v.Q, v.B, **inherited_names(self, names, "inputs", "states"))
+
+    _converted = derivative
+
+    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN."""
+        s = _checks.complex_points("the points", x)
+        values = self.modes.evaluate(s)
+        at_zero = s == 0
+        with np.errstate(invalid="ignore"):
+            out: ComplexArray = values / np.where(at_zero, 1.0, s)
+        infinite = np.isinf(values)
+        if at_zero.any():
+            alpha, _ = self.modes._symmetric_residues
+            out[:, :, at_zero] = np.sum(alpha / self.d[:, None, None] ** 2, axis=0)[:, :, None]
+        return np.where(infinite, complex(np.inf, 0.0), out)
+
+    def zeros(self) -> ComplexArray:
+        """Zeros: those of the derivative but the one at 0, which the integrator takes away."""
+        zeros = self.modes.zeros
+        at_zero = np.flatnonzero(zeros == 0)
+        return np.delete(zeros, at_zero[:1]) if not len(self.modes.rigid) else zeros.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (self.Q.copy(), self._interaction.copy(), self._names())
+
+    def _repr_eval_(self) -> str:
+        return self._repr_of(self.Q, self._interaction)
+
+
+def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonian:
+    """Make an affine Hamiltonian system, from its matrices or from a system with an even transfer function.
+
+    Parameters
+    ----------
+    Q : array_like, shape (2n, 2n), or a system
+        Hamiltonian matrix; or, without `B`, a continuous-time one-port `control.StateSpace` or
+        `control.TransferFunction` whose transfer function is even and lossless: with poles on the imaginary axis and
+        `s G(s)` that of a port-Hamiltonian system.
+    B : array_like, shape (2n,) or (2n, m), optional
+        Interaction of the ports.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Returns
+    -------
+    AffineHamiltonian
+        Minimal and in Williamson coordinates if made from a system.
+
+    Raises
+    ------
+    StructureError
+        If the matrices do not fit, or the argument is no system.
+    NotLosslessError
+        If the transfer function is not even, or `s G(s)` is not lossless.
+
+    Notes
+    -----
+    The converse of the symmetry (Brockett; Maschke and van der Schaft): an even lossless transfer function has an
+    affine Hamiltonian realization.  O(n^3).
+
+    Examples
+    --------
+    >>> import control as ct, ph_control as phc
+    >>> phc.affine(ct.tf([1], [1, 0, 4])).d
+    array([2.])
+    """
+    if B is not None:
+        return AffineHamiltonian(Q, B, **names)
+    if isinstance(Q, AffineHamiltonian):
+        names = inherited_names(Q, names, "inputs", "outputs", "states")
+        return AffineHamiltonian(Q.Q, Q._interaction, **names)
+    velocity = ph(_derivative(Q))
+    if velocity.nstates == 0:
+        return AffineHamiltonian(velocity.Q, velocity.B, **inherited_names(Q, names, "inputs", "outputs"))
+    # -J (J B) = B
+    return AffineHamiltonian(velocity.Q, apply_form(velocity.B), **inherited_names(Q, names, "inputs", "outputs"))
+
+
+def _derivative(sys: Any) -> Any:
+    """`s G(s)` of a one-port, in the class of `G`."""
+    if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
+        raise StructureError(
+            f"this is a {type(sys).__name__}; give Q and B, or a continuous-time StateSpace or TransferFunction"
+        )
+    if not sys.issiso():
+        raise StructureError(f"the system has {sys.ninputs} inputs and {sys.noutputs} outputs; needed one of each")
+    if isinstance(sys, ct.TransferFunction):
+        return ct.tf(np.append(sys.num_list[0][0], 0.0), sys.den_list[0][0])
+    if np.any(sys.D):
+        raise NotLosslessError([f"feedthrough D = {sys.D[0, 0]:.6g}, allowed 0"])
+    product = float((sys.C @ sys.B)[0, 0])
+    allowed = 8 * max(1, sys.nstates) * _checks.EPS * float(np.linalg.norm(sys.C) * np.linalg.norm(sys.B))
+    if abs(product) > allowed:
+        raise NotLosslessError([f"the transfer function is not even: C B = {product:.6g}, allowed {allowed:.1e}"])
+    return ct.ss(sys.A, sys.B, sys.C @ sys.A, 0.0)
+
+
+def _restore(Q: Array, B: Array, names: dict[str, Any]) -> AffineHamiltonian:
+    return AffineHamiltonian(Q, B, **names)
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """Whether a transfer function has a symmetry, and how far off it is.  True where it holds.
+
+    Attributes
+    ----------
+    holds : bool
+        `residual <= allowed`.
+    residual : float
+        Largest `|G(s) ± G(-s)|` over the points tried, over the size of `G` there.
+    allowed : float
+        What rounding makes of it.
+
+    Examples
+    --------
+    >>> import control as ct, ph_control as phc
+    >>> bool(phc.is_odd(ct.tf([1, 0], [1, 0, 1]))), bool(phc.is_odd(ct.tf([1], [1, 1])))
+    (True, False)
+    """
+
+    holds: bool
+    residual: float
+    allowed: float
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+def is_odd(sys: Any, *, rtol: float | None = None) -> Symmetry:
+    """Tell whether `G(-s) = -G(s)`, as for every port-Hamiltonian system.
+
+    Parameters
+    ----------
+    sys : control.StateSpace or control.TransferFunction
+        Continuous-time system.
+    rtol : float, optional
+        Allowed residual; default what rounding of the matrices or coefficients makes of it.
+
+    Returns
+    -------
+    Symmetry
+        True where it holds, with the measured residual.
+
+    Raises
+    ------
+    StructureError
+        If the argument is no continuous-time system.
+
+    Notes
+    -----
+    Compared at `4n + 4` points of the complex plane, more than two different rational functions of this order can
+    share.  O(n^4) for a state-space system.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> bool(phc.is_odd(phc.lc_circuit([1.0, 2.0], [1.0, 1.0])))
+    True
+    """
+    return _symmetry(sys, +1.0, rtol)
+
+
+def is_even(sys: Any, *, rtol: float | None = None) -> Symmetry:
+    """Tell whether `G(-s) = G(s)`, as for every affine Hamiltonian system.
+
+    Parameters
+    ----------
+    sys : control.StateSpace or control.TransferFunction
+        Continuous-time system.
+    rtol : float, optional
+        As in `is_odd`.
+
+    Returns
+    -------
+    Symmetry
+        As `is_odd`.
+
+    Raises
+    ------
+    StructureError
+        As `is_odd`.
+
+    Notes
+    -----
+    As `is_odd`.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> bool(phc.is_even(phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0])))
+    True
+    """
+    return _symmetry(sys, -1.0, rtol)
+
+
+def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
+    if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
+        raise StructureError(f"this is a {type(sys).__name__}; give a continuous-time StateSpace or TransferFunction")
+    poles = np.abs(sys.poles())
+    live = poles[poles > 0]
+    low, high = (live.min(), live.max()) if len(live) else (1.0, 1.0)
+    count = 4 * max(1, len(poles)) + 4
+    # between the axes and away from both: a lossless pole is on one of them, a damped one seldom near these rays
+    angles = np.pi * np.where(np.arange(count) % 2, 0.37, 0.21)
+    s = np.geomspace(low / 3, 3 * high, count) * np.exp(1j * angles)
+    with np.errstate(all="ignore"):
+        here, there = (np.asarray(sys.horner(point)).reshape(-1, count) for point in (s, -s))
+        size = np.abs(here) + np.abs(there)
+        residual = float(np.max(np.where(size > 0, np.abs(here + sign * there) / np.where(size > 0, size, 1), 0.0)))
+    if not np.isfinite(residual):
+        raise StructureError("the transfer function leaves the range of doubles; choose another unit of time")
+    allowed = _rounding(sys, np.concatenate([s, -s])) if rtol is None else rtol
+    return Symmetry(residual <= allowed, residual, allowed)
+
+
+def _rounding(sys: Any, points: ComplexArray) -> float:
+    """Relative error that rounding of the data of a system makes in its values, to first order, with some room."""
+    if isinstance(sys, LosslessSystem):
+        return 1e4 * _checks.EPS
+    worst = 0.0
+    if isinstance(sys, ct.TransferFunction):
+        for num, den in (
+            (n, d) for row in zip(sys.num_list, sys.den_list, strict=True) for n, d in zip(*row, strict=True)
+        ):
+            for polynomial in (num, den):
+                value = np.abs(np.polyval(polynomial, points))
+                terms = np.polyval(np.abs(polynomial), np.abs(points))
+                worst = max(worst, float(np.max(len(polynomial) * terms / np.where(value > 0, value, np.inf))))
+        return 32 * _checks.EPS * max(worst, 1.0)
+    A, B, C = (np.asarray(M, float) for M in (sys.A, sys.B, sys.C))
+    for s in points:
+        K = s * np.eye(len(A)) - A
+        X, Y = np.linalg.solve(K, B), np.linalg.solve(K.T, C.T).T
+        value = np.abs(C @ X).max()
+        error = np.linalg.norm(Y) * (abs(s) + np.linalg.norm(A)) * np.linalg.norm(X)
+        worst = max(worst, float(error / value) if value > 0 else 0.0)
+    return 32 * len(A) * _checks.EPS * max(worst, 1.0)

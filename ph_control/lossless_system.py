@@ -1,0 +1,144 @@
+"""What the system classes share: a `control.StateSpace` whose matrices are locked views, made when first looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import control as ct
+import numpy as np
+from control.nlsys import NonlinearIOSystem
+from numpy.typing import NDArray
+
+from . import _checks
+from .exceptions import StructureError
+from .modal import ModalForm, imaginary
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class View:
+    """A matrix computed on first access, kept, and locked against rebinding and writing."""
+
+    def __init__(self, compute: Callable[[Any], Any]) -> None:
+        self.compute = compute
+        self.__doc__ = compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, system: Any, owner: type | None = None) -> Any:
+        if system is None:
+            return self
+        if self.name not in system._views:
+            value = self.compute(system)
+            system._views[self.name] = _checks.readonly(value) if isinstance(value, np.ndarray) else value
+        return system._views[self.name]
+
+    def __set__(self, system: Any, value: Any) -> None:
+        raise AttributeError(
+            f"{self.name} of a {type(system).__name__} cannot be changed: the system would no longer be lossless; "
+            f"make a new one with {system._factory}, or a free StateSpace with control.ss(sys)"
+        )
+
+
+class LosslessSystem(ct.StateSpace):
+    """Base of the system classes: names and sizes at once, matrices and modes on demand.
+
+    A subclass gives `A`, `B`, `C` as views, its `modes`, the call `_factory` that makes it, and `__reduce__`.
+    """
+
+    _factory: str
+    _integrated = False  # whether the transfer function is that of the modes, or that divided by s
+    _views: dict[str, Any]
+
+    def _setup(self, nstates: int, nports: int, names: dict[str, Any]) -> None:
+        if "dt" in names:
+            raise StructureError(
+                "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
+            )
+        self._views = {}
+        sizes = {"inputs": nports, "outputs": nports, "states": nstates}
+        for kind, count in sizes.items():
+            if names.get(kind) is None and names.get(kind[:-1]) is None:
+                names[kind] = count
+        # StateSpace.__init__ would build and store dense matrices; its base class keeps the names and the timebase
+        NonlinearIOSystem.__init__(
+            self,
+            lambda t, x, u, params: self.A @ np.atleast_1d(x) + self.B @ np.atleast_1d(u),
+            lambda t, x, u, params: self.C @ np.atleast_1d(x),
+            dt=0,
+            **names,
+        )
+        for kind, count in sizes.items():
+            found = len(getattr(self, kind[:-1] + "_labels"))
+            if found != count:
+                raise StructureError(f"{found} names given for {count} {kind}; give one name for each, all different")
+
+    @View
+    def D(self) -> Array:
+        """Feedthrough, zeros of shape (m, m), read-only."""
+        return np.zeros((self.ninputs, self.ninputs))
+
+    @property
+    def modes(self) -> ModalForm:
+        """Modal form: the truth behind the matrices."""
+        raise NotImplementedError
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom; there are 2n states."""
+        return int(self.nstates) // 2
+
+    def _converted(self, **names: Any) -> Any:
+        """Return the port-Hamiltonian system that `ph` makes of this one."""
+        raise NotImplementedError
+
+    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
+
+        Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
+        """
+        return self.modes.evaluate(_checks.complex_points("the points", x))
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
+        d = self.modes.d
+        return imaginary(np.concatenate([-d[::-1], np.zeros(2 * (self.n - len(d))), d]))
+
+    def zeros(self) -> ComplexArray:
+        """Zeros; all on the imaginary axis.  See `ModalForm.zeros`."""
+        return self.modes.zeros.copy()
+
+    def _names(self) -> dict[str, Any]:
+        """Names of the system and its signals, as its factory takes them."""
+        return {
+            "name": self.name,
+            "inputs": self.input_labels,
+            "outputs": self.output_labels,
+            "states": self.state_labels,
+        }
+
+    def _repr_of(self, *arrays: NDArray[Any]) -> str:
+        """A call of the factory that evaluates to the same system."""
+        text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
+        labels = self._label_repr()
+        return text + (f",\n{labels})" if labels else ")")
+
+
+def literal(array: NDArray[Any]) -> str:
+    """Text that evaluates to the same array, bit for bit; beyond 1000 entries numpy shows the corners only."""
+    if array.size == 0:
+        return f"zeros({array.shape})"
+    with np.printoptions(floatmode="unique", threshold=1000):
+        return repr(array)
+
+
+def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
+    """Names given, completed by those of the source; python-control takes `input` for `inputs` and so on."""
+    kept = {} if source._generic_name_check() else {"name": source.name}
+    for kind in kinds:
+        if names.get(kind) is None and names.get(kind[:-1]) is None:
+            kept[kind] = getattr(source, kind[:-1] + "_labels")
+    return kept | {key: value for key, value in names.items() if value is not None or key not in kept}
