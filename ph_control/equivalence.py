@@ -74,7 +74,8 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     found = filter_mismatch(first, second, rtol)
     if found.decides:
         return Verdict(False, found.residual, found.allowed, None, found.reason)
-    return Verdict(True, found.residual, found.allowed, first.modes.minimal(rtol=rtol), "poles and residues agree")
+    witness = first.minimal if rtol is None else first.modes.minimal(rtol=rtol)
+    return Verdict(True, found.residual, found.allowed, witness, "poles and residues agree")
 
 
 def _spectrum(sys: Any) -> Spectrum:
@@ -99,7 +100,7 @@ def _spectrum(sys: Any) -> Spectrum:
         d_error = amplification(d) * _checks.EPS * d
         residue_error = amplification(d) * _checks.EPS * size
     nu_error = residue_error / np.sqrt(d * size)
-    return Spectrum(found.modes, found.d_error + d_error, found.nu_error + nu_error, found.groups)
+    return Spectrum(found.modes, found.d_error + d_error, found.nu_error + nu_error, found.groups, found.minimal)
 
 
 def _modes_of_pair(d: Array, v: Array) -> ModalForm:

@@ -63,6 +63,8 @@ class PortHamiltonianGroupoid:
     L: Array
     source: PortHamiltonian
 
+    __array_ufunc__ = None  # an array beside an arrow is an error, not a table of arrows
+
     def __post_init__(self) -> None:
         _one_port(self.source)
         L = _invertible("L", self.L, self.source.nstates)
@@ -257,6 +259,8 @@ class ReducedGroupoid:
     A: Array
     d: Array
     v: Array
+
+    __array_ufunc__ = None
 
     def __post_init__(self) -> None:
         d, v = parameter_pair(self.d, self.v)

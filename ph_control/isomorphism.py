@@ -176,13 +176,14 @@ def _judge(candidates: list[Array], sys1: ct.StateSpace, sys2: ct.StateSpace, al
 class Spectrum:
     """Modes of a system with bounds of the errors of `d` and of the norms of `nu`, both absolute.
 
-    `groups` are modes of which only the total weight is determined.
+    `groups` are modes of which only the total weight is determined; `minimal` has one mode for what each shows.
     """
 
     modes: ModalForm
     d_error: Array
     nu_error: Array
     groups: tuple[Indices, ...]
+    minimal: ModalForm
 
     @property
     def conditioning(self) -> float:
@@ -195,7 +196,8 @@ def modal_spectrum(modes: ModalForm, given: tuple[Array, Array] | None = None, e
     found = separate(modes, given, energy)
     rounding = 2 * max(1, modes.n) * _checks.EPS
     nu_error = found.errors.nu + rounding * np.linalg.norm(modes.nu, axis=1)
-    return Spectrum(modes, found.errors.d, nu_error, tuple(group.members for group in found.groups))
+    groups = tuple(group.members for group in found.groups)
+    return Spectrum(modes, found.errors.d, nu_error, groups, found.minimal())
 
 
 def port_hamiltonian_spectrum(sys: PortHamiltonian) -> Spectrum:
