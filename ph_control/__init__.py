@@ -2,6 +2,7 @@
 
 from .affine import AffineHamiltonian, Symmetry, affine, is_even, is_odd
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian, ch, oh, tf
+from .casimirs import CasimirSplit, darboux, split_casimirs
 from .coefficients import ScaledCoefficients
 from .exceptions import (
     ConditioningWarning,
@@ -19,7 +20,8 @@ from .files import load, read_csv, save
 from .identification.pem import pem, prediction_error_fit
 from .identification.result import PEMResult
 from .modal import ModalForm
-from .models import frenkel_kontorova, lc_circuit, spring_chain
+from .models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
+from .morphisms import controllable_morphism, is_morphism, lift_morphism, observable_morphism
 from .plots import bode_plot, fit_plot
 from .realization import (
     CanonicalMargins,
@@ -31,6 +33,7 @@ from .realization import (
 )
 from .response import forced_response, impulse_response, initial_response, step_response
 from .sampling import EnergyBalance, energy_balance, sample
+from .semidefinite import semidefinite_coefficients, williamson_semidefinite
 from .spectra import spectral_estimate
 from .symplectic import is_hamiltonian_matrix, is_symplectic, symplectic_form, williamson
 from .systems import PortHamiltonian, modes, ph

@@ -103,8 +103,8 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     return points
 
 
-def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", definite: bool = False, rtol: float | None = None) -> Array:
-    """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite (or definite)."""
+def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None) -> Array:
+    """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite."""
     array = real_array(name, Q, 2)
     rows, columns = array.shape
     if rows != columns:
@@ -127,12 +127,6 @@ def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", definite: bool = False,
         raise StructureError(
             f"{name} is indefinite: smallest eigenvalue after scaling to unit diagonal {smallest:.3g}, "
             f"allowed >= {-tolerance:.1e}; a stored energy cannot be negative, so check the signs in {name}"
-        )
-    if definite and smallest <= tolerance:
-        raise StructureError(
-            f"{name} is only positive semidefinite: smallest eigenvalue after scaling to unit diagonal {smallest:.3g}, "
-            f"needed > {tolerance:.1e}; Williamson's normal form with d > 0 needs a positive definite {name}: "
-            "ground the rigid-body mode or remove it"
         )
     return array
 

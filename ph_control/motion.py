@@ -139,13 +139,18 @@ def _observable(
     """In modal coordinates `w' = -i d w + kappa u`, `y = sum Re w`, where the frequencies are apart."""
     d, kappa = _poles(sys)
     apart = _apart(sys)
-    start = _lagrange_map(d) @ s0 if apart else np.zeros(sys.n, complex)
+    # after an impulse every mode starts from its residue, which need not be taken out of the state
+    struck = bool(s0.any()) and np.array_equal(s0, sys.B[:, 0])
+    if struck:
+        start = kappa.astype(complex)
+    else:
+        start = _lagrange_map(d) @ s0 if apart else np.zeros(sys.n, complex)
     step = Step.of(d, kappa[:, None].astype(complex), np.ones((1, sys.n), complex), *rule)
     y, w = simulate(step, u, start, states=states and apart)
     if apart:
         return y, (_cofactor_map(d).T @ w).real if w is not None else None
     chain = _Chain(sys)
-    if s0.any():
+    if s0.any() and not struck:
         y = y + chain.observable(np.zeros_like(u), s0, rule)[0]
     return y, chain.observable(u, s0, rule)[1] if states else None
 

@@ -169,7 +169,8 @@ class PortHamiltonian(LosslessSystem):
     def S(self) -> Array:
         """Symplectic matrix of Williamson's normal form, `Q = S^T diag(d, d) S`, shape (2n, 2n).
 
-        Raises `StructureError` if Q is only semidefinite.
+        A degree of freedom that stores no energy comes first, with a zero in place of its `d`.  Raises
+        `StructureError` if there are rigid-body modes: see `williamson_semidefinite`.
         """
         if self._given is None and not len(self.modes.rigid):
             return np.eye(2 * self.n)

@@ -1,0 +1,166 @@
+"""Affine Hamiltonian systems: even transfer functions, whose derivatives are port-Hamiltonian."""
+
+import copy
+import pickle
+
+import control as ct
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import EPS, dense_transfer_function, random_hamiltonian, symplectic_form
+
+import ph_control as phc
+
+relaxed = settings(deadline=None, max_examples=30, derandomize=True)
+POINTS = np.array([0.3 + 1j, -2.0 + 0.1j, 5.0])
+
+
+def random_affine(n, seed, squeeze=0.5):
+    rng = np.random.default_rng(seed)
+    Q, _ = random_hamiltonian(np.cumsum(rng.uniform(0.5, 1.5, n)), rng, squeeze)
+    return Q, rng.standard_normal(2 * n)
+
+
+@relaxed
+@given(st.integers(1, 8), st.integers(0, 2**32 - 1))
+def test_the_transfer_function_is_that_of_the_equations_and_even(n, seed):
+    Q, b = random_affine(n, seed)
+    J = symplectic_form(n)
+    sys = phc.affine(Q, b)
+    assert np.array_equal(sys.B[:, 0], -J @ b) and np.array_equal(sys.C[0], b)
+    truth = np.array([dense_transfer_function(J @ Q, -(J @ b)[:, None], b[None, :], s)[0, 0] for s in POINTS])
+    assert np.max(np.abs(sys(POINTS) - truth)) < 1e4 * n * EPS * np.max(np.abs(truth))
+    assert np.max(np.abs(sys(-POINTS) - sys(POINTS))) < 64 * EPS * np.max(np.abs(truth))
+    assert phc.is_even(sys) and not phc.is_odd(sys)
+
+
+@relaxed
+@given(st.integers(1, 8), st.integers(0, 2**32 - 1))
+def test_the_derivative_of_the_output_is_port_hamiltonian(n, seed):
+    Q, b = random_affine(n, seed)
+    sys = phc.affine(Q, b)
+    velocity = sys.derivative()
+    assert type(velocity) is phc.PortHamiltonian
+    assert np.array_equal(velocity.Q, Q) and np.array_equal(velocity.B[:, 0], -symplectic_form(n) @ b)
+    assert np.max(np.abs(velocity(POINTS) - POINTS * sys(POINTS))) < 64 * EPS * np.max(np.abs(velocity(POINTS)))
+    assert phc.is_odd(velocity) and not phc.is_even(velocity)
+    assert np.array_equal(phc.ph(sys).Q, velocity.Q) and np.array_equal(phc.ph(sys).B, velocity.B)
+
+
+@relaxed
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1), st.booleans())
+def test_an_even_lossless_transfer_function_has_an_affine_realization(n, seed, polynomial):
+    """The converse, from a state space in any coordinates and from polynomials."""
+    rng = np.random.default_rng(seed)
+    d, kappa = np.cumsum(rng.uniform(0.5, 1.5, n)), rng.uniform(0.1, 1.0, n)
+    G = sum(ct.tf([k], [1, 0, x * x]) for x, k in zip(d, kappa, strict=True))
+    if not polynomial:
+        T = np.linalg.qr(rng.standard_normal((2 * n, 2 * n)))[0]
+        blocks = ct.append(
+            *(ct.ss([[0, x], [-x, 0]], [[0], [k]], [[1 / x, 0]], 0) for x, k in zip(d, kappa, strict=True))
+        )
+        A, B, C = blocks.A, blocks.B.sum(axis=1, keepdims=True), blocks.C.sum(axis=0, keepdims=True)
+        G = ct.ss(T @ A @ T.T, T @ B, C @ T.T, 0)
+    sys = phc.affine(G)
+    assert sys.n == n
+    truth = np.array([np.sum(kappa / (s * s + d * d)) for s in POINTS])
+    assert np.max(np.abs(sys(POINTS) - truth)) < 1e-9 * np.max(np.abs(truth))
+    assert np.max(np.abs(sys.d / d - 1)) < 1e-9
+
+
+def test_poles_zeros_and_values_at_both():
+    sys = phc.affine(np.diag([1.0, 4.0, 1.0, 1.0]), [1.0, 1.0, 0.0, 0.0])
+    # 1/(s^2+1) + 1/(s^2+4) = (2 s^2 + 5)/..
+    assert np.array_equal(sys.poles(), [-2j, -1j, 1j, 2j]) and np.allclose(
+        sys.zeros().imag, [-np.sqrt(2.5), np.sqrt(2.5)]
+    )
+    assert sys([0.0])[0] == 1.25
+    assert np.isposinf(sys([1j])[0].real) and np.isposinf(sys([-2j])[0].real)
+    assert abs(sys([1j * np.sqrt(2.5)])[0]) < 8 * EPS
+
+
+def test_a_rigid_body_has_a_double_pole_at_0():
+    sys = phc.affine(np.diag([0.0, 2.0]), [1.0, 0.0])
+    assert np.isposinf(sys([0.0])[0].real)
+    assert abs(sys([2j])[0] - 2.0 / (2j) ** 2) < 4 * EPS
+    G = phc.tf(sys)
+    assert np.allclose(G.num_list[0][0], [2], rtol=4 * EPS) and np.array_equal(G.den_list[0][0], [1, 0, 0])
+    assert phc.is_even(ct.tf([1], [1, 0, 0])) and phc.affine(ct.tf([2], [1, 0, 0])).n == 1
+
+
+def test_the_static_gain_is_the_compliance():
+    Q, b = np.diag([3.0, 5.0, 1.0, 2.0]), np.array([1.0, 2.0, 0.0, 0.0])
+    assert abs(phc.affine(Q, b)([0.0])[0] - b @ np.linalg.solve(Q, b)) < 8 * EPS
+
+
+def test_an_affine_system_copies_pickles_prints_itself_and_is_locked():
+    sys = phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0], name="spring", inputs="force", outputs="position")
+    for twin in (
+        pickle.loads(pickle.dumps(sys)),
+        copy.deepcopy(sys),
+        eval(repr(sys), vars(np) | vars(phc)),
+        phc.affine(sys),
+    ):
+        assert type(twin) is type(sys) and np.array_equal(twin.Q, sys.Q) and np.array_equal(twin.C, sys.C)
+        assert twin.output_labels == ["position"]
+    assert type(sys + sys) is ct.StateSpace
+    assert sys.derivative().input_labels == ["force"]
+    with pytest.raises(AttributeError, match=r"B of a AffineHamiltonian cannot be changed: .* affine\(Q, B\)"):
+        sys.B = np.eye(2)
+
+
+@pytest.mark.parametrize(
+    ("sys", "odd", "even"),
+    [
+        (ct.tf([1, 0], [1, 0, 4]), True, False),
+        (ct.tf([1], [1, 0, 4]), False, True),
+        (ct.tf([1], [1, 0]), True, False),
+        (ct.tf([1, 1], [1, 0, 4]), False, False),
+        (ct.tf([1], [1, 1]), False, False),
+        (ct.ss([[0, 1], [-4, 0]], [[0], [1]], [[0, 1]], 0), True, False),
+        (ct.ss([[0, 1], [-4, 0]], [[0], [1]], [[1, 0]], 0), False, True),
+        (ct.ss([[0, 1], [-4, 0]], [[0], [1]], [[1, 0]], 3), False, True),
+        (ct.ss([[0, 1], [-4, -1e-9]], [[0], [1]], [[0, 1]], 0), False, False),
+        (1e-12 * ct.tf([1e6, 0], [1, 0, 4e12]), True, False),
+        (ct.tf([1, 0], [1, 0, -4]), True, False),
+    ],
+)
+def test_the_symmetries_of_a_transfer_function(sys, odd, even):
+    assert bool(phc.is_odd(sys)) is odd and bool(phc.is_even(sys)) is even
+    for verdict in (phc.is_odd(sys), phc.is_even(sys)):
+        assert verdict.holds == (verdict.residual <= verdict.allowed)
+        assert verdict.holds or verdict.residual > 1e-10
+
+
+def test_the_tolerance_of_a_symmetry_can_be_given():
+    nearly = ct.tf([1, 1e-6], [1, 0, 4])
+    assert not phc.is_odd(nearly) and phc.is_odd(nearly, rtol=1e-3)
+
+
+BAD = {
+    "damped": (lambda: phc.affine(ct.tf([1], [1, 0.1, 4])), phc.NotLosslessError, "off the imaginary axis"),
+    "odd": (lambda: phc.affine(ct.tf([1, 0], [1, 0, 4])), phc.NotLosslessError, "feedthrough"),
+    "not even": (
+        lambda: phc.affine(ct.ss([[0, 1], [-4, 0]], [[0], [1]], [[1, 1]], 0)),
+        phc.NotLosslessError,
+        "the transfer function is not even: C B = 1",
+    ),
+    "negative": (lambda: phc.affine(ct.tf([-1], [1, 0, 4])), phc.NotLosslessError, "negative"),
+    "feedthrough": (lambda: phc.affine(ct.ss(ct.tf([1, 0, 5], [1, 0, 4]))), phc.NotLosslessError, "feedthrough D = 1"),
+    "discrete": (lambda: phc.affine(ct.tf([1], [1, 0, 4], 0.1)), phc.StructureError, "continuous-time"),
+    "no system": (lambda: phc.affine("spring"), phc.StructureError, "this is a str"),
+    "two ports": (
+        lambda: phc.affine(np.eye(2), np.eye(2)),
+        phc.StructureError,
+        r"the outputs of the ports do not commute: max \|B\^T J B\| = 1",
+    ),
+    "symmetry of a number": (lambda: phc.is_odd(3.0), phc.StructureError, "this is a float"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_has_no_affine_form_is_refused_with_the_reason(name):
+    call, error, message = BAD[name]
+    with pytest.raises(error, match=message):
+        call()
