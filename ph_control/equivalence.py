@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
+from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .coefficients import amplification
 from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .isomorphism import Spectrum, Verdict, block_unitary, filter_mismatch, modal_spectrum, real_form
+from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
+from .isomorphism import Verdict, block_unitary, real_form
 from .modal import ModalForm
 from .pairs import parameter_pair, resonances
 from .partial_fractions import from_state_space
 from .symplectic import apply_form
-from .systems import modes
+from .systems import PortHamiltonian, modes
 
 Array = NDArray[np.float64]
 
@@ -86,10 +88,8 @@ def _spectrum(sys: Any) -> Spectrum:
         return modal_spectrum(_modes_of_pair(*parameter_pair(*sys)))
     if isinstance(sys, ModalForm):
         return modal_spectrum(sys)
-    own = getattr(sys, "modes", None)
-    if isinstance(own, ModalForm):
-        given = getattr(sys, "_given", None)
-        return modal_spectrum(own, given, None if given is None else sys._energy)
+    if isinstance(sys, PortHamiltonian | ControllableHamiltonian | ObservableHamiltonian):
+        return lossless_spectrum(sys)
     found = modal_spectrum(modes(sys))
     d, size = found.modes.d, np.linalg.norm(np.atleast_2d(found.modes.kappa.T), axis=0)
     if isinstance(sys, ct.StateSpace):

@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, schur
 from scipy.linalg.lapack import ztrsen, ztrsyl
-from scipy.sparse.csgraph import connected_components
 
 from . import _checks
-from .conditioning import relative_tolerance, separate
+from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
+from .coefficients import cofactors
+from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .modal import ModalForm
+from .filters import MARGIN, filter_mismatch, lossless_spectrum
+from .lossless_system import LosslessSystem
 from .morphisms import balanced, comparable, is_morphism
+from .pairs import symplectic_inverse
 from .partial_fractions import SAFETY, clusters
 from .systems import PortHamiltonian
 
@@ -29,7 +32,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Indices = NDArray[np.intp]
 
-_MARGIN = 4.0  # between a bound of an error and what is called a difference
 _NEAR = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of frequencies below which modes are taken to mix
 _SMALL = 16  # states up to which all eigenvalues may be treated as one block
 _PARALLEL = 1e-8  # ports whose weights in a group of modes differ by less give no direction of their own
@@ -112,7 +114,7 @@ def are_isomorphic(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | No
     if sys1.nstates == 0:
         return _judge([np.zeros((0, 0))], sys1, sys2, 0.0 if rtol is None else rtol)
     if _definite(sys1) and _definite(sys2):
-        return _compare_williamson(sys1, sys2, rtol)
+        return _compare_lossless(sys1, sys2, rtol)
     return _compare_eigenblocks(sys1, sys2, rtol)
 
 
@@ -156,12 +158,14 @@ def system_isomorphism(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float 
     return verdict.witness if verdict else None
 
 
-def _judge(candidates: list[Array], sys1: ct.StateSpace, sys2: ct.StateSpace, allowed: float) -> Verdict:
+def _judge(
+    candidates: list[Array], sys1: ct.StateSpace, sys2: ct.StateSpace, allowed: float, *, invertible: bool = False
+) -> Verdict:
     """Measure candidates of an isomorphism and decide on the best."""
     checks = [is_morphism(L, sys1, sys2) for L in candidates]
     best = min(range(len(checks)), key=lambda k: checks[k].residual)
     L, check = candidates[best], checks[best]
-    invertible = check.rank == len(L)
+    invertible = invertible or check.rank == len(L)
     if check.residual > allowed:
         return Verdict(False, check.residual, allowed, None, "no change of states takes one to the other")
     if not invertible:
@@ -169,125 +173,85 @@ def _judge(candidates: list[Array], sys1: ct.StateSpace, sys2: ct.StateSpace, al
     return Verdict(True, check.residual, allowed, L, "an invertible change of states takes one to the other")
 
 
-# --- frequencies and weights, each with the bound of its error ------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """Modes of a system with bounds of the errors of `d` and of the norms of `nu`, both absolute.
-
-    `groups` are modes of which only the total weight is determined; `minimal` has one mode for what each shows.
-    """
-
-    modes: ModalForm
-    d_error: Array
-    nu_error: Array
-    groups: tuple[Indices, ...]
-    minimal: ModalForm
-
-    @property
-    def conditioning(self) -> float:
-        """Largest relative error of a frequency."""
-        return float(np.max(self.d_error / self.modes.d, initial=_checks.EPS))
-
-
-def modal_spectrum(modes: ModalForm, given: tuple[Array, Array] | None = None, energy: Any = None) -> Spectrum:
-    """Spectrum of modes that were given, or computed from the matrices `(Q, B)`."""
-    found = separate(modes, given, energy)
-    rounding = 2 * max(1, modes.n) * _checks.EPS
-    nu_error = found.errors.nu + rounding * np.linalg.norm(modes.nu, axis=1)
-    groups = tuple(group.members for group in found.groups)
-    return Spectrum(modes, found.errors.d, nu_error, groups, found.minimal())
-
-
-def port_hamiltonian_spectrum(sys: PortHamiltonian) -> Spectrum:
-    """Spectrum of a port-Hamiltonian system."""
-    return modal_spectrum(sys.modes, sys._given, None if sys._given is None else sys._energy)
-
-
-@dataclass(frozen=True)
-class Mismatch:
-    """What speaks most against the equality of two spectra."""
-
-    residual: float
-    allowed: float
-    reason: str
-
-    @property
-    def decides(self) -> bool:
-        """Whether it is more than rounding explains."""
-        return self.residual > self.allowed
-
-
-def filter_mismatch(first: Spectrum, second: Spectrum, rtol: float | None = None) -> Mismatch:
-    """Compare the transfer functions of two spectra, residue by residue.
-
-    Poles whose error disks overlap count as one, with the sum of their residues.
-    """
-    d = np.concatenate([first.modes.d, second.modes.d])
-    d_error = np.concatenate([first.d_error, second.d_error]) * _MARGIN if rtol is None else 0.5 * rtol * d
-    K = np.concatenate([_residues(first.modes), _residues(second.modes)])
-    size = np.linalg.norm(K, axis=(1, 2))
-    rigid = max(float(np.linalg.norm(np.atleast_1d(s.modes.kappa_0))) for s in (first, second))
-    whole = max(float(size.max(initial=0.0)), rigid)
-    sign = np.repeat([1.0, -1.0], [len(first.modes.d), len(second.modes.d)])
-    worst = _rigid_mismatch(first.modes, second.modes, whole, rtol)
-    if whole == 0.0:
-        return worst
-    nu_error = np.concatenate([first.nu_error, second.nu_error]) * _MARGIN
-    error = nu_error * (2 * np.sqrt(d * size) + d * nu_error) + size * d_error / d
-    together = np.abs(d[:, None] - d) <= d_error[:, None] + d_error
-    for members in (*first.groups, *(members + len(first.modes.d) for members in second.groups)):
-        together[np.ix_(members, members)] |= rtol is None
-    label = connected_components(together, directed=False)[1]
-    for group in (np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)):
-        residual = float(np.linalg.norm(np.tensordot(sign[group], K[group], axes=1))) / whole
-        rounding = 8 * max(1, len(d)) * _checks.EPS
-        allowed = float(error[group].sum()) / whole + rounding if rtol is None else max(rtol, _checks.EPS)
-        found = Mismatch(residual, allowed, _describe(group, d, K, sign))
-        worst = max(worst, found, key=lambda m: m.residual / m.allowed)
-    return worst
-
-
-def _residues(modes: ModalForm) -> ComplexArray:
-    return modes.d[:, None, None] * modes.nu.conj()[:, :, None] * modes.nu[:, None, :]
-
-
-def _rigid_mismatch(first: ModalForm, second: ModalForm, whole: float, rtol: float | None) -> Mismatch:
-    difference = float(np.linalg.norm(np.atleast_1d(first.kappa_0 - second.kappa_0)))
-    allowed = SAFETY * max(1, first.n, second.n) * _checks.EPS if rtol is None else rtol
-    return Mismatch(difference / whole if whole else 0.0, max(allowed, _checks.EPS), "the residues at 0 differ")
-
-
-def _describe(group: Indices, d: Array, K: ComplexArray, sign: Array) -> str:
-    """Say what differs at one frequency."""
-    totals = [float(np.trace(K[group[sign[group] == s]].sum(axis=0)).real) for s in (1.0, -1.0)]
-    return f"the residues at frequency {d[group].mean():.6g} differ: {totals[0]:.6g} and {totals[1]:.6g}"
-
-
 # --- port-Hamiltonian systems ----------------------------------------------------------------------------------------
 
 
 def _definite(sys: ct.StateSpace) -> bool:
-    """Whether a system has Williamson coordinates: port-Hamiltonian, without rigid-body modes."""
-    return isinstance(sys, PortHamiltonian) and len(sys.d) == sys.n
+    """Whether a system is port-Hamiltonian or a canonical form of one, without rigid-body modes."""
+    kinds = PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian
+    return isinstance(sys, kinds) and len(sys.modes.d) == sys.n
 
 
-def _compare_williamson(sys1: PortHamiltonian, sys2: PortHamiltonian, rtol: float | None) -> Verdict:
-    first, second = port_hamiltonian_spectrum(sys1), port_hamiltonian_spectrum(sys2)
+def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | None) -> Verdict:
+    first, second = lossless_spectrum(sys1), lossless_spectrum(sys2)
+    d1, d2 = first.modes.d, second.modes.d
     # sorted, so equal multisets agree entry by entry
-    gap = np.abs(sys1.d - sys2.d) / sys1.d
+    gap = np.abs(d1 - d2) / d1
     allowed = np.full(len(gap), max(rtol or 0.0, _checks.EPS))
     if rtol is None:
-        allowed = _MARGIN * (first.d_error + second.d_error) / sys1.d
+        allowed = MARGIN * (first.d_error + second.d_error) / d1
     l = int(np.argmax(gap / allowed))
     if gap[l] > allowed[l]:
-        reason = f"the frequencies differ: {sys1.d[l]:.6g} and {sys2.d[l]:.6g}"
+        reason = f"the frequencies differ: {d1[l]:.6g} and {d2[l]:.6g}"
         return Verdict(False, float(gap[l]), float(allowed[l]), None, reason)
     mismatch = filter_mismatch(first, second, rtol)
     if mismatch.decides:
         return Verdict(False, mismatch.residual, mismatch.allowed, None, mismatch.reason)
-    floor = _MARGIN * sys1.n * (first.conditioning + second.conditioning)
+    floor = MARGIN * sys1.n * (first.conditioning + second.conditioning) if rtol is None else rtol
+    if isinstance(sys1, PortHamiltonian) and isinstance(sys2, PortHamiltonian):
+        return _judge(_williamson_candidates(sys1, sys2, float(allowed.max())), sys1, sys2, floor)
+    if type(sys1) is type(sys2):
+        # the same frequencies and residues make the same coefficients
+        return _judge([np.eye(2 * sys1.n)], sys1, sys2, floor)
+    for spectrum in (first, second):
+        if 2 * len(spectrum.minimal.d) < sys1.nstates:
+            reason = "of two canonical forms, only canonical pairs make them isomorphic, and this one is not"
+            return Verdict(False, 1.0, 0.0, None, reason)
+    return _judge([_from_modal(sys2) @ _to_modal(sys1)], sys1, sys2, floor, invertible=True)
+
+
+def _to_modal(sys: LosslessSystem) -> Array:
+    """Matrix to `(Re w, Im w)` of a canonical system, `w_l = x_l / nu_l` in the order of ascending d."""
+    n, d = sys.n, sys.modes.d
+    if isinstance(sys, PortHamiltonian):
+        S, nu = sys.S, ((sys.S @ sys.B)[:n] + 1j * (sys.S @ sys.B)[n:])[:, 0]
+        return real_form(np.diag(1 / nu)) @ S
+    even, odd = np.zeros((2, n, 2 * n))
+    if isinstance(sys, ControllableHamiltonian):
+        # x_l = nu_l sum_k b_k (-i d_l s_{2k+1} + s_{2k+2}), see controllable_morphism
+        even[:, 0::2] = odd[:, 1::2] = cofactors(d)
+        return np.concatenate([odd, -d[:, None] * even])
+    # s_{2k+1} = sum_l kappa_l b_k d_l Im w_l and s_{2k+2} = sum_l kappa_l b_k Re w_l, see observable_morphism
+    inverse = _inverse_cofactors(d).T / sys.modes.kappa[:, None]
+    even[:, 0::2] = odd[:, 1::2] = inverse
+    return np.concatenate([odd, even / d[:, None]])
+
+
+def _from_modal(sys: LosslessSystem) -> Array:
+    """Inverse of `_to_modal`, by formula: neither is inverted by elimination, so no digits are lost."""
+    n, d = sys.n, sys.modes.d
+    if isinstance(sys, PortHamiltonian):
+        S, nu = sys.S, ((sys.S @ sys.B)[:n] + 1j * (sys.S @ sys.B)[n:])[:, 0]
+        return symplectic_inverse(S) @ real_form(np.diag(nu))
+    L = np.zeros((2 * n, 2 * n))
+    if isinstance(sys, ControllableHamiltonian):
+        inverse = _inverse_cofactors(d)
+        L[1::2, :n], L[0::2, n:] = inverse, -inverse / d
+        return L
+    b = (cofactors(d) * sys.modes.kappa[:, None]).T
+    L[1::2, :n], L[0::2, n:] = b, b * d
+    return L
+
+
+def _inverse_cofactors(d: Array) -> Array:
+    """Inverse of `cofactors(d)` for distinct d: entry (k, l) is `(-d_l^2)^k / prod_{j != l} (d_j^2 - d_l^2)`."""
+    gaps = (d[:, None] - d) * (d[:, None] + d)
+    np.fill_diagonal(gaps, 1.0)
+    return np.vander(-(d**2), len(d), increasing=True).T / gaps.prod(axis=0)
+
+
+def _williamson_candidates(sys1: PortHamiltonian, sys2: PortHamiltonian, close: float) -> list[Array]:
+    """Isomorphisms through Williamson coordinates, by one unitary matrix for each group of frequencies."""
     S1, S2 = sys1.S, sys2.S
     nu1, nu2 = ((S @ sys.B)[: sys.n] + 1j * (S @ sys.B)[sys.n :] for S, sys in ((S1, sys1), (S2, sys2)))
     back = np.linalg.inv(S2)
@@ -295,11 +259,11 @@ def _compare_williamson(sys1: PortHamiltonian, sys2: PortHamiltonian, rtol: floa
     equal = clusters(sys1.d.astype(complex), 4 * sys1.n * _checks.EPS * sys1.d)
     U = block_unitary(nu1, nu2, equal)
     candidates = [back @ real_form(U) @ S1]
-    for close in (*_NEAR, float(allowed.max())):
-        groups = clusters(sys1.d.astype(complex), close * sys1.d / 2)
+    for distance in (*_NEAR, close):
+        groups = clusters(sys1.d.astype(complex), distance * sys1.d / 2)
         if len(groups) < len(equal):
             candidates.append(back @ real_form(_smallest_rotation(U @ nu1, nu2, groups) @ U) @ S1)
-    return _judge(candidates, sys1, sys2, floor if rtol is None else rtol)
+    return candidates
 
 
 def block_unitary(nu1: ComplexArray, nu2: ComplexArray, groups: list[Indices]) -> ComplexArray:

@@ -222,6 +222,42 @@ def test_what_the_input_reaches_in_one_system_only_is_not_hidden_by_a_change_of_
     assert not verdict and "in one of them only" in verdict.reason
 
 
+@SETTINGS
+@pytest.mark.filterwarnings("ignore::UserWarning")  # companion matrices of clustered frequencies hold no digits of them
+@given(st.integers(1, 8), st.sampled_from(["decade", "wide", "clustered"]), st.integers(0, 10**6))
+def test_canonical_form_objects_are_linked_through_their_modes_where_companion_matrices_know_nothing(n, kind, seed):
+    d, v, rng = pair(n, kind, seed)
+    order = rng.permutation(n)
+    other = d[order], v[np.r_[order, n + order]]
+    systems = [phc.ph(np.diag(np.r_[d, d]), v), phc.ch(d, v), phc.oh(*other), phc.ch(*other)]
+    for first in systems:
+        for second in systems:
+            verdict = are_isomorphic(first, second)
+            assert verdict, verdict.reason
+            assert is_morphism(verdict.witness, first, second).residual <= 1000 * n * EPS
+            changed = phc.ch(d * (1 + 1e-9), v)
+            assert not are_isomorphic(first, changed)
+
+
+def test_the_links_between_canonical_forms_are_inverse_to_one_another():
+    d, v, _ = pair(5, "decade", 1)
+    ch, oh, sys = phc.ch(d, v), phc.oh(d, v), phc.ph(np.diag(np.r_[d, d]), v)
+    for first, second in ((ch, sys), (oh, sys), (ch, oh)):
+        there, back = system_isomorphism(first, second), system_isomorphism(second, first)
+        loop = there @ back
+        assert np.all(np.abs(loop - np.eye(10)) <= 1e3 * EPS * (np.abs(there) @ np.abs(back)))
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_canonical_form_objects_of_resonant_pairs_are_isomorphic_to_their_own_kind_only():
+    d, v, w = [1.0, 1.0, 2.0], [1.0, 0.0, 1.0, 0.0, 0.0, 0.0], [0.6, 0.8, 1.0, 0.0, 0.0, 0.0]
+    kinds = (phc.ch, phc.oh, lambda d, v: phc.ph(np.diag(np.r_[d, d]), v))
+    for j, first in enumerate(kinds):
+        for k, second in enumerate(kinds):
+            verdict = are_isomorphic(first(d, v), second(d, w))
+            assert bool(verdict) == (j == k), verdict.reason
+
+
 # --- verdicts and refusals ---------------------------------------------------------------------------------------
 
 
