@@ -317,7 +317,7 @@ def is_even(sys: Any, *, rtol: float | None = None) -> Symmetry:
 
     Notes
     -----
-    As `is_odd`.
+    Accuracy and cost as `is_odd`.
 
     Examples
     --------

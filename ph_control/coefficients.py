@@ -62,20 +62,46 @@ class ScaledCoefficients:
         return cls(mantissa, np.where(mantissa == 0, 0, exponent.astype(np.int64) + shift))
 
     def log10(self) -> Array:
-        """Decimal logarithms, `-inf` for 0: what to plot, or to print."""
+        """Decimal logarithms: what to plot, or to print.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            `-inf` for 0.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> a, _ = phc.modes(1e100, 1.0).scaled_coefficients()
+        >>> a.log10().round(9)
+        array([200., -inf])
+        """
         with np.errstate(divide="ignore"):
             return np.log10(self.mantissa) + self.exponent * np.log10(2.0)
 
     def to_doubles(self) -> Array:
-        """Return the numbers as doubles; infinite or 0 where they leave the range of doubles."""
+        """Return the numbers as doubles.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Infinite or 0 where a number leaves the range of doubles; `fit_doubles` tells whether any does.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> a, c = phc.modes(2.0, 1.0).scaled_coefficients()
+        >>> a.to_doubles(), c.to_doubles()
+        (array([4., 0.]), array([2.]))
+        """
         with np.errstate(over="ignore", under="ignore"):
             return np.ldexp(self.mantissa, np.clip(self.exponent, -5000, 5000).astype(np.int32))
 
-    def reversed(self) -> ScaledCoefficients:
+    def _reversed(self) -> ScaledCoefficients:
         """Return the numbers in the opposite order."""
         return ScaledCoefficients(self.mantissa[::-1].copy(), self.exponent[::-1].copy())
 
-    def spread(self) -> ScaledCoefficients:
+    def _spread(self) -> ScaledCoefficients:
         """Coefficients of even powers without the last as those of all powers below it: a 0 after each."""
         mantissa, exponent = np.zeros(2 * len(self.mantissa) - 2), np.zeros(2 * len(self.mantissa) - 2, np.int64)
         mantissa[0::2], exponent[0::2] = self.mantissa[:-1], self.exponent[:-1]

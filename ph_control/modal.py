@@ -346,7 +346,7 @@ class ModalForm:
         x = np.concatenate([np.zeros(len(self.rigid)), np.square(self.d.astype(np.longdouble))])
         weight = self.r.astype(np.longdouble) * self.d
         P, N = sum_of_fractions(x, np.concatenate([self.rigid[:, 0].astype(np.longdouble) ** 2, weight]))
-        return P.spread(), N.reversed()
+        return P._spread(), N._reversed()
 
     @classmethod
     def from_coefficients(cls, a: ArrayLike, c: ArrayLike) -> ModalForm:

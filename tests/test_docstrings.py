@@ -40,8 +40,9 @@ def public_classes() -> dict[str, type]:
 
 
 def members(cls: type) -> Iterator[tuple[str, Any]]:
-    """Public attributes that a class itself defines and that can carry documentation."""
-    for name, value in vars(cls).items():
+    """Public attributes that a class of the package defines, or inherits from one, and that carry documentation."""
+    ours = [vars(base) for base in reversed(cls.__mro__) if base.__module__.startswith("ph_control")]
+    for name, value in {name: value for attributes in ours for name, value in attributes.items()}.items():
         documented = inspect.isfunction(value) or isinstance(value, classmethod | staticmethod | property)
         if not name.startswith("_") and (documented or isinstance(value, cached_property) or _is_view(value)):
             yield name, getattr(value, "__func__", value)

@@ -31,7 +31,9 @@ def public_callables() -> dict[str, Callable[..., Any]]:
             found[name] = value
             found |= {
                 f"{name}.{key}": getattr(value, key)
-                for key, member in vars(value).items()
+                for base in value.__mro__
+                if base.__module__.startswith("ph_control")
+                for key, member in vars(base).items()
                 if not key.startswith("_") and isinstance(member, FunctionType | classmethod | staticmethod)
             }
     return found
@@ -68,6 +70,29 @@ T = np.linspace(0.0, 1.0, 5)
 # a valid call of each function that collects keywords, once for each way its arguments can go
 CALLS: dict[str, list[Callable[..., Any]]] = {
     "PEMResult.plot": [lambda **k: fitted().plot(**k)],
+    "AffineHamiltonian": [lambda **k: phc.AffineHamiltonian(np.eye(2), [1, 0], **k)],
+    "AffineHamiltonian.derivative": [lambda **k: phc.affine(np.eye(2), [1, 0]).derivative(**k)],
+    "ControllableHamiltonian": [lambda **k: phc.ControllableHamiltonian([1.0], [1.0, 0.0], **k)],
+    "ControllableHamiltonian.port_hamiltonian": [lambda **k: phc.ch([1.0], [1.0, 0.0]).port_hamiltonian(**k)],
+    "ObservableHamiltonian": [lambda **k: phc.ObservableHamiltonian([1.0], [1.0, 0.0], **k)],
+    "ObservableHamiltonian.port_hamiltonian": [
+        lambda **k: phc.oh([1.0], [1.0, 0.0]).port_hamiltonian(np.diag([2.0, 0.5]), **k)
+    ],
+    "affine": [
+        lambda **k: phc.affine(np.eye(2), [1, 0], **k),
+        lambda **k: phc.affine(ct.tf([1], [1, 0, 4]), **k),
+        lambda **k: phc.affine(phc.affine(np.eye(2), [1, 0]), **k),
+    ],
+    "ch": [
+        lambda **k: phc.ch([1.0], [1.0, 0.0], **k),
+        lambda **k: phc.ch(plant(), **k),
+        lambda **k: phc.ch(phc.ch(plant()), **k),
+        lambda **k: phc.ch(ct.tf([1, 0], [1, 0, 4]), **k),
+    ],
+    "from_second_order": [lambda **k: phc.from_second_order([[1.0]], [[4.0]], [1.0], **k)],
+    "oh": [lambda **k: phc.oh([1.0], [1.0, 0.0], **k), lambda **k: phc.oh(plant(), **k)],
+    "sample": [lambda **k: phc.sample(plant(), 0.1, **k)],
+    "tf": [lambda **k: phc.tf(plant(), **k), lambda **k: phc.tf(phc.ph(np.eye(2), np.eye(2)), **k)],
     "PortHamiltonian": [lambda **k: phc.PortHamiltonian(np.eye(2), [0, 1], **k)],
     "forced_response": [lambda **k: phc.forced_response(plant(), T, 1.0, **k)],
     "frenkel_kontorova": [lambda **k: phc.frenkel_kontorova(2, **k)],
@@ -80,6 +105,10 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
         lambda **k: phc.ph(plant().modes, **k),
         lambda **k: phc.ph(ct.ss(plant()), **k),
         lambda **k: phc.ph(ct.tf([1, 0], [1, 0, 4]), **k),
+        lambda **k: phc.ph(phc.ch(plant()), **k),
+        lambda **k: phc.ph(phc.affine(np.eye(2), [1, 0]), **k),
+        lambda **k: phc.ph(phc.sample(plant(), 0.1), method="exact", **k),
+        lambda **k: phc.ph(np.eye(2), [0, 1], J=[[0, 2], [-2, 0]], **k),
     ],
     "spectral_estimate": [lambda **k: phc.spectral_estimate(recording(), **k)],
     "spring_chain": [lambda **k: phc.spring_chain([1.0, 2.0], 1.0, ground=1.0, **k)],
