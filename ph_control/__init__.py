@@ -4,6 +4,7 @@ from .affine import AffineHamiltonian, Symmetry, affine, is_even, is_odd
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian, ch, oh, tf
 from .casimirs import CasimirSplit, darboux, split_casimirs
 from .coefficients import ScaledCoefficients
+from .equivalence import filter_coefficients, same_filter, star_equivalent
 from .exceptions import (
     ConditioningWarning,
     FileFormatError,
@@ -17,11 +18,22 @@ from .exceptions import (
     StructureError,
 )
 from .files import load, read_csv, save
+from .groupoids import PortHamiltonianGroupoid, ReducedGroupoid
 from .identification.pem import pem, prediction_error_fit
 from .identification.result import PEMResult
+from .isomorphism import Verdict, are_isomorphic, system_isomorphism
 from .modal import ModalForm
 from .models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
-from .morphisms import controllable_morphism, is_morphism, lift_morphism, observable_morphism
+from .morphisms import (
+    ExpressivePower,
+    MorphismCheck,
+    controllable_morphism,
+    expressive_power,
+    is_morphism,
+    lift_morphism,
+    observable_morphism,
+)
+from .pairs import act, from_unique, to_unique
 from .plots import bode_plot, fit_plot
 from .realization import (
     CanonicalMargins,

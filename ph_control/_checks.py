@@ -189,28 +189,34 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
     return array
 
 
-def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-    """Check the parameters of a canonical form: `d` of n positive, or 2n non-negative entries, and `v` of 2n."""
-    vector = np.atleast_1d(real_array("v", v))
-    if vector.ndim == 2 and vector.shape[1] == 1:
-        vector = vector[:, 0].copy()
-    if vector.ndim != 1 or len(vector) % 2:
-        raise StructureError(f"v has shape {np.shape(v)}; it must be (2n,) for n natural frequencies")
+def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    """Check a pair `(d, v)` of the paper: n positive frequencies and a vector of 2n weights."""
+    frequencies = natural_frequencies(d)
+    in_range("d", frequencies)
+    vector = real_array("v", v)
+    if vector.shape != (2 * len(frequencies),):
+        several = vector.ndim == 2 and vector.shape[0] == 2 * len(frequencies)
+        hint = "; pairs (d, v) are those of one port" if several else ""
+        raise StructureError(
+            f"v has shape {vector.shape}; with {len(frequencies)} natural frequencies it must be "
+            f"({2 * len(frequencies)},){hint}"
+        )
     in_range("v", vector)
-    frequencies = np.atleast_1d(real_array("d", d))
-    if frequencies.shape == vector.shape and len(vector):
-        if frequencies.min() < 0:
+    return frequencies, vector
+
+
+def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    """Check the parameters of a canonical form: a pair, or `d = (d_1, d_2) >= 0` of as many entries as `v`."""
+    if np.size(d) != np.size(v) or np.size(d) == 0 or np.size(d) % 2:
+        frequencies, vector = parameter_pair(d, v)
+    else:
+        frequencies = np.atleast_1d(real_array("d", d))
+        if frequencies.ndim == 1 and frequencies.min() < 0:
             worst = int(frequencies.argmin())
             raise StructureError(
                 f"d is negative: d[{worst}] = {frequencies[worst]:.6g}; the entries of (d_1, d_2) are >= 0"
             )
-    elif frequencies.shape == (len(vector) // 2,):
-        frequencies = natural_frequencies(frequencies)
-    else:
-        raise StructureError(
-            f"d has shape {frequencies.shape} and v has shape {vector.shape}; needed n natural frequencies, or the "
-            "2n entries (d_1, d_2) of a semidefinite energy, and v of 2n entries"
-        )
+        _, vector = parameter_pair(np.ones(np.size(d) // 2), v)
     in_range("d", frequencies)
     return readonly(frequencies), readonly(vector)
 

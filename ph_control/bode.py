@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from .exceptions import StructureError
+from .lossless_system import LosslessSystem
 from .modal import ModalForm
 from .spectra import SpectralEstimate, spectral_estimate
 from .systems import PortHamiltonian, ph
@@ -185,7 +186,7 @@ def _curve(sys: Any, label: str, grid: Array | None, low: float, high: float) ->
         return _tabulated(sys, label)
     marks, singular = features(sys)
     if grid is None:
-        closest = _CLOSEST_PH if isinstance(sys, PortHamiltonian) else _CLOSEST
+        closest = _CLOSEST_PH if isinstance(sys, LosslessSystem) else _CLOSEST
         grid = frequency_grid(marks, low, high, closest)
     nyquist = _nyquist(sys)
     if nyquist is None:
@@ -266,14 +267,14 @@ def _marks(sys: Any) -> Array:
 def features(sys: Any) -> tuple[Array, Array]:
     """Frequencies of the poles and zeros of a system, ascending, positive, and those of them on the imaginary axis.
 
-    The second kind is where the response is infinite or zero; it includes every pole and zero of a PH one-port.
+    The second kind is where the response is infinite or zero; it includes every pole and zero of a lossless one-port.
     """
     points = np.concatenate([np.zeros(0, complex), sys.poles(), _zeros(sys)])
     if sys.isdtime(strict=True):
         points = points[points != 0]
         points = np.log(points.astype(complex)) / _timebase(sys)
     points = points[np.isfinite(points)]
-    if isinstance(sys, PortHamiltonian) and sys.issiso():
+    if isinstance(sys, LosslessSystem) and sys.issiso():
         on_axis = np.unique(points.imag[points.imag > 0])
         return on_axis, on_axis
     size = np.abs(points)

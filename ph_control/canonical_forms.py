@@ -299,7 +299,7 @@ def ch(d: Any, v: ArrayLike | None = None, **names: Any) -> ControllableHamilton
     Examples
     --------
     >>> import ph_control as phc
-    >>> phc.ch(phc.spring_chain([1.0, 1.0], 1.0, ground=1.0)).a.round(12)
+    >>> phc.ch(phc.frenkel_kontorova(2)).a.round(12)
     array([1., 0., 3., 0.])
     """
     return _make(ControllableHamiltonian, d, v, names)

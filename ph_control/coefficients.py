@@ -97,21 +97,19 @@ class ScaledCoefficients:
         with np.errstate(over="ignore", under="ignore"):
             return np.ldexp(self.mantissa, np.clip(self.exponent, -5000, 5000).astype(np.int32))
 
-    def _reversed(self) -> ScaledCoefficients:
-        """Return the numbers in the opposite order."""
-        return ScaledCoefficients(self.mantissa[::-1].copy(), self.exponent[::-1].copy())
-
-    def _spread(self) -> ScaledCoefficients:
-        """Coefficients of even powers without the last as those of all powers below it: a 0 after each."""
-        mantissa, exponent = np.zeros(2 * len(self.mantissa) - 2), np.zeros(2 * len(self.mantissa) - 2, np.int64)
-        mantissa[0::2], exponent[0::2] = self.mantissa[:-1], self.exponent[:-1]
-        return ScaledCoefficients(mantissa, exponent)
-
     @property
     def fit_doubles(self) -> bool:
         """Whether doubles hold all of them with all their digits."""
         live = self.exponent[self.mantissa > 0]
         return bool(np.all((live > -1021) & (live <= 1024)))
+
+
+def transfer_coefficients(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:
+    """`(a_0 .. a_{2n-1})`, odd ones 0, and `(c_1, c_3 .. c_{2n-1})` of `sum_l kappa_l s / (s^2 + x_l)`."""
+    P, N = sum_of_fractions(x, kappa)
+    mantissa, exponent = np.zeros(2 * len(x)), np.zeros(2 * len(x), np.int64)
+    mantissa[0::2], exponent[0::2] = P.mantissa[:-1], P.exponent[:-1]
+    return ScaledCoefficients(mantissa, exponent), ScaledCoefficients(N.mantissa[::-1].copy(), N.exponent[::-1].copy())
 
 
 def sum_of_fractions(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:

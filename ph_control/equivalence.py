@@ -20,7 +20,7 @@ from .exceptions import StructureError
 from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
 from .isomorphism import Verdict, block_unitary, real_form
 from .modal import ModalForm
-from .pairs import parameter_pair, resonances
+from .pairs import resonances
 from .partial_fractions import from_state_space
 from .symplectic import apply_form
 from .systems import PortHamiltonian, modes
@@ -85,7 +85,7 @@ def _spectrum(sys: Any) -> Spectrum:
     if isinstance(sys, tuple):
         if len(sys) != 2:
             raise StructureError(f"a tuple of {len(sys)} is no system; a pair (d, v) has two parts")
-        return modal_spectrum(_modes_of_pair(*parameter_pair(*sys)))
+        return modal_spectrum(_modes_of_pair(*_checks.parameter_pair(*sys)))
     if isinstance(sys, ModalForm):
         return modal_spectrum(sys)
     if isinstance(sys, PortHamiltonian | ControllableHamiltonian | ObservableHamiltonian):
@@ -152,7 +152,7 @@ def filter_coefficients(d: ArrayLike, v: ArrayLike) -> Array:
     >>> bool(same_filter(([1.0], [2**0.5, 0.0]), ([2.0], [1.0, 0.0])))
     False
     """
-    frequencies, vector = parameter_pair(d, v)
+    frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
     r = vector[:n] ** 2 + vector[n:] ** 2
     powers = np.vander(frequencies**2, 2 * n, increasing=True).T
@@ -232,7 +232,7 @@ def star_equivalent(
 
 def _named_pair(k: int, d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     try:
-        return parameter_pair(d, v)
+        return _checks.parameter_pair(d, v)
     except StructureError as error:
         raise StructureError(f"pair {k}: {error}") from None
 

@@ -16,7 +16,6 @@ from . import _checks
 from .equivalence import reduced_residuals, star_equivalent
 from .exceptions import StructureError
 from .isomorphism import are_isomorphic
-from .pairs import parameter_pair
 from .symplectic import apply_form
 from .systems import PortHamiltonian
 
@@ -263,7 +262,7 @@ class ReducedGroupoid:
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
-        d, v = parameter_pair(self.d, self.v)
+        d, v = _checks.parameter_pair(self.d, self.v)
         P = _checks.real_array("P", self.P, 2)
         n = len(d)
         A = _invertible("A", self.A, 2 * n)
@@ -351,7 +350,7 @@ class ReducedGroupoid:
         --------
         See `ReducedGroupoid`.
         """
-        frequencies, vector = parameter_pair(d, v)
+        frequencies, vector = _checks.parameter_pair(d, v)
         n = len(frequencies)
         return cls(np.eye(n), np.eye(2 * n), frequencies, vector)
 
@@ -392,7 +391,7 @@ class ReducedGroupoid:
         if not verdict:
             raise StructureError(f"there is no arrow between pairs that are not equivalent: {verdict.reason}")
         P, A = verdict.witness
-        return cls(P, A, *parameter_pair(d1, v1))
+        return cls(P, A, *_checks.parameter_pair(d1, v1))
 
     @classmethod
     def is_arrow(cls, P: ArrayLike, A: ArrayLike, d: ArrayLike, v: ArrayLike) -> bool:

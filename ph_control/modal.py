@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from . import _twofloat as tf
-from .coefficients import COEFFICIENT_LIMIT, ScaledCoefficients, modes_from_coefficients, sum_of_fractions
+from .coefficients import COEFFICIENT_LIMIT, ScaledCoefficients, modes_from_coefficients, transfer_coefficients
 from .exceptions import NotLosslessError, StructureError
-from .symplectic import skew_normal_form
+from .zeros import many_port_zeros, one_port_zeros
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -112,39 +112,11 @@ class ModalForm:
         More ports: the eigenvalues of the skew dynamics compressed to where the output vanishes.
         A mode that no port reaches is a zero as well as a pole.  Cost O(n^3).
         """
-        w = self._zeros_one_port() if self.nports == 1 else self._zeros_many_ports()
+        if self.nports == 1:
+            w = one_port_zeros(self.d, self.kappa, float(np.sum(self.rigid**2)) if len(self.rigid) else None)
+        else:
+            w = many_port_zeros(self.d, self.nu, self.rigid)
         return _checks.readonly(imaginary(w))
-
-    def _zeros_one_port(self) -> Array:
-        rigid = len(self.rigid) > 0
-        live = self.kappa > 0
-        d, copies = np.unique(self.d[live], return_counts=True)
-        kappa = np.add.reduceat(self.kappa[live], np.cumsum(copies) - copies) if len(d) else d
-        # unreached modes, and all but one of several at the same frequency, are cancelled by a zero each
-        cancelled = np.concatenate([self.d[~live], np.repeat(d, copies - 1)])
-        if rigid:
-            d, kappa = np.concatenate([[0.0], d]), np.concatenate([[self.kappa_0], kappa])
-        if len(d) > 1:
-            # singular values of diag(d) V: the square roots of the eigenvalues, without squaring the frequencies
-            V = _complement(np.sqrt(kappa / kappa.max())[:, None])
-            # a power of two for the unit of time, so that no square of a frequency leaves the range of doubles
-            unit = _power_of_two(d.max())
-            w = np.sort(np.linalg.svd(d[:, None] / unit * V, compute_uv=False))
-            w = unit * _refine_between_poles(w, d / unit, kappa / kappa.max())
-            cancelled = np.concatenate([cancelled, w])
-        w = np.sort(cancelled)
-        at_zero = [] if rigid or not len(d) else [0.0]
-        return np.concatenate([-w[::-1], at_zero, w])
-
-    def _zeros_many_ports(self) -> Array:
-        eta = np.sqrt(self.d)[:, None] * self.nu
-        B = np.concatenate([eta.real, eta.imag, self.rigid])
-        n = len(self.d)
-        V = _complement(B)
-        rotated = np.concatenate([self.d[:, None] * V[n : 2 * n], -self.d[:, None] * V[:n], 0 * V[2 * n :]])
-        K = V.T @ rotated
-        w, _, _ = skew_normal_form(0.5 * (K - K.T))
-        return np.sort(np.concatenate([-w, w, np.zeros(len(K) - 2 * len(w))]))
 
     @cached_property
     def _symmetric_residues(self) -> tuple[Array, Array]:
@@ -345,8 +317,7 @@ class ModalForm:
             raise StructureError(f"coefficients are those of a one-port; this system has {self.nports} ports")
         x = np.concatenate([np.zeros(len(self.rigid)), np.square(self.d.astype(np.longdouble))])
         weight = self.r.astype(np.longdouble) * self.d
-        P, N = sum_of_fractions(x, np.concatenate([self.rigid[:, 0].astype(np.longdouble) ** 2, weight]))
-        return P._spread(), N._reversed()
+        return transfer_coefficients(x, np.concatenate([self.rigid[:, 0].astype(np.longdouble) ** 2, weight]))
 
     @classmethod
     def from_coefficients(cls, a: ArrayLike, c: ArrayLike) -> ModalForm:
@@ -458,41 +429,11 @@ def imaginary(w: Array) -> ComplexArray:
     return out
 
 
-def _complement(B: Array) -> Array:
-    """Orthonormal basis of the complement of the columns of `B`."""
-    U, sigma, _ = np.linalg.svd(B)
-    rank = int(np.sum(sigma > max(B.shape) * _checks.EPS * sigma.max(initial=0.0)))
-    return U[:, rank:]
-
-
 def _row_space(rows: NDArray) -> NDArray:
     """Fewest rows `X` with `X^H X = rows^H rows`."""
     _, sigma, Vh = np.linalg.svd(rows, full_matrices=False)
     kept = sigma > max(rows.shape) * _checks.EPS * sigma.max(initial=0.0)
     return sigma[kept, None] * Vh[kept]
-
-
-def _power_of_two(x: float) -> float:
-    """Power of two near `x > 0`, so that scaling by it rounds nothing; 1 for `x = 0`."""
-    return float(2.0 ** np.floor(np.log2(x))) if x > 0 else 1.0
-
-
-def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:
-    """Safeguarded Newton steps on `sum kappa / (d^2 - w^2) = 0`, each root kept between its poles."""
-    low, high = d[:-1], d[1:]
-    w = np.where((w > low) & (w < high), w, 0.5 * (low + high))
-    for _ in range(100):
-        gap = (d - w[:, None]) * (d + w[:, None])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            terms = kappa / gap
-            value = terms.sum(axis=1)
-            newton = w - value / ((terms / gap).sum(axis=1) * 2 * w)
-        low, high = np.where(value < 0, w, low), np.where(value < 0, high, w)
-        new = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
-        if np.all(np.abs(new - w) <= 2 * _checks.EPS * w):
-            break
-        w = new
-    return w
 
 
 def _sum_with_twice_the_digits(d: Array, r: Array, residue: float, w: Array) -> Array:

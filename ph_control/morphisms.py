@@ -19,7 +19,7 @@ from . import _checks
 from .coefficients import cofactors
 from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .pairs import parameter_pair, resonances, symplectic_inverse, symplectic_matrix
+from .pairs import resonances, symplectic_inverse
 from .systems import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
     array([[ 6.,  1.],
            [-2.,  3.]])
     """
-    frequencies, vector = parameter_pair(d, v)
+    frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
     b = cofactors(frequencies)
     low, high = vector[:n, None] * b, vector[n:, None] * b
@@ -81,7 +81,7 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
     L[:n, 1::2], L[n:, 1::2] = low, high
     _checks.representable(f"the entries of the morphism for {n} modes", L)
     if S is not None:
-        L = symplectic_inverse(symplectic_matrix(S, n)) @ L
+        L = symplectic_inverse(_checks.symplectic_matrix(S, 2 * n)) @ L
     return L
 
 
@@ -268,7 +268,7 @@ def expressive_power(
     >>> power.rank, power.dark, power.resonant
     (2, (1, 2), ((0, 1),))
     """
-    frequencies, vector = parameter_pair(d, v)
+    frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
     nu = vector[:n] + 1j * vector[n:]
     kappa = frequencies * np.abs(nu) ** 2
@@ -284,7 +284,7 @@ def expressive_power(
     # a complex direction is two real ones, w and i w
     missing = np.concatenate([np.block([[W.real], [W.imag]]), np.block([[-W.imag], [W.real]])], axis=1)
     if S is not None:
-        missing = symplectic_inverse(symplectic_matrix(S, n)) @ missing
+        missing = symplectic_inverse(_checks.symplectic_matrix(S, 2 * n)) @ missing
     return ExpressivePower(
         2 * n - missing.shape[1],
         tuple(int(l) for l in np.flatnonzero(dark)),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _checks
 from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .symplectic import apply_form, is_symplectic, symplectic_form
+from .symplectic import apply_form
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -59,7 +59,7 @@ def act(sigma: ArrayLike, theta: ArrayLike, d: ArrayLike, v: ArrayLike) -> tuple
     >>> d, v.round(12)
     (array([2., 1.]), array([4., 0., 0., 3.]))
     """
-    frequencies, vector = parameter_pair(d, v)
+    frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
     order = permutation(sigma, n)
     angles = _checks.real_array("theta", theta)
@@ -105,7 +105,7 @@ def to_unique(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     >>> to_unique([2.0, 1.0], [0.0, 3.0, 1.0, 4.0])
     (array([1., 2.]), array([25.,  1.]))
     """
-    frequencies, vector = parameter_pair(d, v)
+    frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
     order = np.argsort(frequencies, kind="stable")
     r = (vector[:n] ** 2 + vector[n:] ** 2)[order]
@@ -180,22 +180,6 @@ def _canonical(d: Array, r: Array, remedy: str) -> None:
 # --- arguments ---
 
 
-def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-    """Check a pair `(d, v)` of the paper: n positive frequencies and a vector of 2n weights."""
-    frequencies = _checks.natural_frequencies(d)
-    _checks.in_range("d", frequencies)
-    vector = _checks.real_array("v", v)
-    if vector.shape != (2 * len(frequencies),):
-        several = vector.ndim == 2 and vector.shape[0] == 2 * len(frequencies)
-        hint = "; pairs (d, v) are those of one port" if several else ""
-        raise StructureError(
-            f"v has shape {vector.shape}; with {len(frequencies)} natural frequencies it must be "
-            f"({2 * len(frequencies)},){hint}"
-        )
-    _checks.in_range("v", vector)
-    return frequencies, vector
-
-
 def permutation(sigma: ArrayLike, n: int) -> Indices:
     """Check a permutation of `0 .. n-1`."""
     order = np.asarray(sigma)
@@ -212,21 +196,6 @@ def resonances(d: Array, rtol: float | None = None) -> list[Indices]:
     order = np.argsort(d, kind="stable")
     gaps = np.diff(d[order])
     return np.split(order, np.flatnonzero(gaps > close * d[order][1:]) + 1) if len(d) else []
-
-
-def symplectic_matrix(S: ArrayLike, n: int) -> Array:
-    """Check a symplectic matrix for n degrees of freedom."""
-    matrix = _checks.real_array("S", S, 2)
-    if matrix.shape != (2 * n, 2 * n):
-        raise StructureError(f"S has shape {matrix.shape}; with {n} natural frequencies it must be ({2 * n}, {2 * n})")
-    if not is_symplectic(matrix):
-        residual = np.abs(matrix.T @ apply_form(matrix) - symplectic_form(n)).max()
-        size = max(1.0, float(np.linalg.norm(matrix, 2)) ** 2)
-        raise StructureError(
-            f"S is not symplectic: max |S^T J S - J| / max(1, ||S||^2) = {residual / size:.1e}, allowed "
-            f"{200 * n * _checks.EPS:.1e}; take S from williamson(Q)"
-        )
-    return matrix
 
 
 def symplectic_inverse(S: Array) -> Array:

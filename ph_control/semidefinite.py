@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from .coefficients import sum_of_fractions
+from .coefficients import transfer_coefficients
 from .exceptions import StructureError
 from .symplectic import normal_form_rows
 
@@ -123,10 +123,10 @@ def semidefinite_coefficients(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]
     if len(weights) != 2 * n:
         raise StructureError(f"v has {len(weights)} entries; with d of {2 * n} it must have {2 * n}")
     x, weight = energies.astype(np.longdouble).reshape(2, n), weights.astype(np.longdouble).reshape(2, n)
-    denominator, numerator = sum_of_fractions(x[0] * x[1], (x * weight**2).sum(axis=0))
+    denominator, numerator = transfer_coefficients(x[0] * x[1], (x * weight**2).sum(axis=0))
     if not (denominator.fit_doubles and numerator.fit_doubles):
         raise StructureError(
             f"the coefficients of these {n} degrees of freedom leave the range of doubles (1e-308 to 1e308); choose "
             "other units of time or amplitude"
         )
-    return denominator.spread().to_doubles(), numerator.reversed().to_doubles()
+    return denominator.to_doubles(), numerator.to_doubles()

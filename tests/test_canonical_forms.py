@@ -299,8 +299,8 @@ def test_coefficients_that_tell_no_modes_are_refused_with_the_figure(n):
 # --- bad input -----------------------------------------------------------------------------------------------------
 
 BAD = {
-    "odd v": (lambda: phc.ch([1.0], [1.0]), r"v has shape \(1,\); it must be \(2n,\)"),
-    "sizes": (lambda: phc.oh([1.0, 2.0, 3.0], [1.0, 2.0]), r"d has shape \(3,\) and v has shape \(2,\)"),
+    "odd v": (lambda: phc.ch([1.0], [1.0]), r"v has shape \(1,\); with 1 natural frequencies it must be \(2,\)"),
+    "sizes": (lambda: phc.oh([1.0, 2.0, 3.0], [1.0, 2.0]), r"v has shape \(2,\); with 3 natural"),
     "zero d": (lambda: phc.ch([0.0], [1.0, 0.0]), r"d is not positive: d\[0\] = 0"),
     "negative d": (lambda: phc.ch([1.0, -1.0], [1.0, 0.0]), r"d is negative: d\[1\] = -1"),
     "nan": (lambda: phc.ch([np.nan], [1.0, 0.0]), "d is not finite"),

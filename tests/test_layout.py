@@ -12,9 +12,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
 # low to high; a package counts as one place
 ORDER = (
-    "exceptions", "_checks", "_twofloat", "_instants", "coefficients", "symplectic", "semidefinite", "casimirs",
-    "modal", "conditioning", "propagation", "partial_fractions", "discrete", "lossless", "lossless_system", "systems",
-    "canonical_forms", "affine", "realization", "pairs", "morphisms", "isomorphism", "equivalence", "groupoids",
+    "exceptions", "_checks", "_twofloat", "_instants", "coefficients",
+    "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "propagation",
+    "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine",
+    "realization", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "models", "spectra", "bode", "plots", "_documents", "_tables", "files",
     "identification", "demo", "cli",
 )  # fmt: skip
@@ -89,7 +90,7 @@ def test_the_known_imports_of_the_package_are_seen():
     imports = imported_modules(PACKAGE)
     assert {"exceptions", "_checks"} <= set(imports)
     assert imports["_checks"] == {"exceptions"}
-    assert imports["modal"] == {"_checks", "_twofloat", "coefficients", "exceptions", "symplectic"}
+    assert imports["modal"] == {"_checks", "_twofloat", "coefficients", "exceptions", "zeros"}
     assert {"modal", "systems", "response"} <= imports["__init__"]
 
 
