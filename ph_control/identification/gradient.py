@@ -1,12 +1,4 @@
-"""Gradient descent on the parameters of the observable form: the learning scheme of the paper, to compare with.
-
-In the operator `delta = (z - 1)/h` of Euler's rule the observable form is
-
-    y = sum_l kappa_l delta/(delta^2 + d_l^2) u  +  sum_k s_k(0) delta^{k-1} / prod_l (delta^2 + d_l^2) impulse,
-
-so the output and its derivatives come from resonators `1/(delta^2 + d^2)` alone, one after the other for the initial
-state: nothing is lost where frequencies meet, as they do while descending.
-"""
+"""Gradient descent on the parameters of the observable form: the learning scheme of the paper, to compare with."""
 
 from __future__ import annotations
 
@@ -17,7 +9,6 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import lfilter
 
 from .. import _checks
 from ..canonical_forms import ObservableHamiltonian, oh
@@ -26,13 +17,13 @@ from ..exceptions import IdentificationError, StructureError
 from ..modal import from_frequencies
 from ..systems import PortHamiltonian, ph
 from .data import Record, as_record
+from .observable_model import Point, Problem, columns, weights_of
 
 Array = NDArray[np.float64]
 
 PARAMETERS = ("natural", "unique")
 OPTIMIZERS = ("plain", "adam")
 
-_SLOWEST = 1e-3  # turn (rad) of the slowest mode over the record: slower ones are not told from a pole at 0
 _MOMENTUM, _MEMORY, _FLOOR = 0.9, 0.999, 1e-8  # what Kingma and Ba recommend for Adam
 
 
@@ -135,7 +126,7 @@ class GradientResult:
         else:
             start = _vector("initial_state", initial_state, 2 * len(self.d))
         new = as_record((u, None), self.record.dt, output_needed=False)
-        forced, free = _columns(self.d, np.concatenate([past, new.u]), new.dt)
+        forced, free = columns(self.d, np.concatenate([past, new.u]), new.dt)
         y = (self.r * self.d) @ forced + start @ free
         return ct.TimeResponseData(
             new.time, y[len(past) :], inputs=new.u, issiso=True, input_labels=[self.record.input_label],
@@ -231,132 +222,10 @@ def gradient_descent(
     after = None if validation is None else as_record(validation, record.dt)
     if after is not None and not after.observed.any():
         raise StructureError("the validation record has no outputs to hold the model against; pass (u, y) with outputs")
-    problem = _Problem.of(record, after, n, parameters == "natural")
+    problem = Problem.of(record, after, n, parameters == "natural")
     start = _random_start(problem, rng) if initial_guess is None else _given_start(problem, initial_guess)
     descent = _descend(problem, start, rate, steps, optimizer == "adam")
     return _result(problem, descent, record, parameters, steps, optimizer, after is not None)
-
-
-# --- the output and its derivatives ------------------------------------------------------------------------------
-
-
-def _resonate(d: float, h: float, x: Array) -> tuple[Array, Array]:
-    """`1/(delta^2 + d^2) x` and `delta/(delta^2 + d^2) x` from rest: parts of `1/(delta + i d) x`."""
-    w = lfilter([0.0, h], [1.0, complex(-1.0, h * d)], x)
-    return w.imag / -d, w.real
-
-
-def _columns(d: Array, u: Array, h: float) -> tuple[Array, Array]:
-    """Signals of which the output is a sum: forced `delta/(delta^2 + d_l^2) u`, shape (n, T); free, shape (2n, T).
-
-    Free signal k is the output from `s(0) = e_k`: `delta^{k-1} / prod (delta^2 + d_l^2)` of an impulse.
-    """
-    n = len(d)
-    forced = np.array([_resonate(frequency, h, u)[1] for frequency in d])
-    impulse = np.zeros(len(u))
-    impulse[0] = 1.0
-    w = lfilter([1.0], [1.0, complex(-1.0, h * d[0])], impulse)
-    position, velocity = np.empty((2, n, len(u)))
-    position[0], velocity[0] = w.imag / -d[0], w.real
-    for l in range(1, n):
-        position[l], velocity[l] = _resonate(d[l], h, position[l - 1])
-    # delta^2 times the last position is the one before it less d^2 times itself, and so on
-    links = np.diag(np.ones(n - 1), -1) - np.diag(d**2)
-    rows = [np.eye(n)[-1]]
-    for _ in range(n - 1):
-        rows.append(rows[-1] @ links)
-    free = np.empty((2 * n, len(u)))
-    free[0::2], free[1::2] = np.array(rows) @ position, np.array(rows) @ velocity
-    return forced, free
-
-
-@dataclass(frozen=True)
-class _Point:
-    """Parameters, their loss on both records, and the derivative of the output by each, shape (parameters, T)."""
-
-    theta: Array
-    loss: float
-    validation: float
-    gradient: Array
-    jacobian: Array
-
-
-@dataclass(frozen=True)
-class _Problem:
-    """A record, what follows on it, and the coordinates to descend in: `theta = (d, v or r, s0)`."""
-
-    u: Array
-    y: Array
-    learned: NDArray[np.bool_]
-    validated: NDArray[np.bool_]
-    samples: int
-    h: float
-    n: int
-    natural: bool
-
-    @classmethod
-    def of(cls, record: Record, after: Record | None, n: int, natural: bool) -> _Problem:
-        """Put the two records behind one another; missing outputs count in neither."""
-        records = [record] if after is None else [record, after]
-        u, y = (np.concatenate([getattr(part, name) for part in records]) for name in ("u", "y"))
-        observed, early = ~np.isnan(y), np.arange(len(u)) < record.samples
-        return cls(
-            u, np.where(observed, y, 0.0), observed & early, observed & ~early, record.samples, record.dt, n, natural
-        )
-
-    @property
-    def slowest(self) -> float:
-        """Lower bound of the natural frequencies."""
-        return _SLOWEST / (self.samples * self.h)
-
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Where the second and third part of the parameters start."""
-        return self.n, 3 * self.n if self.natural else 2 * self.n
-
-    def split(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Frequencies, weights `r`, and initial state."""
-        d, p, s0 = np.split(theta, self.sizes)
-        return d, _weights(p) if self.natural else p, s0
-
-    def projected(self, theta: Array) -> Array:
-        """Nearest parameters of a port-Hamiltonian system."""
-        theta = theta.copy()
-        n = self.n
-        theta[:n] = np.maximum(theta[:n], self.slowest)
-        if not self.natural:
-            theta[n : 2 * n] = np.maximum(theta[n : 2 * n], 0.0)
-        return theta
-
-    def at(self, theta: Array) -> _Point:
-        """Loss, exact gradient and Jacobian: O(T n^2)."""
-        d, r, s0 = self.split(theta)
-        forced, free = _columns(d, self.u, self.h)
-        motion = s0 @ free
-        error = (r * d) @ forced + motion - self.y
-        loss, validation = (_mean_square(error[part]) for part in (self.learned, self.validated))
-        early = slice(self.samples)
-        forced, free, motion = forced[:, early], free[:, early], motion[early]
-        by_d = np.empty((self.n, self.samples))
-        for l in range(self.n):
-            chained, _ = _resonate(d[l], self.h, r[l] * d[l] * forced[l] + motion)
-            by_d[l] = r[l] * forced[l] - 2 * d[l] * chained
-        by_p = d[:, None] * forced
-        if self.natural:
-            v = theta[self.n : 3 * self.n]
-            by_p = 2 * v[:, None] * np.concatenate([by_p, by_p])
-        jacobian = np.concatenate([by_d, by_p, free])
-        seen = self.learned[early]
-        return _Point(theta, loss, validation, 2 * jacobian @ (error[early] * seen) / seen.sum(), jacobian * seen)
-
-
-def _weights(v: Array) -> Array:
-    n = len(v) // 2
-    return v[:n] ** 2 + v[n:] ** 2
-
-
-def _mean_square(error: Array) -> float:
-    return float(error @ error) / len(error) if len(error) else 0.0
 
 
 # --- the descent -------------------------------------------------------------------------------------------------
@@ -364,19 +233,19 @@ def _mean_square(error: Array) -> float:
 
 @dataclass(frozen=True)
 class _Descent:
-    best: _Point
+    best: Point
     best_epoch: int
     losses: Array
     validations: Array
     diverged: bool
 
 
-def _descend(problem: _Problem, theta: Array, rate: float, epochs: int, adam: bool) -> _Descent:
+def _descend(problem: Problem, theta: Array, rate: float, epochs: int, adam: bool) -> _Descent:
     """Take the steps, until they are done or the loss is not finite."""
     steps = _AdamSteps(len(theta)) if adam else None
     losses: list[float] = []
     validations: list[float] = []
-    best: _Point | None = None
+    best: Point | None = None
     best_epoch = 0
     # a descent that diverges leaves the range of doubles: seen in the loss, and reported
     with np.errstate(over="ignore", invalid="ignore"):
@@ -413,7 +282,7 @@ class _AdamSteps:
 
 
 def _result(
-    problem: _Problem, descent: _Descent, record: Record, parameters: str, epochs: int, optimizer: str, validated: bool
+    problem: Problem, descent: _Descent, record: Record, parameters: str, epochs: int, optimizer: str, validated: bool
 ) -> GradientResult:
     d, r, s0 = problem.split(descent.best.theta)
     order = np.arange(problem.n) if problem.natural else np.argsort(d, kind="stable")
@@ -435,7 +304,7 @@ def _stable_rate(jacobian: Array, observed: int) -> float:
 
 
 def _message(
-    problem: _Problem, descent: _Descent, epochs: int, optimizer: str, stable: float, found: tuple[Array, Array]
+    problem: Problem, descent: _Descent, epochs: int, optimizer: str, stable: float, found: tuple[Array, Array]
 ) -> str:
     losses, best = descent.losses, descent.best.loss
     power = float(np.var(problem.y[problem.learned])) or 1.0
@@ -465,7 +334,7 @@ def _message(
 # --- where to start, and what is allowed -----------------------------------------------------------------------------
 
 
-def _random_start(problem: _Problem, rng: Any) -> Array:
+def _random_start(problem: Problem, rng: Any) -> Array:
     """Random parameters of the size of the signals.
 
     Frequencies up to twice the mean frequency of the output, weights in the ratio of the signals, and modes that
@@ -481,7 +350,7 @@ def _random_start(problem: _Problem, rng: Any) -> Array:
     d = np.sort(random.uniform(0.1, 2.0, n)) * max(mean, problem.slowest)
     v = random.standard_normal(2 * n) * np.sqrt(size / drive / (2 * n) if drive else 1.0)
     motion = random.standard_normal((2, n)) * size / np.sqrt(n)
-    return np.concatenate([d, v if problem.natural else _weights(v), _observable_state(d, *motion)])
+    return np.concatenate([d, v if problem.natural else weights_of(v), _observable_state(d, *motion)])
 
 
 def _observable_state(d: Array, velocity: Array, position: Array) -> Array:
@@ -492,7 +361,7 @@ def _observable_state(d: Array, velocity: Array, position: Array) -> Array:
     return s0
 
 
-def _given_start(problem: _Problem, guess: Any) -> Array:
+def _given_start(problem: Problem, guess: Any) -> Array:
     """Checked parameters from `(d, v or r, s0)`."""
     name = "v" if problem.natural else "r"
     if isinstance(guess, str) or not hasattr(guess, "__len__") or len(guess) != 3:
