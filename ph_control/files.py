@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from . import _checks
 from ._documents import Fields, as_path, compose, decompose, plain, read_bytes, write_atomically
 from ._tables import Table, read_table, without_unit
+from .affine import AffineHamiltonian
+from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .exceptions import FileFormatError, StructureError
 from .modal import ModalForm
 from .systems import PortHamiltonian
@@ -348,16 +350,44 @@ def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
 
 def system_from_dict(fields: Fields) -> PortHamiltonian:
     """Restore the system of `system_to_dict`."""
-    names: dict[str, Any] = {key: fields.texts(key) for key in ("inputs", "outputs", "states")}
-    names["name"] = fields.text("name")
+    names = _names_from_dict(fields)
     if "modes" in fields:
         return PortHamiltonian._from_modes(_modes_from_dict(fields.nested("modes")), **names)
     return PortHamiltonian(fields.array("Q", (None, None)), fields.array("B", (None, None)), **names)
 
 
+def _names_from_dict(fields: Fields) -> dict[str, Any]:
+    names: dict[str, Any] = {key: fields.texts(key) for key in ("inputs", "outputs", "states")}
+    return names | {"name": fields.text("name")}
+
+
+def _parameters_to_dict(system: Any) -> dict[str, Any]:
+    """Fields of a canonical form."""
+    return {**system._names(), "d": system.d, "v": system.v}
+
+
+def _parameters_codec(kind: type[Any]) -> Codec:
+    def restore(fields: Fields) -> Any:
+        return kind(fields.array("d", (None,)), fields.array("v", (None,)), **_names_from_dict(fields))
+
+    return Codec(kind.__name__, kind, _parameters_to_dict, restore)
+
+
+def _affine_to_dict(system: AffineHamiltonian) -> dict[str, Any]:
+    return {**system._names(), "Q": system.Q, "B": system.C.T.copy()}
+
+
+def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
+    matrices = (fields.array(key, (None, None)) for key in "QB")
+    return AffineHamiltonian(*matrices, **_names_from_dict(fields))
+
+
 _CODECS = [
     Codec("PortHamiltonian", PortHamiltonian, system_to_dict, system_from_dict),
     Codec("ModalForm", ModalForm, _modes_to_dict, _modes_from_dict),
+    _parameters_codec(ControllableHamiltonian),
+    _parameters_codec(ObservableHamiltonian),
+    Codec("AffineHamiltonian", AffineHamiltonian, _affine_to_dict, _affine_from_dict),
 ]
 
 
@@ -371,7 +401,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
 
     Parameters
     ----------
-    obj : PortHamiltonian, ModalForm or PEMResult
+    obj : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, ModalForm or PEMResult
         The model.
     path : str or path-like
         The file, `.json` by custom.
@@ -431,7 +461,7 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    PortHamiltonian, ModalForm or PEMResult
+    PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, ModalForm or PEMResult
         What was saved, bit by bit.
 
     Raises

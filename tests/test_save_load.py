@@ -91,6 +91,27 @@ def round_trip(obj, folder):
     return load(path)
 
 
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: phc.ch([2.0, 1 / 3], [0.1, -0.0, 5e-324, 1e22], name="form", inputs="force"),
+        lambda: phc.oh([1e-9], [1 / 3, 0.1]),
+        lambda: phc.oh([0.0, 0.1, 1.0, 0.3], [0.1, 0.2, 0.3, 0.4]),
+        lambda: phc.affine(np.diag([0.1, 1 / 3]), [1.0, 0.1], outputs="displacement"),
+    ],
+    ids=["controllable", "observable", "doubled", "affine"],
+)
+def test_canonical_and_affine_systems_come_back_bit_for_bit(make, tmp_path):
+    system = make()
+    save(system, tmp_path / "model.json")
+    back = load(tmp_path / "model.json")
+    assert type(back) is type(system)
+    for name in ("Q", "C") if isinstance(system, phc.AffineHamiltonian) else ("d", "v"):
+        assert_same_bits(getattr(system, name), getattr(back, name))
+    for name in ("name", "input_labels", "output_labels", "state_labels"):
+        assert getattr(system, name) == getattr(back, name)
+
+
 @property_test
 @given(modes=modal_forms())
 def test_every_modal_form_comes_back_bit_by_bit(tmp_path_factory, modes):
