@@ -35,7 +35,7 @@ def dense_values(Q, B):
     return np.array([dense_transfer_function(*dense_matrices(Q, B), s)[0, 0] for s in POINTS])
 
 
-# --- 1: v = S B ----------------------------------------------------------------------------------------------------
+# --- 1: v = S B ------------------------------------------------------------------------------------------------------
 
 
 @relaxed
@@ -114,6 +114,7 @@ def test_3_for_every_n_there_are_different_filters_that_agree_in_the_printed_coe
     d = np.arange(1.0, n + 1)
     other = 1.001 * d  # so little that the weights stay positive
     e = phc.filter_coefficients(d, np.r_[np.ones(n), np.zeros(n)])
+    assert printed_criterion(d, np.ones(n)) == e[:n].tolist()
     r = np.linalg.solve((-(other**2)) ** np.arange(n)[:, None] * other, e[:n])
     assert r.min() > 0
     f = phc.filter_coefficients(other, np.r_[np.sqrt(r), np.zeros(n)])
@@ -122,7 +123,7 @@ def test_3_for_every_n_there_are_different_filters_that_agree_in_the_printed_coe
     assert not phc.same_filter(phc.modes(d, np.ones(n)), phc.modes(other, r))
 
 
-# --- 4: the example of two systems with one filter ------------------------------------------------------------------
+# --- 4: the example of two systems with one filter -------------------------------------------------------------------
 
 
 def convolution(kernel, t):
@@ -151,7 +152,7 @@ def test_4_the_two_systems_of_the_example_have_one_filter_and_are_not_isomorphic
     assert phc.same_filter(first, second) and not phc.are_isomorphic(first, second)
 
 
-# --- 5: the determinant of a symplectic matrix ----------------------------------------------------------------------
+# --- 5: the determinant of a symplectic matrix -----------------------------------------------------------------------
 
 
 @relaxed
@@ -168,7 +169,7 @@ def test_5_the_determinant_of_a_symplectic_matrix_is_plus_one_never_minus_one(n,
     assert not phc.is_symplectic(S * np.r_[-1.0, np.ones(2 * n - 1)])
 
 
-# --- 6: the circuit -------------------------------------------------------------------------------------------------
+# --- 6: the circuit --------------------------------------------------------------------------------------------------
 
 
 def test_6_the_circuit_of_the_paper_has_five_branches_and_ten_states():
@@ -195,7 +196,7 @@ def test_6_such_a_circuit_is_canonical_unless_products_of_its_capacitances_and_i
     assert np.abs(sys.modes.kappa * L[order] - 1).max() < 16 * EPS
 
 
-# --- 7: source and target of the reduced groupoid -------------------------------------------------------------------
+# --- 7: source and target of the reduced groupoid --------------------------------------------------------------------
 
 
 def test_7_the_product_of_the_reduced_groupoid_joins_source_and_target_only_in_the_corrected_order():
@@ -217,7 +218,7 @@ def test_7_the_product_of_the_reduced_groupoid_joins_source_and_target_only_in_t
     assert not np.array_equal(printed.target[0], one.target[0])
 
 
-# --- 8: lifting by ones -----------------------------------------------------------------------------------------------
+# --- 8: lifting by ones ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("more", [2, 3])
@@ -249,7 +250,7 @@ def test_8_the_eigenvalue_i_of_the_observable_companion_has_a_jordan_block_for_e
     assert np.linalg.matrix_rank(J - 1j * np.eye(6), tol=1e-10) == 4
 
 
-# --- 9: Euler data ----------------------------------------------------------------------------------------------------
+# --- 9: Euler data ---------------------------------------------------------------------------------------------------
 
 
 @relaxed
@@ -270,7 +271,7 @@ def test_9_data_made_by_eulers_rule_gain_energy_by_one_plus_h_d_squared_a_step_a
         assert (np.abs(radius - 1).max() > 1e-5) == (method == "euler")
 
 
-# --- 10: coefficients of a semidefinite Hamiltonian -------------------------------------------------------------------
+# --- 10: coefficients of a semidefinite Hamiltonian ------------------------------------------------------------------
 
 
 def test_10_the_semidefinite_coefficients_pair_d_j_with_d_n_plus_j():
