@@ -369,8 +369,9 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
     -----
     The states of both systems are balanced first, by powers of two, so that their units do not matter; then
     `||L A1 - A2 L|| / (||L|| ||A1|| + ||A2|| ||L||)` in the Frobenius norm, and for each port
-    `||L b1 - b2|| / (||L|| ||b1|| + ||b2||)` and `||c1 - c2 L|| / (||c1|| + ||c2|| ||L||)`.  Invertible morphisms
-    are isomorphisms.  O(N^3).
+    `||L b1 - b2|| / (||L|| ||b1|| + ||b2||)` and `||c1 - c2 L|| / (||c1|| + ||c2|| ||L||)`, where of a
+    port-Hamiltonian system the size of the terms of `B^T Q` counts for `||c||`: so much of it is rounding.  Invertible
+    morphisms are isomorphisms.  O(N^3).
 
     Examples
     --------
@@ -400,7 +401,8 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
     norm = np.linalg.norm
     dynamics = _ratio(norm(matrix @ A1 - A2 @ matrix), whole * (norm(A1) + norm(A2)))
     entering = _ratio(norm(matrix @ B1 - B2, axis=0), whole * norm(B1, axis=0) + norm(B2, axis=0))
-    leaving = _ratio(norm(C1 - C2 @ matrix, axis=1), norm(C1, axis=1) + whole * norm(C2, axis=1))
+    seen1, seen2 = _rounded_readout(sys1) * scale1, _rounded_readout(sys2) * scale2
+    leaving = _ratio(norm(C1 - C2 @ matrix, axis=1), norm(seen1, axis=1) + whole * norm(seen2, axis=1))
     direct = _ratio(np.abs(D1 - D2), np.maximum(np.abs(D1), np.abs(D2)))
     rank = scaled_rank(matrix)
     return MorphismCheck(
@@ -412,6 +414,12 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
         rank == matrix.shape[1],
         rank == matrix.shape[0],
     )
+
+
+def _rounded_readout(sys: ct.StateSpace) -> Array:
+    """Size of the terms that make up each entry of C, of which it has the rounding error."""
+    terms = np.abs(sys.B).T @ np.abs(sys.Q) if isinstance(sys, PortHamiltonian) else np.abs(sys.C)
+    return np.asarray(terms, float)
 
 
 def _ratio(residual: Any, scale: Any) -> float:

@@ -1,5 +1,7 @@
 """The matrices between canonical forms and port-Hamiltonian systems, against the paper's recursion in many digits."""
 
+import warnings
+
 import control as ct
 import mpmath as mp
 import numpy as np
@@ -67,11 +69,8 @@ def test_it_is_a_morphism_to_the_system_of_any_symplectic_matrix(case, squeeze):
     S = random_symplectic(n, rng, squeeze)
     sys = target(d, v, S)
     check = is_morphism(controllable_morphism(d, v, S), plain(*companion(d, v)), sys)
-    # S^{-1} and S^T D S carry the rounding of S, cond(S) = exp(2 squeeze) times larger
-    assert check.residual <= 100 * n * EPS * np.exp(2 * squeeze)
     assert check.allowed == 100 * 2 * n * EPS
-    if squeeze == 0.0:
-        assert check
+    assert check and check.residual <= check.allowed
 
 
 def test_the_printed_version_with_the_inverse_in_place_of_s_is_no_morphism():
@@ -182,6 +181,10 @@ def test_the_observable_morphism_leads_to_the_observable_form(case, squeeze):
     # the frequencies found in Q are known to eps cond(Q), and cond(Q) = cond(S)^2 max d / min d
     floor = EPS * np.exp(4 * squeeze) * d.max() / d.min()
     assert check.residual <= 100 * n * floor
+    # to the form that was made of the same numbers it leads exactly
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", phc.ConditioningWarning)
+        assert is_morphism(observable_morphism(sys), sys, phc.oh(sys))
 
 
 @SETTINGS
