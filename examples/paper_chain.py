@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import ph_control as phc
-from ph_control.identification.gradient import gradient_descent
 
 STEP, LEARN, TOTAL, STARTS = 0.01, 1000, 5000, 3
 time = STEP * np.arange(TOTAL)
@@ -23,7 +22,7 @@ ahead = force[LEARN:], velocity[LEARN:]
 
 def descend(kind, seed, optimizer="adam"):
     """Learn as the paper does; both parametrisations see the same random starts."""
-    return gradient_descent(
+    return phc.gradient_descent(
         learn, 2, dt=STEP, parameters=kind, optimizer=optimizer, learning_rate=0.02, epochs=1500, rng=seed,
         validation=(ahead[0][:LEARN], ahead[1][:LEARN]),
     )  # fmt: skip

@@ -8,7 +8,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import ph_control as phc
-from ph_control.identification.gradient import gradient_descent
 
 STEP, LEARN, TOTAL, STARTS = 0.01, 1000, 5000, 4
 time = STEP * np.arange(TOTAL)
@@ -46,7 +45,7 @@ for order in (5, "auto"):
 
 def descend(seed, optimizer="adam"):
     """Learn as the paper does, from a random start: 500 steps with the rate 0.1."""
-    return gradient_descent(
+    return phc.gradient_descent(
         learn, 5, dt=STEP, parameters="natural", optimizer=optimizer, learning_rate=0.1, epochs=500, rng=seed
     )
 

@@ -19,6 +19,7 @@ from .exceptions import (
 )
 from .files import load, read_csv, save
 from .groupoids import PortHamiltonianGroupoid, ReducedGroupoid
+from .identification.gradient import GradientResult, gradient_descent
 from .identification.pem import pem, prediction_error_fit
 from .identification.result import PEMResult
 from .isomorphism import Verdict, are_isomorphic, system_isomorphism

@@ -94,10 +94,9 @@ class CasimirSplit:
 
         Examples
         --------
-        >>> import numpy as np
-        >>> from ph_control.casimirs import split_casimirs
+        >>> import numpy as np, ph_control as phc
         >>> J = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-        >>> print(split_casimirs(np.eye(3), [0.0, 1.0, 0.0], J).report())
+        >>> print(phc.split_casimirs(np.eye(3), [0.0, 1.0, 0.0], J).report())
         structure matrix of size 3 and rank 2: 1 degree of freedom and 1 Casimir
         c_1 = z_3: no port drives it; it keeps its initial value, set to 0
         port-Hamiltonian system with 1 degree of freedom
@@ -146,10 +145,9 @@ def darboux(J: ArrayLike) -> Array:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from ph_control.casimirs import darboux
+    >>> import numpy as np, ph_control as phc
     >>> J = np.array([[0.0, 4.0], [-4.0, 0.0]])
-    >>> T = darboux(J)
+    >>> T = phc.darboux(J)
     >>> T @ J @ T.T
     array([[ 0.,  1.],
            [-1.,  0.]])
@@ -233,10 +231,9 @@ def split_casimirs(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> CasimirSplit:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from ph_control.casimirs import split_casimirs
+    >>> import numpy as np, ph_control as phc
     >>> J = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    >>> split = split_casimirs(np.diag([1.0, 1.0, 3.0]), [0.0, 1.0, 2.0], J)
+    >>> split = phc.split_casimirs(np.diag([1.0, 1.0, 3.0]), [0.0, 1.0, 2.0], J)
     >>> split.driven, split.casimirs
     (array([ True]), array([[0., 0., 1.]]))
     >>> split.Q, split.B.T

@@ -61,10 +61,9 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     Examples
     --------
     >>> import ph_control as phc
-    >>> from ph_control.equivalence import same_filter
-    >>> bool(same_filter(phc.modes([1.0, 1.0, 5.0], [0.5, 0.25, 0.0]), ([1.0], [0.0, 0.75**0.5])))
+    >>> bool(phc.same_filter(phc.modes([1.0, 1.0, 5.0], [0.5, 0.25, 0.0]), ([1.0], [0.0, 0.75**0.5])))
     True
-    >>> print(same_filter(phc.modes(1.0, 2.0), phc.modes(2.0, 1.0)).reason)
+    >>> print(phc.same_filter(phc.modes(1.0, 2.0), phc.modes(2.0, 1.0)).reason)
     the residues at frequency 1 differ: 2 and 0
     """
     if rtol is not None:
@@ -144,12 +143,12 @@ def filter_coefficients(d: ArrayLike, v: ArrayLike) -> Array:
     The counterexample to the printed theorem: `e_1` agrees, the transfer functions `2 s / (s^2 + 1)` and
     `2 s / (s^2 + 4)` do not.
 
-    >>> from ph_control.equivalence import filter_coefficients, same_filter
-    >>> filter_coefficients([1.0], [2**0.5, 0.0]).round(12)
+    >>> import ph_control as phc
+    >>> phc.filter_coefficients([1.0], [2**0.5, 0.0]).round(12)
     array([ 2., -2.])
-    >>> filter_coefficients([2.0], [1.0, 0.0])
+    >>> phc.filter_coefficients([2.0], [1.0, 0.0])
     array([ 2., -8.])
-    >>> bool(same_filter(([1.0], [2**0.5, 0.0]), ([2.0], [1.0, 0.0])))
+    >>> bool(phc.same_filter(([1.0], [2**0.5, 0.0]), ([2.0], [1.0, 0.0])))
     False
     """
     frequencies, vector = _checks.parameter_pair(d, v)
@@ -202,8 +201,8 @@ def star_equivalent(
 
     Examples
     --------
-    >>> from ph_control.equivalence import star_equivalent
-    >>> verdict = star_equivalent([1.0, 2.0], [1.0, 0.0, 0.0, 3.0], [2.0, 1.0], [3.0, 0.0, 0.0, -1.0])
+    >>> import ph_control as phc
+    >>> verdict = phc.star_equivalent([1.0, 2.0], [1.0, 0.0, 0.0, 3.0], [2.0, 1.0], [3.0, 0.0, 0.0, -1.0])
     >>> bool(verdict)
     True
     >>> P, A = verdict.witness

@@ -48,8 +48,7 @@ class PortHamiltonianGroupoid:
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.groupoids import PortHamiltonianGroupoid
-    >>> arrow = PortHamiltonianGroupoid(np.diag([2.0, 0.5]), phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]))
+    >>> arrow = phc.PortHamiltonianGroupoid(np.diag([2.0, 0.5]), phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]))
     >>> arrow.target.Q, arrow.target.B
     (array([[1., 0.],
            [0., 4.]]), array([[0. ],
@@ -244,9 +243,8 @@ class ReducedGroupoid:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from ph_control.groupoids import ReducedGroupoid
-    >>> arrow = ReducedGroupoid(np.eye(2)[[1, 0]], np.eye(4), [1.0, 2.0], [3.0, 4.0, 0.0, 0.0])
+    >>> import numpy as np, ph_control as phc
+    >>> arrow = phc.ReducedGroupoid(np.eye(2)[[1, 0]], np.eye(4), [1.0, 2.0], [3.0, 4.0, 0.0, 0.0])
     >>> arrow.target
     (array([2., 1.]), array([4., 3., 0., 0.]))
     >>> (arrow.inverse() @ arrow).P

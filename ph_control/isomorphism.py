@@ -98,12 +98,11 @@ def are_isomorphic(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | No
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.isomorphism import are_isomorphic
-    >>> verdict = are_isomorphic(phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]), phc.ph(np.diag([1.0, 4.0]), [1.0, 0.0]))
+    >>> verdict = phc.are_isomorphic(phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]), phc.ph(np.diag([1.0, 4.0]), [1.0, 0.0]))
     >>> bool(verdict), verdict.witness
     (True, array([[ 0.,  1.],
            [-1.,  0.]]))
-    >>> print(are_isomorphic(phc.ph(np.eye(2), [1.0, 0.0]), phc.ph(2 * np.eye(2), [1.0, 0.0])).reason)
+    >>> print(phc.are_isomorphic(phc.ph(np.eye(2), [1.0, 0.0]), phc.ph(2 * np.eye(2), [1.0, 0.0])).reason)
     the frequencies differ: 1 and 2
     """
     comparable(sys1, sys2)
@@ -148,9 +147,8 @@ def system_isomorphism(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float 
     How the states of a plain system map to those of its port-Hamiltonian form:
 
     >>> import control as ct, ph_control as phc
-    >>> from ph_control.isomorphism import system_isomorphism
     >>> plain = ct.ss([[0.0, -4.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.0)
-    >>> system_isomorphism(plain, phc.ph(plain)).round(12)
+    >>> phc.system_isomorphism(plain, phc.ph(plain)).round(12)
     array([[ 0.70710678,  0.        ],
            [ 0.        , -1.41421356]])
     """

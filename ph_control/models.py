@@ -49,8 +49,8 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
 
     Examples
     --------
-    >>> from ph_control.models import lc_circuit
-    >>> circuit = lc_circuit([1.0, 0.25], [1.0, 4.0 / 9.0])
+    >>> import ph_control as phc
+    >>> circuit = phc.lc_circuit([1.0, 0.25], [1.0, 4.0 / 9.0])
     >>> circuit.d, circuit.modes.kappa
     (array([1., 3.]), array([1.  , 2.25]))
     """
@@ -111,11 +111,11 @@ def spring_chain(
 
     Examples
     --------
-    >>> from ph_control.models import spring_chain
-    >>> wall_to_wall = spring_chain([1.0, 1.0], 4.0, ground=[1.0, 1.0])
+    >>> import ph_control as phc
+    >>> wall_to_wall = phc.spring_chain([1.0, 1.0], 4.0, ground=[1.0, 1.0])
     >>> wall_to_wall.d
     array([1., 3.])
-    >>> round(spring_chain([1.0, 3.0]).modes.kappa_0, 12)  # the whole chain as one rigid body: 1 / (1 + 3)
+    >>> round(phc.spring_chain([1.0, 3.0]).modes.kappa_0, 12)  # the whole chain as one rigid body: 1 / (1 + 3)
     0.25
     """
     mass = _positive("masses", masses, "a mass")
@@ -162,8 +162,8 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
 
     Examples
     --------
-    >>> from ph_control.models import frenkel_kontorova
-    >>> frenkel_kontorova().d.round(6)
+    >>> import ph_control as phc
+    >>> phc.frenkel_kontorova().d.round(6)
     array([0.618034, 1.618034])
     """
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
@@ -209,10 +209,10 @@ def from_second_order(
 
     Examples
     --------
-    >>> from ph_control.models import from_second_order
-    >>> from_second_order([[1, 0], [0, 1]], [[5, -4], [-4, 5]], [1, 0]).d
+    >>> import ph_control as phc
+    >>> phc.from_second_order([[1, 0], [0, 1]], [[5, -4], [-4, 5]], [1, 0]).d
     array([1., 3.])
-    >>> floating = from_second_order([[1, 0], [0, 3]], [[1, -1], [-1, 1]], [1, 0])
+    >>> floating = phc.from_second_order([[1, 0], [0, 3]], [[1, -1], [-1, 1]], [1, 0])
     >>> round(floating.modes.kappa_0, 12)  # as one rigid body: 1 / (1 + 3)
     0.25
     """

@@ -66,8 +66,8 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
 
     Examples
     --------
-    >>> from ph_control.morphisms import controllable_morphism
-    >>> controllable_morphism([2.0], [1.0, 3.0])
+    >>> import ph_control as phc
+    >>> phc.controllable_morphism([2.0], [1.0, 3.0])
     array([[ 6.,  1.],
            [-2.,  3.]])
     """
@@ -120,16 +120,15 @@ def observable_morphism(sys: PortHamiltonian) -> Array:
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.morphisms import lift_morphism, observable_morphism
     >>> sys = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
-    >>> observable_morphism(sys)
+    >>> phc.observable_morphism(sys)
     array([[-4.,  0.],
            [ 0.,  1.]])
 
     A system of two modes with the same filter, the morphism to it, and the composition onto OH of dimension 4:
 
     >>> lifted = phc.ph(np.diag([4.0, 9.0, 1.0, 1.0]), [0.0, 0.0, 1.0, 0.0])
-    >>> observable_morphism(lifted) @ lift_morphism(sys, 2)
+    >>> phc.observable_morphism(lifted) @ phc.lift_morphism(sys, 2)
     array([[-36.,   0.],
            [  0.,   9.],
            [ -4.,   0.],
@@ -179,8 +178,7 @@ def lift_morphism(sys: PortHamiltonian, m: int) -> Array:
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.morphisms import lift_morphism
-    >>> lift_morphism(phc.ph(np.eye(2), [1.0, 0.0]), 2)
+    >>> phc.lift_morphism(phc.ph(np.eye(2), [1.0, 0.0]), 2)
     array([[1., 0.],
            [0., 0.],
            [0., 1.],
@@ -263,8 +261,8 @@ def expressive_power(
 
     Examples
     --------
-    >>> from ph_control.morphisms import expressive_power
-    >>> power = expressive_power([1.0, 1.0, 2.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    >>> import ph_control as phc
+    >>> power = phc.expressive_power([1.0, 1.0, 2.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     >>> power.rank, power.dark, power.resonant
     (2, (1, 2), ((0, 1),))
     """
@@ -376,12 +374,11 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.morphisms import is_morphism
     >>> spring = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
-    >>> check = is_morphism(np.eye(2), spring, spring)
+    >>> check = phc.is_morphism(np.eye(2), spring, spring)
     >>> bool(check), check.residual, check.rank
     (True, 0.0, 2)
-    >>> bool(is_morphism(2 * np.eye(2), spring, spring))
+    >>> bool(phc.is_morphism(2 * np.eye(2), spring, spring))
     False
     """
     comparable(sys1, sys2)

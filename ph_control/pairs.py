@@ -53,9 +53,8 @@ def act(sigma: ArrayLike, theta: ArrayLike, d: ArrayLike, v: ArrayLike) -> tuple
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from ph_control.pairs import act
-    >>> d, v = act([1, 0], [0.0, np.pi / 2], [1.0, 2.0], [3.0, 4.0, 0.0, 0.0])
+    >>> import numpy as np, ph_control as phc
+    >>> d, v = phc.act([1, 0], [0.0, np.pi / 2], [1.0, 2.0], [3.0, 4.0, 0.0, 0.0])
     >>> d, v.round(12)
     (array([2., 1.]), array([4., 0., 0., 3.]))
     """
@@ -101,8 +100,8 @@ def to_unique(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
 
     Examples
     --------
-    >>> from ph_control.pairs import to_unique
-    >>> to_unique([2.0, 1.0], [0.0, 3.0, 1.0, 4.0])
+    >>> import ph_control as phc
+    >>> phc.to_unique([2.0, 1.0], [0.0, 3.0, 1.0, 4.0])
     (array([1., 2.]), array([25.,  1.]))
     """
     frequencies, vector = _checks.parameter_pair(d, v)
@@ -142,8 +141,8 @@ def from_unique(d: ArrayLike, r: ArrayLike) -> tuple[Array, Array]:
 
     Examples
     --------
-    >>> from ph_control.pairs import from_unique
-    >>> from_unique([1.0, 2.0], [4.0, 9.0])
+    >>> import ph_control as phc
+    >>> phc.from_unique([1.0, 2.0], [4.0, 9.0])
     (array([1., 2.]), array([2., 3., 0., 0.]))
     """
     frequencies = _checks.natural_frequencies(d)

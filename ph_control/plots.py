@@ -112,10 +112,9 @@ def bode_plot(
 
     Examples
     --------
+    >>> import ph_control as phc
     >>> import matplotlib.pyplot as plt
-    >>> from ph_control.models import frenkel_kontorova
-    >>> from ph_control.plots import bode_plot
-    >>> plot = bode_plot(frenkel_kontorova(name="chain"))
+    >>> plot = phc.bode_plot(phc.frenkel_kontorova(name="chain"))
     >>> plot.axes[0, 0].get_ylabel(), plot.axes[1, 0].get_ylabel(), plot.axes[1, 0].get_xlabel()
     ('Magnitude [dB]', 'Phase [deg]', 'Frequency [rad/s]')
     >>> plt.close(plot.figure)
@@ -312,10 +311,9 @@ def fit_plot(
 
     Examples
     --------
-    >>> import numpy as np, matplotlib.pyplot as plt
-    >>> from ph_control.plots import fit_plot
+    >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> t = np.linspace(0, 10, 201)
-    >>> plot = fit_plot(t, np.sin(t), 0.9 * np.sin(t), fit_percent=90.0, output_label="Velocity", output_unit="m/s")
+    >>> plot = phc.fit_plot(t, np.sin(t), 0.9 * np.sin(t), fit_percent=90.0, output_label="Velocity", output_unit="m/s")
     >>> plot.axes[0, 0].get_ylabel(), plot.axes[1, 0].get_xlabel()
     ('Velocity [m/s]', 'Time [s]')
     >>> plt.close(plot.figure)

@@ -137,9 +137,8 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.realization import minreal
     >>> equal_branches = phc.lc_circuit([1.0, 1.0, 4.0], 1.0)
-    >>> small = minreal(equal_branches)
+    >>> small = phc.minreal(equal_branches)
     >>> small.d, small.r
     (array([0.5, 1. ]), array([2., 2.]))
     """
@@ -189,8 +188,7 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.realization import kalman_decomposition
-    >>> reachable, hidden, T = kalman_decomposition(phc.ph(np.eye(4), [3.0, 4.0, 0.0, 0.0]))
+    >>> reachable, hidden, T = phc.kalman_decomposition(phc.ph(np.eye(4), [3.0, 4.0, 0.0, 0.0]))
     >>> reachable.B.ravel(), hidden.n
     (array([5., 0.]), 1)
     >>> (T @ [3.0, 4.0, 0.0, 0.0]).round(12) + 0.0
@@ -267,8 +265,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     Examples
     --------
     >>> import ph_control as phc
-    >>> from ph_control.realization import lift
-    >>> large = lift(phc.modes([1.0, 4.0], [0.5, 0.25]), 3)
+    >>> large = phc.lift(phc.modes([1.0, 4.0], [0.5, 0.25]), 3)
     >>> large.d, large.r
     (array([1., 2., 4.]), array([0.5 , 0.  , 0.25]))
     """
@@ -329,8 +326,7 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
     Examples
     --------
     >>> import ph_control as phc
-    >>> from ph_control.realization import canonical_margins
-    >>> print(canonical_margins(phc.modes([1.0, 2.0, 2.5], [1.0, 0.5, 0.01])))
+    >>> print(phc.canonical_margins(phc.modes([1.0, 2.0, 2.5], [1.0, 0.5, 0.01])))
     the system is canonical
       resonance: the frequencies 1 and 2 differ by 0.2 of their size, one frequency up to 4.8e-15
       degeneracy: the residue of mode 2 is 0.025 of the largest, unreached up to 0.0e+00

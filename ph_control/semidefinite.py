@@ -61,10 +61,9 @@ def williamson_semidefinite(Q: ArrayLike, *, rtol: float | None = None) -> tuple
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from ph_control.semidefinite import williamson_semidefinite
+    >>> import numpy as np, ph_control as phc
     >>> two_masses_and_a_spring = [[2, -2, 0, 0], [-2, 2, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    >>> d1, d2, S = williamson_semidefinite(two_masses_and_a_spring)
+    >>> d1, d2, S = phc.williamson_semidefinite(two_masses_and_a_spring)
     >>> d1, d2
     (array([2., 0.]), array([2., 1.]))
     """
@@ -108,8 +107,8 @@ def semidefinite_coefficients(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]
 
     Examples
     --------
-    >>> from ph_control.semidefinite import semidefinite_coefficients
-    >>> semidefinite_coefficients([4.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 2.0])  # s/(s^2 + 4) + 4/s
+    >>> import ph_control as phc
+    >>> phc.semidefinite_coefficients([4.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 2.0])  # s/(s^2 + 4) + 4/s
     (array([0., 0., 4., 0.]), array([ 5., 16.]))
     """
     energies = _checks.real_array("d", d, 1)

@@ -43,10 +43,9 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
     Examples
     --------
-    >>> import numpy as np, control as ct
-    >>> from ph_control.spectra import spectral_estimate
+    >>> import numpy as np, control as ct, ph_control as phc
     >>> u = np.random.default_rng(0).standard_normal(1000)
-    >>> estimate = spectral_estimate(ct.TimeResponseData(0.1 * np.arange(1000), 3 * u, inputs=u, issiso=True))
+    >>> estimate = phc.spectral_estimate(ct.TimeResponseData(0.1 * np.arange(1000), 3 * u, inputs=u, issiso=True))
     >>> estimate.segments, bool(np.allclose(estimate.coherence, 1))
     (8, True)
     """
@@ -138,10 +137,9 @@ def spectral_estimate(
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.spectra import spectral_estimate
     >>> mode = phc.ph(phc.modes(1.0, 1.0))
     >>> u = np.random.default_rng(1).standard_normal(4096)
-    >>> estimate = spectral_estimate(phc.forced_response(mode, 0.2 * np.arange(4096), u))
+    >>> estimate = phc.spectral_estimate(phc.forced_response(mode, 0.2 * np.arange(4096), u))
     >>> G = estimate.complex[np.argmin(np.abs(estimate.omega - 3.0))]
     >>> bool(abs(G / mode(3j) - 1) < 0.05)
     True

@@ -204,11 +204,10 @@ def gradient_descent(
     --------
     >>> import numpy as np
     >>> import ph_control as phc
-    >>> from ph_control.identification.gradient import gradient_descent
     >>> u = np.random.default_rng(0).standard_normal(100)
     >>> y = phc.forced_response(phc.ph(phc.modes(1.0, 0.5)), 0.1 * np.arange(100), u, method="euler").outputs
     >>> start = ([1.1], [0.3], [0.0, 0.0])
-    >>> result = gradient_descent((u, y), 1, dt=0.1, parameters="unique", learning_rate=0.2, initial_guess=start)
+    >>> result = phc.gradient_descent((u, y), 1, dt=0.1, parameters="unique", learning_rate=0.2, initial_guess=start)
     >>> result.d.round(3), result.r.round(3)
     (array([1.]), array([0.5]))
     >>> ahead = result.predict(u[:10], initial_state="final")
