@@ -135,6 +135,12 @@ class AffineHamiltonian(LosslessSystem):
 
     _converted = derivative
 
+    def _full_port_hamiltonian(self) -> PortHamiltonian:
+        raise StructureError(
+            "the transfer function of an affine Hamiltonian system is even, that of a port-Hamiltonian system odd; "
+            "pass sys.derivative(), which has the same states, if the time derivative of the output is meant"
+        )
+
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN."""
         s = _checks.complex_points("the points", x)

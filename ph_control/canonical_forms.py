@@ -18,7 +18,7 @@ from .coefficients import cofactors, digits
 from .exceptions import ConditioningWarning, StructureError
 from .lossless_system import LosslessSystem, View, inherited_names
 from .modal import ModalForm
-from .systems import PortHamiltonian, ph
+from .systems import PortHamiltonian, full_port_hamiltonian, ph
 
 Array = NDArray[np.float64]
 
@@ -144,6 +144,9 @@ class _CanonicalForm(LosslessSystem):
         u = matrix.T @ np.concatenate([self._v[n:], -self._v[:n]])
         B = np.concatenate([-u[n:], u[:n]])
         return PortHamiltonian(0.5 * (Q + Q.T), B, **inherited_names(self, names, "inputs", "outputs"))
+
+    def _full_port_hamiltonian(self) -> PortHamiltonian:
+        return self.port_hamiltonian()
 
     def _converted(self, **names: Any) -> PortHamiltonian:
         modes = self.modes.minimal()
@@ -345,7 +348,7 @@ def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -
         names = inherited_names(source, names, "inputs", "outputs")
     if isinstance(source, _CanonicalForm):
         return kind(source.d, source.v, **names)
-    sys = ph(source)
+    sys = full_port_hamiltonian(source)
     if sys.ninputs != 1:
         raise StructureError(
             f"the system has {sys.ninputs} ports; canonical forms are those of one port: pick one with "

@@ -95,6 +95,10 @@ class LosslessSystem(ct.StateSpace):
         """Return the port-Hamiltonian system that `ph` makes of this one."""
         raise NotImplementedError
 
+    def _full_port_hamiltonian(self) -> Any:
+        """Return a port-Hamiltonian system of the same size with the same transfer function."""
+        raise NotImplementedError
+
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 

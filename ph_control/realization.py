@@ -19,7 +19,7 @@ from . import _checks
 from .conditioning import Energy, Group, Separation, separate
 from .exceptions import StructureError
 from .modal import ModalForm
-from .systems import PortHamiltonian, ph
+from .systems import PortHamiltonian, full_port_hamiltonian
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -142,7 +142,7 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     >>> small.d, small.r
     (array([0.5, 1. ]), array([2., 2.]))
     """
-    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
+    system = full_port_hamiltonian(sys)
     return _named_like(system, _separation(system, rtol).minimal())
 
 
@@ -194,7 +194,7 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     >>> (T @ [3.0, 4.0, 0.0, 0.0]).round(12) + 0.0
     array([5., 0., 0., 0.])
     """
-    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
+    system = full_port_hamiltonian(sys)
     if system.ninputs != 1:
         raise StructureError(
             f"the system has {system.ninputs} ports; the Kalman decomposition is that of one port: choose one by "
@@ -269,7 +269,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     >>> large.d, large.r
     (array([1., 2., 4.]), array([0.5 , 0.  , 0.25]))
     """
-    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
+    system = full_port_hamiltonian(sys)
     n = system.n
     if not isinstance(m, int | np.integer) or isinstance(m, bool) or m < n:
         raise StructureError(
@@ -331,7 +331,7 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
       resonance: the frequencies 1 and 2 differ by 0.2 of their size, one frequency up to 4.8e-15
       degeneracy: the residue of mode 2 is 0.025 of the largest, unreached up to 0.0e+00
     """
-    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
+    system = full_port_hamiltonian(sys)
     if system.ninputs != 1:
         raise StructureError(
             f"the system has {system.ninputs} ports; the canonical margins are those of one port: choose one by its "

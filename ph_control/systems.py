@@ -393,7 +393,16 @@ def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
     """
     if r is not None:
         return from_frequencies(d, r)
-    return d if isinstance(d, ModalForm) else ph(d).modes
+    return d if isinstance(d, ModalForm) else full_port_hamiltonian(d).modes
+
+
+def full_port_hamiltonian(sys: Any) -> PortHamiltonian:
+    """Port-Hamiltonian system with the transfer function of `sys`, and with its hidden modes where it has a size."""
+    if isinstance(sys, PortHamiltonian):
+        return sys
+    if isinstance(sys, LosslessSystem):
+        return sys._full_port_hamiltonian()
+    return ph(sys)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is in no normal form

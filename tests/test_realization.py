@@ -742,3 +742,11 @@ def test_bad_input_is_refused_with_what_was_measured_and_what_to_do():
             function(ct.tf([1], [1, 1]))
         with pytest.raises(phc.StructureError):
             function("system")
+
+
+def test_the_hidden_modes_of_a_canonical_form_are_kept():
+    for form in (phc.ch([1.0, 2.0, 3.0], [1.0, 0.0, 1.0, 0.0, 0.0, 0.0]), phc.oh([1.0, 1.0, 3.0], np.ones(6))):
+        reachable, hidden, _ = phc.kalman_decomposition(form)
+        assert (reachable.n, hidden.n) == (2, 1)
+        assert phc.modes(form).n == 3 and phc.lift(form, 5).n == 5 and not phc.canonical_margins(form).is_canonical
+        assert phc.minreal(form).n == phc.ph(form).n == 2
