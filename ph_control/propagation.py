@@ -180,6 +180,29 @@ def simulate(
     return y, x
 
 
+def unit_states(step: Step, signal: Array, *, block: int = _BLOCK) -> ComplexArray:
+    """`X_k = sum_{j<k} lambda^(k-1-j) u_j` for a signal (T,), shape (N, T): what every mode makes of a unit input."""
+    samples = len(signal)
+    size = min(block, samples)
+    count = -(-samples // size)
+    padded = np.zeros(count * size)
+    padded[:samples] = signal
+    blocks = padded.reshape(count, size)
+    P = step.powers(np.arange(size + 1.0))
+    lam, leap = P[:, 1], P[:, size]
+    N = len(P)
+    X = np.empty((N, count, size), complex)
+    inside = np.empty((N, count, size), complex)
+    for mode in range(N):
+        inside[mode] = lfilter([1.0], [1.0, -lam[mode]], blocks, axis=-1)
+    carried = np.zeros((N, count), complex)
+    for k in range(1, count):
+        carried[:, k] = leap * carried[:, k - 1] + inside[:, k - 1, -1]
+    np.multiply(carried[:, :, None], P[:, None, :size], out=X)
+    X[:, :, 1:] += inside[:, :, :-1]
+    return X.reshape(N, count * size)[:, :samples]
+
+
 def _carry(P: ComplexArray, b: ComplexArray, blocks: Array, start: ComplexArray) -> ComplexArray:
     """Modal states at the start of each block, shape (blocks, N)."""
     count, size = blocks.shape[1:]

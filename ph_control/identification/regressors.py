@@ -10,12 +10,13 @@ Given the natural frequencies the predicted output is linear in everything else:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..modal import imaginary
-from ..propagation import Step, input_weights, phi_functions, simulate, step_factors
+from ..propagation import Step, input_weights, phi_functions, step_factors, unit_states
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,61 +85,102 @@ def _phi_3(z: ComplexArray, phi_2: ComplexArray) -> ComplexArray:
     return np.where(np.abs(z) < 0.5, series / 6.0, (phi_2 - 0.5) / np.where(z == 0, 1.0, z))
 
 
-@dataclass(frozen=True)
 class Regressors:
-    """Columns of the linear problem and their derivatives, each of shape (T, n)."""
+    """Columns of the linear problem and their derivatives, each of shape (T, n), computed when asked for.
 
-    forced: Array
-    cosine: Array
-    sine: Array
-    forced_slope: Array
-    cosine_slope: Array
-    sine_slope: Array
+    For frequencies `d` and an input `u`: O(T n).
+    """
+
+    def __init__(self, d: Array, u: Array, hold: Hold) -> None:
+        self._u = u
+        self._step = hold.step(d)
+        self._slope = hold.log_derivative(d)[:, None]
+        self._weight_slopes = [weight[:, None] for weight in hold.weight_derivatives(d)]
+
+    @cached_property
+    def _free(self) -> ComplexArray:
+        """`lambda^k` for all samples, shape (n, T): an outer product of coarse and fine powers."""
+        samples = len(self._u)
+        size = int(np.ceil(np.sqrt(samples)))
+        coarse = self._step.powers(size * np.arange(float(-(-samples // size))))
+        fine = self._step.powers(np.arange(float(size)))
+        powers = (coarse[:, :, None] * fine[:, None, :]).reshape(len(coarse), coarse.shape[1] * size)
+        return np.asarray(powers[:, :samples])
+
+    @cached_property
+    def _response(self) -> ComplexArray:
+        """`X_k = sum_j lambda^(k-1-j) u_j`, shape (n, T)."""
+        return unit_states(self._step, self._u)
+
+    @cached_property
+    def _weight(self) -> ComplexArray:
+        return self._step.b0 + self._step.multiplier[:, None] * self._step.b1
+
+    @cached_property
+    def _forced(self) -> ComplexArray:
+        forced = self._weight * self._response
+        # from rest: what an interpolated first sample adds to the state at once is taken off again
+        return forced + self._step.b1 * self._from_rest if self._step.b1.any() else forced
+
+    @cached_property
+    def _from_rest(self) -> ComplexArray:
+        return self._u - self._u[0] * self._free
+
+    @cached_property
+    def _forced_slope(self) -> ComplexArray:
+        # with j u_j in place of u_j: together they give the derivative by log lambda
+        k = np.arange(len(self._u))
+        later = unit_states(self._step, k * self._u)
+        db0, db1 = self._weight_slopes
+        db = db0 + self._step.multiplier[:, None] * (self._slope * self._step.b1 + db1)
+        slope = (self._slope * self._weight) * ((k - 1) * self._response - later) + db * self._response
+        if self._step.b1.any():
+            slope += db1 * self._from_rest - self._step.b1 * self._u[0] * self._free_slope
+        return np.asarray(slope)
+
+    @cached_property
+    def _free_slope(self) -> ComplexArray:
+        return np.asarray(self._slope * np.arange(len(self._u)) * self._free)
+
+    @property
+    def forced(self) -> Array:
+        """Response to the input with unit residue, from rest."""
+        return self._forced.real.T
+
+    @property
+    def cosine(self) -> Array:
+        """Free motion from a unit state."""
+        return self._free.real.T
+
+    @property
+    def sine(self) -> Array:
+        """Free motion from a state a quarter of a turn ahead."""
+        return -self._free.imag.T
+
+    @property
+    def forced_slope(self) -> Array:
+        """Derivative of `forced` by the frequency."""
+        return self._forced_slope.real.T
+
+    @property
+    def cosine_slope(self) -> Array:
+        """Derivative of `cosine`."""
+        return self._free_slope.real.T
+
+    @property
+    def sine_slope(self) -> Array:
+        """Derivative of `sine`."""
+        return -self._free_slope.imag.T
 
     def columns(self) -> Array:
         """All columns `[F, Re lambda^k, -Im lambda^k]`, shape (T, 3n)."""
-        return np.concatenate([self.forced, self.cosine, self.sine], axis=1)
+        return np.concatenate([self._forced.real, self._free.real, -self._free.imag]).T
 
     def slopes(self) -> Array:
         """Derivative of each column by the frequency of its own mode, shape (T, 3n)."""
-        return np.concatenate([self.forced_slope, self.cosine_slope, self.sine_slope], axis=1)
+        return np.concatenate([self._forced_slope.real, self._free_slope.real, -self._free_slope.imag]).T
 
 
 def regressors(d: Array, u: Array, hold: Hold) -> Regressors:
     """Columns and exact derivatives for frequencies `d` and input `u`: O(T n)."""
-    samples = len(u)
-    k = np.arange(samples)
-    step = hold.step(d)
-    slope = hold.log_derivative(d)[:, None]
-    free = _free(step, samples)
-    # X_k = sum_j lambda^(k-1-j) u_j, and the same with j u_j: together they give the derivative by log lambda
-    X = _unit_response(step, u)
-    Y = _unit_response(step, k * u)
-    b = step.b0 + step.multiplier[:, None] * step.b1
-    db0, db1 = hold.weight_derivatives(d)
-    db = db0[:, None] + step.multiplier[:, None] * (slope * step.b1 + db1[:, None])
-    free_slope = slope * k * free
-    # from rest: what an interpolated first sample adds to the state at once is taken off again
-    forced = b * X + step.b1 * (u - u[0] * free)
-    forced_slope = slope * b * ((k - 1) * X - Y) + db * X + db1[:, None] * (u - u[0] * free)
-    forced_slope -= step.b1 * u[0] * free_slope
-    return Regressors(
-        forced.real.T, free.real.T, -free.imag.T, forced_slope.real.T, free_slope.real.T, -free_slope.imag.T
-    )
-
-
-def _free(step: Step, samples: int) -> ComplexArray:
-    """`lambda^k` for all samples, shape (n, T): an outer product of coarse and fine powers."""
-    size = int(np.ceil(np.sqrt(samples)))
-    coarse = step.powers(size * np.arange(float(-(-samples // size))))
-    fine = step.powers(np.arange(float(size)))
-    return (coarse[:, :, None] * fine[:, None, :]).reshape(len(coarse), coarse.shape[1] * size)[:, :samples]
-
-
-def _unit_response(step: Step, u: Array) -> ComplexArray:
-    """`X_k = sum_{j<k} lambda^(k-1-j) u_j`, shape (n, T)."""
-    one = np.ones_like(step.b0)
-    unit = Step(step.growth, step.phase, one, 0 * one, step.c)
-    _, states = simulate(unit, u[None, :], np.zeros(len(one), complex), states=True)
-    assert states is not None
-    return states
+    return Regressors(d, u, hold)

@@ -38,6 +38,10 @@ class Problem:
         """Observed outputs."""
         return self.y[self.observed]
 
+    def seen(self, rows: Array) -> Array:
+        """Rows at which the output was observed."""
+        return rows if len(self.target) == len(rows) else rows[self.observed]
+
     @property
     def bin(self) -> float:
         """Spacing of the discrete Fourier frequencies, rad per unit time: the width of a basin of the loss."""
@@ -68,12 +72,12 @@ class Projection:
 
     @cached_property
     def _columns(self) -> Array:
-        columns = self.regressors.columns()[self.problem.observed]
+        columns = self.problem.seen(self.regressors.columns())
         return columns[:, : len(self.d)] if self.problem.from_rest else columns
 
     @cached_property
     def _slopes(self) -> Array:
-        slopes = self.regressors.slopes()[self.problem.observed]
+        slopes = self.problem.seen(self.regressors.slopes())
         return slopes[:, : len(self.d)] if self.problem.from_rest else slopes
 
     @cached_property

@@ -77,13 +77,14 @@ class Screen:
         A line of the input looks like a mode within its window; only the record as a whole tells them apart.
         """
         found = regressors(d, self.problem.u, self.problem.hold)
-        columns = np.stack([found.forced, found.cosine, found.sine])[:, self.problem.observed]
-        if self.problem.from_rest:
-            columns = columns[:1]
-        lengths = np.linalg.norm(columns, axis=1)
-        columns = columns / np.where(lengths > 0, lengths, 1.0)[:, None]
-        gram = np.einsum("itc,jtc->cij", columns, columns) + _RIDGE * np.eye(len(columns))
-        rhs = np.einsum("itc,t->ci", columns, residual[self.problem.observed])
+        parts = [found.forced] if self.problem.from_rest else [found.forced, found.cosine, found.sine]
+        # candidate, column, sample
+        columns = np.stack([part.T for part in parts], axis=1)
+        if not self.problem.observed.all():
+            columns = columns[:, :, self.problem.observed]
+        columns /= np.where((lengths := np.linalg.norm(columns, axis=2)) > 0, lengths, 1.0)[:, :, None]
+        gram = columns @ columns.transpose(0, 2, 1) + _RIDGE * np.eye(len(parts))
+        rhs = columns @ residual[self.problem.observed]
         return _constrained_energy(rhs, np.linalg.inv(gram), np.linalg.inv(gram[:, 1:, 1:]))
 
     def _explained(self, E: ComplexArray, start: int) -> Array:
