@@ -27,6 +27,15 @@ def readonly(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
+def shown(value: Any) -> str:
+    """Text of a value for a message: its type where the text would be long, or cannot be made."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of thousands of digits
+        return type(value).__name__
+    return text if len(text) < 40 else type(value).__name__
+
+
 def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
     """Convert to a fresh array of finite doubles with `ndim` dimensions."""
     if np.ma.is_masked(value):
@@ -103,6 +112,14 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     return points
 
 
+def relative_tolerance(rtol: Any) -> float:
+    """Check a relative tolerance: a number from 0 to 1, 1 itself excluded."""
+    number = isinstance(rtol, int | float | np.integer | np.floating) and not isinstance(rtol, bool)
+    if not number or not 0 <= rtol < 1:
+        raise StructureError(f"rtol is {shown(rtol)}; a relative tolerance is a number from 0 to 1")
+    return float(rtol)
+
+
 def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None) -> Array:
     """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite."""
     array = real_array(name, Q, 2)
@@ -116,7 +133,7 @@ def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = No
     in_range(name, array)
     size = float(np.max(np.abs(array), initial=0.0))
     asymmetry = float(np.max(np.abs(array - array.T), initial=0.0))
-    allowed = 1000 * rows * EPS if rtol is None else rtol
+    allowed = 1000 * rows * EPS if rtol is None else relative_tolerance(rtol)
     if asymmetry > allowed * size:
         raise StructureError(
             f"{name} is not symmetric: max |{name} - {name}.T| / max |{name}| = {asymmetry / size:.1e}, "
@@ -324,8 +341,7 @@ def sampling_step(dt: Any, *, name: str = "dt") -> float:
     except (TypeError, ValueError, OverflowError):
         step = np.nan
     if isinstance(dt, bool) or not 1e-100 <= step <= 1e100:
-        shown = repr(dt) if len(repr(dt)) < 40 else type(dt).__name__
-        raise StructureError(f"{name} is {shown}; it must be one positive number, a time between 1e-100 and 1e100")
+        raise StructureError(f"{name} is {shown(dt)}; it must be one positive number, a time between 1e-100 and 1e100")
     return step
 
 

@@ -285,7 +285,7 @@ def is_odd(sys: Any, *, rtol: float | None = None) -> Symmetry:
     Raises
     ------
     StructureError
-        If the argument is no continuous-time system.
+        If the argument is no continuous-time system, or `rtol` no number from 0 to 1.
 
     Notes
     -----
@@ -350,7 +350,7 @@ def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
         residual = float(np.max(np.where(size > 0, np.abs(here + sign * there) / np.where(size > 0, size, 1), 0.0)))
     if not np.isfinite(residual):
         raise StructureError("the transfer function leaves the range of doubles; choose another unit of time")
-    allowed = _rounding(sys, np.concatenate([s, -s])) if rtol is None else rtol
+    allowed = _rounding(sys, np.concatenate([s, -s])) if rtol is None else _checks.relative_tolerance(rtol)
     return Symmetry(residual <= allowed, residual, allowed)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from . import _checks
-from .exceptions import StructureError
+from ._checks import relative_tolerance as relative_tolerance
 from .modal import ModalForm
 
 Array = NDArray[np.float64]
@@ -174,14 +174,6 @@ def separate(
     else:
         return _separate_computed(modes, _rounding_noise(modes, *given, energy))
     return _split(modes, _components(modes.d, errors.d), errors)
-
-
-def relative_tolerance(rtol: Any) -> float:
-    """Check a relative tolerance: a number from 0 to 1."""
-    number = isinstance(rtol, int | float | np.integer | np.floating) and not isinstance(rtol, bool)
-    if not number or not 0 <= rtol < 1:
-        raise StructureError(f"rtol is {rtol!r}; a relative tolerance is a number from 0 to 1")
-    return float(rtol)
 
 
 def _chosen_tolerances(modes: ModalForm, rtol: float) -> ModalErrors:

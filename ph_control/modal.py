@@ -397,7 +397,7 @@ class ModalForm:
         Raises
         ------
         StructureError
-            If `rtol` is negative, or no number.
+            If `rtol` is no number from 0 to 1.
 
         Examples
         --------
@@ -405,11 +405,9 @@ class ModalForm:
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
         ModalForm(d=[1.], r=[0.75])
         """
-        if rtol is not None and not 0 <= rtol < 1:
-            raise StructureError(f"rtol is {rtol!r}; a relative tolerance is from 0 to 1")
-        close = 8 * max(1, self.n) * _checks.EPS if rtol is None else rtol
+        close = 8 * max(1, self.n) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
         weight = np.linalg.norm(np.sqrt(self.d)[:, None] * self.nu, axis=1) ** 2
-        live = weight > (0.0 if rtol is None else rtol * weight.max(initial=0.0))
+        live = weight > (0.0 if rtol is None else close * weight.max(initial=0.0))
         d, nu, r = self.d[live], self.nu[live], self.r[live]
         first = np.flatnonzero(np.diff(d, prepend=-np.inf) > close * d)
         if self.nports == 1:

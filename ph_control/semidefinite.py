@@ -42,7 +42,7 @@ def williamson_semidefinite(Q: ArrayLike, *, rtol: float | None = None) -> tuple
     Raises
     ------
     StructureError
-        If `Q` is not square, even, symmetric and positive semidefinite.
+        If `Q` is not square, even, symmetric and positive semidefinite, or `rtol` is no number from 0 to 1.
 
     Notes
     -----

@@ -77,7 +77,7 @@ def is_symplectic(S: ArrayLike, *, rtol: float | None = None) -> bool:
     Raises
     ------
     StructureError
-        If `S` is not a real, finite matrix.
+        If `S` is not a real, finite matrix, or `rtol` no number from 0 to 1.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def is_symplectic(S: ArrayLike, *, rtol: float | None = None) -> bool:
     rows, columns = array.shape
     if rows != columns or rows % 2:
         return False
-    allowed = 100 * rows * _checks.EPS if rtol is None else rtol
+    allowed = 100 * rows * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     residual = array.T @ apply_form(array) - symplectic_form(rows // 2)
     scale = max(1.0, float(np.linalg.norm(array, 2)) ** 2) if rows else 1.0
     return bool(np.max(np.abs(residual), initial=0.0) <= allowed * scale)
@@ -113,7 +113,7 @@ def is_hamiltonian_matrix(A: ArrayLike, *, rtol: float | None = None) -> bool:
     Raises
     ------
     StructureError
-        If `A` is not a real, finite matrix.
+        If `A` is not a real, finite matrix, or `rtol` no number from 0 to 1.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def is_hamiltonian_matrix(A: ArrayLike, *, rtol: float | None = None) -> bool:
     rows, columns = array.shape
     if rows != columns or rows % 2:
         return False
-    allowed = 100 * rows * _checks.EPS if rtol is None else rtol
+    allowed = 100 * rows * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     product = apply_form(array)
     asymmetry = np.max(np.abs(product - product.T), initial=0.0)
     return bool(asymmetry <= allowed * np.max(np.abs(array), initial=0.0))
@@ -156,7 +156,8 @@ def williamson(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array
     ------
     StructureError
         If `Q` is not square, even, symmetric and positive semidefinite, or its kernel is not symplectic: there are
-        free momenta (rigid-body modes), for which `williamson_semidefinite` has a place.
+        free momenta (rigid-body modes), for which `williamson_semidefinite` has a place; or if `rtol` is no
+        number from 0 to 1.
 
     Notes
     -----

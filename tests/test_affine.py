@@ -172,3 +172,10 @@ def test_what_takes_an_odd_transfer_function_does_not_take_an_affine_system_for_
         with pytest.raises(phc.StructureError, match=r"is even, .* odd; pass sys.derivative\(\)"):
             call(sys)
     assert phc.modes(sys.derivative()).d == 2
+
+
+@pytest.mark.parametrize("rtol", ["a", [1e-6], np.nan, np.inf, 1.0, -1])
+@pytest.mark.parametrize("test", [phc.is_odd, phc.is_even])
+def test_a_tolerance_of_no_meaning_is_refused(test, rtol):
+    with pytest.raises(phc.StructureError, match=r"rtol is .*; a relative tolerance is a number from 0 to 1"):
+        test(ct.tf([1, 0], [1, 0, 1]), rtol=rtol)

@@ -385,3 +385,16 @@ def test_no_modes_are_the_zero_system():
 def test_modes_say_what_is_wrong_with_their_input(d, r, message):
     with pytest.raises(phc.StructureError, match=message):
         phc.modes(d, r)
+
+
+@pytest.mark.parametrize(
+    "rtol", ["a", [1e-6], np.array([1e-6, 1e-6]), np.nan, np.inf, 1, 1.0, -1, -1e-9, True, 1j], ids=str
+)
+def test_a_relative_tolerance_is_a_number_from_0_to_1(rtol):
+    with pytest.raises(phc.StructureError, match=r"rtol is .*; a relative tolerance is a number from 0 to 1"):
+        phc.modes([1.0, 2.0], [1.0, 1.0]).minimal(rtol=rtol)
+
+
+@pytest.mark.parametrize("rtol", [0, 0.0, 0.999, np.float32(1e-6), np.int64(0)])
+def test_a_number_from_0_to_1_of_any_type_is_a_relative_tolerance(rtol):
+    assert phc.modes([1.0], [1.0]).minimal(rtol=rtol).n == 1

@@ -308,3 +308,9 @@ def test_what_has_no_coefficients_is_refused(d, v, message):
 def test_nothing_has_no_coefficients():
     a, c = semidefinite_coefficients([], [])
     assert a.shape == c.shape == (0,)
+
+
+@pytest.mark.parametrize("rtol", ["a", [1e-6], np.nan, np.inf, 1.0, -1.0])
+def test_a_tolerance_of_no_meaning_is_refused(rtol):
+    with pytest.raises(phc.StructureError, match=r"rtol is .*; a relative tolerance is a number from 0 to 1"):
+        phc.williamson_semidefinite(np.array([[1.0, 0.5], [0.0, 1.0]]), rtol=rtol)

@@ -387,3 +387,10 @@ def test_a_skew_matrix_is_a_sum_of_rotations_in_orthogonal_planes(size):
         assert np.max(np.abs(basis.T @ basis - np.eye(size)), initial=0.0) <= 20 * size * EPS
         assert np.all(np.diff(sigma) >= 0)
         assert np.all(sigma >= 0)
+
+
+@pytest.mark.parametrize("test", [phc.williamson, phc.is_symplectic, phc.is_hamiltonian_matrix])
+@pytest.mark.parametrize("rtol", ["a", [1e-6], np.nan, np.inf, 1.0, -1.0])
+def test_a_tolerance_of_no_meaning_is_refused_and_symmetrises_nothing(test, rtol):
+    with pytest.raises(phc.StructureError, match=r"rtol is .*; a relative tolerance is a number from 0 to 1"):
+        test(np.array([[1.0, 0.5], [0.0, 1.0]]), rtol=rtol)
