@@ -8,7 +8,7 @@ of poles with residues and a bound of the error of each; the decision is then th
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -36,9 +36,22 @@ ComplexArray = NDArray[np.complex128]
 _UNSEEN = 1e-4  # of the whole: a residue lost in its error bound must also be small to count as zero
 
 
-@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
 def lossless_modes(sys: Any, method: str | None = None, intersample: str = "zoh") -> ModalForm:
-    """Minimal modal form of any lossless linear time-invariant system, or `NotLosslessError`.
+    """Minimal modal form of any lossless linear time-invariant system, or `NotLosslessError`."""
+    return lossless_modes_with_errors(sys, method, intersample).modes
+
+
+class Judged(NamedTuple):
+    """Modes of a system, and how far rounding of its data may have moved frequencies and residues, (n,) each."""
+
+    modes: ModalForm
+    d_error: Array
+    kappa_error: Array
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused where it matters
+def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample: str = "zoh") -> Judged:
+    """Minimal modal form and the bounds of its errors that the decision used.
 
     Takes a continuous-time `control.StateSpace` or `control.TransferFunction` (so also what `control.zpk`
     gives) and the systems of `scipy.signal`.  A state-space system never passes through polynomials.
@@ -72,7 +85,7 @@ def _poles_and_residues(sys: Any) -> PoleResidueForm:
     return assemble(entries) if len(entries) > 1 else entries[0][0]
 
 
-def _from_transfer_function(num: Array, den: Array) -> ModalForm:
+def _from_transfer_function(num: Array, den: Array) -> Judged:
     """Modes of an odd transfer function with twice the digits, if its roots are simple; of any other in doubles."""
     form = from_polynomials(num, den)
     parts = _even_and_odd(num, den)
@@ -133,7 +146,7 @@ def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
     return from_state_space(*(np.atleast_2d(M) for M in (sys.A, sys.B, sys.C, sys.D)))
 
 
-def decide(form: PoleResidueForm) -> ModalForm:
+def decide(form: PoleResidueForm) -> Judged:
     """Hold poles and residues against (M): the modal form, or `NotLosslessError` naming each offence."""
     _checks.representable(
         "the poles and residues of the system",
@@ -141,16 +154,18 @@ def decide(form: PoleResidueForm) -> ModalForm:
     )
     _checks.in_range("the list of residues", np.abs(form.residues))
     violations = _feedthrough(form)
-    found: list[tuple[float, Array, ComplexArray]] = []
+    found: list[_Found] = []
     hidden: list[tuple[float, float, str]] = []
-    for group in clusters(form.poles, SAFETY * form.pole_error):
+    # wider than the distance within which residues are held to mix, so that such poles are never judged alone
+    for group in clusters(form.poles, 2 * SAFETY * form.pole_error):
         R = form.residues[group].sum(axis=0)
         size = float(np.abs(R).max())
         error = SAFETY * float(form.residue_error[group].sum()) + SAFETY * _checks.EPS * size
         weight = np.abs(form.residues[group]).sum(axis=(1, 2))
         pole = complex(np.average(form.poles[group], weights=weight if weight.any() else None))
         pole_error = SAFETY * float(form.pole_error[group].max())
-        label = f"pole {_complex(pole)}"
+        shown = (part if abs(part) > pole_error else 0.0 for part in (pole.real, pole.imag))
+        label = f"pole {_complex(complex(*shown))}"
         worst = group[np.argmax(form.growth[group] - SAFETY * form.growth_error[group])]
         growth, allowed = form.growth[worst], SAFETY * form.growth_error[worst]
         if pole.imag < -pole_error:
@@ -170,10 +185,12 @@ def decide(form: PoleResidueForm) -> ModalForm:
         else:
             sigma, W, offences = _positive_part(R, error)
             violations += [f"{label}: {offence}" for offence in offences]
-            found.append((0.0 if abs(pole.imag) <= pole_error else pole.imag, sigma, W))
+            frequency = 0.0 if abs(pole.imag) <= pole_error else pole.imag
+            spread = float(np.abs(form.poles[group] - pole).max())
+            found.append(_Found(frequency, sigma, W, pole_error + spread, 2 * error))
     if violations:
         raise NotLosslessError(violations)
-    _all_unseen(hidden, max((sigma.max(initial=0.0) for _, sigma, _ in found), default=form.gain))
+    _all_unseen(hidden, max((mode.sigma.max(initial=0.0) for mode in found), default=form.gain))
     return _modal_form(found, form.residues.shape[1])
 
 
@@ -200,18 +217,31 @@ def _all_unseen(hidden: list[tuple[float, float, str]], whole: float) -> None:
         )
 
 
-def _modal_form(found: list[tuple[float, Array, ComplexArray]], ports: int) -> ModalForm:
+class _Found(NamedTuple):
+    """A pole on the axis: frequency, eigenvalues and vectors of its residue, errors of frequency and of kappa."""
+
+    frequency: float
+    sigma: Array
+    W: ComplexArray
+    d_error: float
+    kappa_error: float
+
+
+def _modal_form(found: list[_Found], ports: int) -> Judged:
     """Modes from frequencies, with the eigenvalues and eigenvectors of their residues."""
     d, nu, rigid = [np.zeros(0)], [np.zeros((0, ports), complex)], [np.zeros((0, ports))]
-    for frequency, sigma, W in sorted(found, key=lambda mode: mode[0]):
-        if frequency == 0.0:
-            rigid.append((np.sqrt(sigma)[:, None] * W.T).real)
+    errors = [np.zeros((2, 0))]
+    for mode in sorted(found, key=lambda mode: mode.frequency):
+        if mode.frequency == 0.0:
+            rigid.append((np.sqrt(mode.sigma)[:, None] * mode.W.T).real)
         else:
-            d.append(np.full(len(sigma), frequency))
-            nu.append(np.sqrt(2 * sigma / frequency)[:, None] * W.T)
+            d.append(np.full(len(mode.sigma), mode.frequency))
+            nu.append(np.sqrt(2 * mode.sigma / mode.frequency)[:, None] * mode.W.T)
+            errors.append(np.repeat([[mode.d_error], [mode.kappa_error]], len(mode.sigma), axis=1))
     modes = ModalForm(np.concatenate(d), np.concatenate(nu), np.concatenate(rigid))
     _checks.representable("the modal weights of the system", modes.r, modes.kappa)
-    return modes
+    d_error, kappa_error = np.concatenate(errors, axis=1)
+    return Judged(modes, d_error, kappa_error)
 
 
 def _positive_part(R: ComplexArray, error: float) -> tuple[Array, ComplexArray, list[str]]:

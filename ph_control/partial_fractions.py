@@ -61,11 +61,30 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
     A, B, C, D = (_checks.real_array(name, M, 2) for name, M in zip("ABCD", (A, B, C, D), strict=True))
     for name, M in zip("ABC", (A, B, C), strict=True):
         _checks.in_range(name, M)
-    if len(A) == 0 or not B.any() or not C.any():
-        return _static(D)
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    B, C = B / scale[:, None], C * scale
-    _checks.representable("the balanced state-space matrices", A, B, C)
+    A, B, C = _connected(A, B, C)
+    count, label = connected_components(A != 0, directed=False)
+    parts = [np.flatnonzero(label == k) for k in range(count)]
+    # parts that do not act on one another have units and rounding errors of their own
+    forms = [_from_coupled_states(A[np.ix_(part, part)], B[part], C[:, part], D) for part in parts]
+    return _side_by_side(forms) if forms else _static(D)
+
+
+def _side_by_side(forms: list[PoleResidueForm]) -> PoleResidueForm:
+    """Sum of transfer functions with the same feedthrough, which counts once."""
+    return PoleResidueForm(
+        np.concatenate([form.poles for form in forms]),
+        np.concatenate([form.residues for form in forms]),
+        np.concatenate([form.pole_error for form in forms]),
+        np.concatenate([form.residue_error for form in forms]),
+        np.concatenate([form.growth for form in forms]),
+        np.concatenate([form.growth_error for form in forms]),
+        max(form.gain for form in forms),
+        forms[0].feedthrough,
+    )
+
+
+def _from_coupled_states(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
+    A, B, C = _balanced(A, B, C)
     backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
     blocks = _spectral_blocks(A, B, C, backward)
     residue_error = _residue_errors(blocks, backward, B, C)
@@ -84,6 +103,40 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
         float(np.linalg.norm(B) * np.linalg.norm(C)),
         D,
     )
+
+
+def _connected(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Leave out the states that no path of non-zero entries joins to an input and to an output."""
+    forward = _reached(A != 0, (B != 0).any(axis=1))
+    live = np.flatnonzero(forward & _reached((A != 0).T, (C != 0).any(axis=0)))
+    return A[np.ix_(live, live)], B[live], C[:, live]
+
+
+def _reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which nodes a walk along `links` (to row, from column) reaches from those at the start."""
+    reached = start
+    while True:
+        grown = reached | links[:, reached].any(axis=1)
+        if (grown == reached).all():
+            return grown
+        reached = grown
+
+
+def _balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Units of the states, powers of two, in which rows and columns are alike in size: those of B and C as well."""
+    # units do not touch the diagonal, which would hide small couplings from the balancing
+    own, _ = matrix_balance(A - np.diag(np.diag(A)), permute=False, separate=True)
+    rate = float(np.linalg.norm(own)) or 1.0
+    # the unit of input and output does not matter, nor that of time
+    whole = np.zeros((len(A) + max(len(C), B.shape[1]),) * 2)
+    whole[: len(A), : len(A)] = A - np.diag(np.diag(A))
+    whole[: len(A), len(A) : len(A) + B.shape[1]] = rate * B / np.abs(B).max()
+    whole[len(A) : len(A) + len(C), : len(A)] = rate * C / np.abs(C).max()
+    _, (scale, _) = matrix_balance(whole, permute=False, separate=True)
+    scale = scale[: len(A)]
+    A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
+    _checks.representable("the balanced state-space matrices", A, B, C)
+    return A, B, C
 
 
 def _static(D: Array) -> PoleResidueForm:
@@ -121,9 +174,9 @@ def _spectral_blocks(A: Array, B: Array, C: Array, backward: float) -> list[_Blo
     overlap = np.sum(left.conj() * right, axis=0)
     separation = np.maximum(np.abs(overlap), _checks.EPS)
     # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
-    radius = np.minimum(backward / separation, _checks.EPS**0.25 * np.linalg.norm(A))
+    radius = np.minimum(SAFETY * backward / separation, 4 * _checks.EPS**0.25 * np.linalg.norm(A))
     blocks = []
-    for group in clusters(values, 4 * radius):
+    for group in clusters(values, radius):
         if len(group) == 1 and separation[group[0]] > len(A) * _PARALLEL:
             l = group[0]
             inputs = left[None, :, l].conj() @ to_modes / overlap[l]
@@ -148,10 +201,10 @@ def _well_separated_block(
     values = np.diag(T)[group]
     for k in range(1, len(group)):
         gap = np.abs(values[:k, None] - values[k:]).min()
-        # nothing parts eigenvalues that coincide
-        if gap > SAFETY * backward:
+        # nothing parts eigenvalues that coincide; what is parted here counts as apart in the errors of the residues
+        if gap > 2 * SAFETY * backward:
             part = _joint_block(T, B, C, group[:k])
-            if part.separation >= 0.1 * whole.separation and gap > SAFETY * backward / part.separation:
+            if part.separation >= 0.1 * whole.separation and gap > 2 * SAFETY * backward / part.separation:
                 return part
     return whole
 

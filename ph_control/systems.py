@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+_WEIGHTS = "the modal weights of this Q and B"
+
+
 class PortHamiltonian(LosslessSystem):
     """Linear port-Hamiltonian system `z' = J Q z + B u`, `y = B^T Q z`.
 
@@ -145,7 +148,9 @@ class PortHamiltonian(LosslessSystem):
             d, E, E0 = self._energy
             with np.errstate(over="ignore", invalid="ignore"):
                 modes = ModalForm(d.copy(), (E @ self.B) / np.sqrt(d)[:, None], E0 @ self.B)
-                _checks.representable("the modal weights of this Q and B", modes.r, modes.kappa)
+                reached, pushed = _stands_out(E, self.B), _stands_out(E0, self.B)
+                _checks.representable(_WEIGHTS, modes.r, modes.kappa, nonzero=reached.reshape(modes.r.shape))
+                _checks.representable(_WEIGHTS, modes.rigid**2, nonzero=pushed)
             self._modes = modes
         return self._modes
 
@@ -247,11 +252,18 @@ class PortHamiltonian(LosslessSystem):
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
 
     def _scaled(self, factor: float) -> PortHamiltonian:
-        if self._given is not None:
-            return PortHamiltonian._from_matrices(self.Q, np.sqrt(factor) * self.B)
-        m = self.modes
         root = np.sqrt(factor)
-        return PortHamiltonian._from_modes(ModalForm(m.d, root * m.nu, root * m.rigid, factor * m.r))
+        with np.errstate(over="ignore"):
+            if self._given is not None:
+                B = root * self.B
+                _checks.in_range(f"B times the square root of {factor:.3g}", B, _checks.SMALLEST_SQUARED)
+                return PortHamiltonian._from_matrices(self.Q, B)
+            m = self.modes
+            scaled = ModalForm(m.d, root * m.nu, root * m.rigid, factor * m.r)
+            what = f"the modal weights times {factor:.3g}"
+            _checks.representable(what, scaled.r, scaled.kappa, nonzero=m.r > 0)
+            _checks.representable(what, scaled.rigid**2, nonzero=m.rigid != 0)
+        return PortHamiltonian._from_modes(scaled)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restore, (self._given, self._modes if self._given is None else None, self._names())
@@ -270,6 +282,11 @@ def _restore(given: tuple[Array, Array] | None, modes: ModalForm | None, names: 
         return PortHamiltonian._from_matrices(given[0].copy(), given[1].copy(), **names)
     assert modes is not None
     return PortHamiltonian._from_modes(modes, **names)
+
+
+def _stands_out(rows: NDArray[Any], B: Array) -> NDArray[np.bool_]:
+    """Which entries of `rows @ B` are more than its rounding."""
+    return np.abs(rows @ B) > len(B) * _checks.EPS * (np.abs(rows) @ np.abs(B))
 
 
 def _is_number(value: Any) -> bool:
@@ -413,9 +430,11 @@ def _normal_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
         return None
     Q = -apply_form(A)
     close = 8 * len(A) * _checks.EPS
-    if not np.max(np.abs(Q - Q.T)) <= close * np.max(np.abs(Q)):
+    # each entry against what it may be of in size: a large one must not hide what is wrong elsewhere
+    root = np.sqrt(np.abs(np.diag(Q)))
+    if not np.all(np.abs(Q - Q.T) <= close * np.outer(root, root)):
         return None
-    if not np.max(np.abs(B.T @ Q - C)) <= close * np.max(np.abs(B), initial=0.0) * np.max(np.abs(Q)):
+    if not np.all(np.abs(B.T @ Q - C) <= close * (np.abs(B).T @ np.abs(Q))):
         return None
     try:
         return _checks.hamiltonian_matrix(Q), _checks.port_matrix(B, len(Q))

@@ -665,3 +665,83 @@ def test_the_compact_disc_player_is_refused_for_its_damping_and_without_it_for_i
     found = violations(ct.ss(undamped, B, C, np.zeros((2, 2))))
     assert any("not Hermitian" in text or "negative" in text for text in found)
     assert not any("off the imaginary axis" in text for text in found)
+
+
+# --- units of the states -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("decades", [3, 6, 9])
+@pytest.mark.parametrize("rigid", [False, True])
+def test_the_units_of_the_states_do_not_matter(decades, rigid):
+    rng = np.random.default_rng(decades)
+    for _ in range(20):
+        d = rng.uniform(0.5, 3.0, 3)
+        Q = np.diag([0.0, d[1], d[2], 1.0, d[1], d[2]]) if rigid else ref.random_hamiltonian(d, rng, 0.5)[0]
+        A, B, C = ref.dense_matrices(Q, rng.standard_normal(6))
+        truth = ref.dense_transfer_function(A, B, C, 0.3 + 0.5j)[0, 0]
+        unit = 10 ** rng.uniform(-decades, decades, 6)
+        sys = phc.ph(ct.ss(A * unit[:, None] / unit, B * unit[:, None], C / unit, 0))
+        assert sys.n == 3 and abs(sys(0.3 + 0.5j) - truth) < 1e-9 * abs(truth)
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "C"),
+    [
+        ([[0, 1.0], [-4e18, 0]], [0, 1.0], [0, -0.5]),
+        ([[0, 1.0], [-4e18, -3.0]], [0, 1.0], [0, 1.0]),
+        ([[0, 1e-9], [-4e9, 0]], [0, 1e7], [1e-3, 0]),
+        (np.diag([1e15, 1.0], 2) - np.diag([1e15, 1.0], -2), [1.0, 1, 0, 0], [1e15, -1.0, 0, 0]),
+        ([[0, 1.0, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1e5], [0, 0, 0, 0]], [1.0, 0, 0, 1], [1.0, 0, 0, -0.5]),
+        ([[-0.01, 1.0, 0, 0], [-1, -0.01, 0, 0], [0, 0, 0, 1e5], [0, 0, 0, 0]], [1.0, 0, 0, 1], [1.0, 0, 0, 1.0]),
+    ],
+    ids=["negative", "damped", "even", "a slow negative one", "negative at 0", "damped beside a rigid body"],
+)
+def test_a_large_entry_hides_no_offence_in_the_others(A, B, C):
+    with pytest.raises(phc.NotLosslessError):
+        phc.ph(ct.ss(A, np.reshape(B, (-1, 1)), np.reshape(C, (1, -1)), 0))
+
+
+def test_a_gain_that_is_not_that_of_the_normal_form_is_kept():
+    sys = ct.ss([[0, 1.0], [-4e18, 0]], [[0], [1.0]], [[0, 0.5]], 0)
+    assert abs(phc.ph(sys)(1e9j) / (0.5 * 1e9j / (4e18 - 1e18)) - 1) < 1e-14
+
+
+@pytest.mark.parametrize("mass", [1e-4, 1e-5, 1e-7])
+def test_a_light_free_mass_beside_an_oscillator_is_kept_apart(mass):
+    A = [[0, 1.0, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1 / mass], [0, 0, 0, 0]]
+    sys = phc.ph(ct.ss(A, [[1.0], [0], [0], [1.0]], [[1.0, 0, 0, 1.0]], 0))
+    assert sys.n == 2 and abs(sys.d[0] - 1) < 1e-14 and abs(sys.modes.kappa_0 - 1) < 1e-14
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-5, 1.0, 1e5, 1e9])
+@pytest.mark.parametrize("method", ["exact", "midpoint", "euler"])
+def test_a_sampled_canonical_form_comes_back_at_every_scale_of_time(scale, method):
+    sys = phc.ch(np.array([0.0, 2, 1, 2]) * scale, [0, 0, 1.0, 1.0])
+    back = phc.ph(phc.sample(sys, 0.1 / scale, method), method=method)
+    s = 1j * scale
+    assert back.n == 2 and abs(back(s) / sys(s) - 1) < 1e-8
+
+
+@pytest.mark.parametrize("gap", [1e-13, 1e-12, 3e-12, 1e-11, 1e-10])
+def test_frequencies_that_nearly_coincide_are_not_called_active(gap):
+    answered = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        Q, _ = ref.random_hamiltonian([0.78, 0.78 * (1 + gap), 4.0], rng, 1.0)
+        sys = phc.ph(Q, rng.standard_normal(6))
+        T = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+        s = 0.3 + 0.5j
+        plain = ct.ss(T @ sys.A @ T.T, T @ sys.B, sys.C @ T.T, 0)
+        sampled = {"method": "exact"}, phc.sample(sys, 0.1)
+        for options, other in (({}, plain), sampled):
+            try:
+                found = phc.ph(other, **options)
+            except phc.NotLosslessError:
+                raise
+            except phc.StructureError as refusal:
+                # just beyond what rounding leaves together neither answer is safe
+                assert "too ill-conditioned to tell" in str(refusal)
+                continue
+            answered += 1
+            assert abs(found(s) / sys(s) - 1) < 1e-9
+    assert answered >= 16
