@@ -1,0 +1,298 @@
+"""Pictures of validation: models beside a record, correlations of residuals, and the choice of the order.
+
+Each function returns a `control.ControlPlot`, and draws on given axes or a new figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from . import _checks
+from .exceptions import StructureError
+from .plots import _DRAWN, _chosen_part, _legend_above, _plain, _strongest_part, extremes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_STYLES = ("-", "--", "-.", ":")
+_COLOURS = ("C0", "C3", "C2", "C4", "C5", "C6", "C8", "C9")  # not that of the measurement
+_MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
+_SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
+_BAND: dict[str, Any] = {"color": "C0", "alpha": 0.18, "linewidth": 0.0}
+_INSIDE, _OUTSIDE = "0.25", "C3"
+_CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
+_FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
+
+
+def percent(fit: float) -> str:
+    """Text of a fit; never rounded up to a perfect one, nor wider than it can be read."""
+    if 99.995 <= fit < 100.0:
+        return "above 99.99 %"
+    return f"{fit:.2f} %" if fit > -1e4 else f"{fit:.3g} %"
+
+
+# --- models beside a record ------------------------------------------------------------------------------------------
+
+
+def comparison_plot(
+    time: Array,
+    measured: Array,
+    predicted: Array,
+    *,
+    labels: Sequence[str],
+    fit_percent: Array,
+    time_unit: str = "s",
+    output_label: str = "Output",
+    output_unit: str | None = None,
+    detail: Any = "auto",
+    title: str | None = None,
+    ax: Any = None,
+) -> ct.ControlPlot:
+    """Outputs of all models over the measured one, their errors below, and a few periods enlarged.
+
+    `predicted` has shape (k, T); the other arguments are those of `fit_plot`.
+    """
+    part = _enlarged(time, measured, predicted, detail, ax)
+    suffix = f" [{output_unit}]" if output_unit else ""
+    names = [_plain(f"{label} ({percent(fit)})") for label, fit in zip(labels, fit_percent, strict=True)]
+    everything = slice(None)
+    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
+        figure, axes = _stacked(ax, [3.0, 2.0] + [3.0] * (part is not None))
+        lines = np.empty(axes.shape, dtype=object)
+        lines[0, 0] = _draw_outputs(axes[0, 0], time, measured, predicted, names, everything, _MEASURED)
+        lines[1, 0] = _draw_errors(axes[1, 0], time, measured - predicted, names)
+        if part is not None:
+            axes[0, 0].axvspan(time[part][0], time[part][-1], color="0.85", zorder=0)
+            lines[2, 0] = _draw_outputs(axes[2, 0], time, measured, predicted, names, part, _SAMPLES)
+            axes[2, 0].set_title("Detail (shaded above)", loc="left")
+        wording = (output_label + suffix, "Error" + suffix, output_label + suffix)
+        for axis, label in zip(axes[:, 0], wording, strict=False):
+            axis.set_ylabel(_plain(label))
+            axis.set_xlabel(_plain(f"Time [{time_unit}]"))
+            axis.grid(True, linewidth=0.5, alpha=0.6)
+        if ax is None:
+            axes[0, 0].set_xlabel("")
+        legend = _legend_above(axes[0, 0])
+        _entitle(figure, title, ax, f"{output_label}, measured and simulated")
+    return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def _enlarged(time: Array, measured: Array, predicted: Array, detail: Any, ax: Any) -> slice | None:
+    """Part to enlarge; with axes of one's own, there must be one for it."""
+    if detail is None or (isinstance(detail, str) and ax is not None and np.size(ax) == 2):
+        return None
+    if isinstance(detail, str):
+        _checks.choice("detail", detail, ("auto",))
+        errors = np.nan_to_num(measured - predicted)
+        # where the models differ most from the measurement, all together
+        sizes = np.maximum(np.sqrt(np.mean(errors**2, axis=1, keepdims=True)), np.finfo(float).tiny)
+        return _strongest_part(measured, np.sqrt(np.sum((errors / sizes) ** 2, axis=0)))
+    return _chosen_part(time, detail)
+
+
+def _draw_outputs(
+    axis: Axes, time: Array, measured: Array, predicted: Array, names: list[str], part: slice, style: dict[str, Any]
+) -> list[Any]:
+    t = time[part]
+    axis.set_xlim(t[0], t[-1])
+    lines = axis.plot(*extremes(t, measured[part], _DRAWN), label="measured", zorder=2, **style)
+    for k, (name, output) in enumerate(zip(names, predicted, strict=True)):
+        lines += axis.plot(*extremes(t, output[part], _DRAWN), label=name, linewidth=1.1, zorder=3, **_look(k))
+    # a model that runs away must not hide the others
+    known = measured[np.isfinite(measured)]
+    reach = float(np.ptp(known)) or float(np.max(np.abs(known))) or 1.0
+    low, high = axis.get_ylim()
+    axis.set_ylim(max(low, float(known.min()) - reach), min(high, float(known.max()) + reach))
+    return lines
+
+
+def _draw_errors(axis: Axes, time: Array, errors: Array, names: list[str]) -> list[Any]:
+    axis.axhline(0.0, color="0.3", linewidth=0.6, zorder=1)
+    lines: list[Any] = []
+    sizes = [float(np.sqrt(np.nanmean(error**2))) for error in errors]
+    for k in np.argsort(sizes)[::-1]:
+        # the smaller error is drawn over the larger
+        lines += axis.plot(*extremes(time, errors[k], _DRAWN), label=names[k], linewidth=0.8, **_look(int(k)))
+    axis.set_xlim(time[0], time[-1])
+    return lines
+
+
+def _look(k: int) -> dict[str, Any]:
+    return {"color": _COLOURS[k % len(_COLOURS)], "linestyle": _STYLES[k % len(_STYLES)]}
+
+
+# --- correlations of residuals ---------------------------------------------------------------------------------------
+
+
+def residual_plot(
+    autocorrelation: Array,
+    autocorrelation_band: Array,
+    cross_correlation: Array,
+    cross_correlation_band: Array,
+    *,
+    confidence: float,
+    panel_titles: tuple[str, str],
+    title: str | None = None,
+    ax: Any = None,
+) -> ct.ControlPlot:
+    """Autocorrelation at lags 1 to L above the correlation with the input at lags -L to L, with their bands."""
+    L = len(autocorrelation)
+    panels = (
+        (np.arange(1, L + 1), autocorrelation, autocorrelation_band),
+        (np.arange(-L, L + 1), cross_correlation, cross_correlation_band),
+    )
+    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
+        figure, axes = _stacked(ax, [1.0, 1.0], share=False)
+        lines = np.empty(axes.shape, dtype=object)
+        for row, ((lags, values, band), panel_title) in enumerate(zip(panels, panel_titles, strict=True)):
+            axis = axes[row, 0]
+            lines[row, 0] = _draw_correlation(axis, lags, values, band, confidence)
+            axis.set_title(_plain(panel_title), loc="left")
+            axis.set_ylabel("Correlation")
+        axes[0, 0].set_xlabel("Lag [samples]")
+        axes[1, 0].set_xlabel("Lag of the residual behind the input [samples]")
+        axes[1, 0].axvline(-0.5, color="0.3", linestyle=":", linewidth=1.0, zorder=1)
+        for place, text, side in ((0.01, "feedback", "left"), (0.99, "response", "right")):
+            axes[1, 0].text(
+                place, 0.97, text, transform=axes[1, 0].transAxes, ha=side, va="top", color="0.35", fontsize="small"
+            )
+        legend = _legend_above(axes[0, 0])
+        _entitle(figure, title, ax, "Residuals")
+    return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def _draw_correlation(axis: Axes, lags: NDArray[Any], values: Array, band: Array, confidence: float) -> list[Any]:
+    """Stems; those that leave the band in another colour."""
+    shown = np.where(np.isfinite(band), band, 0.0)
+    # one step wide at each lag
+    edges = np.concatenate([lags - 0.5, [lags[-1] + 0.5]])
+    axis.fill_between(
+        edges, np.append(shown, shown[-1]), -np.append(shown, shown[-1]), step="post",
+        label=f"{100 * confidence:g} % band", **_BAND,
+    )  # fmt: skip
+    axis.axhline(0.0, color="0.3", linewidth=0.6, zorder=1)
+    out = np.abs(values) > band
+    lines: list[Any] = []
+    for mask, colour, name in ((~out, _INSIDE, "inside"), (out, _OUTSIDE, "outside")):
+        axis.vlines(lags[mask], 0.0, values[mask], color=colour, linewidth=1.2, zorder=2)
+        lines += axis.plot(
+            lags[mask], values[mask], linestyle="none", marker="o", markersize=3.5, color=colour, zorder=3,
+            label=name if mask.any() else "_",
+        )  # fmt: skip
+    reach = 1.25 * max(float(np.nanmax(np.abs(values), initial=0.0)), float(shown.max()), 1e-3)
+    axis.set_ylim(-reach, reach)
+    axis.set_xlim(edges[0], edges[-1])
+    axis.xaxis.set_major_locator(MaxNLocator(nbins=11, integer=True, steps=[1, 2, 5, 10]))
+    axis.grid(True, linewidth=0.5, alpha=0.6)
+    return lines
+
+
+# --- the order -------------------------------------------------------------------------------------------------------
+
+
+def order_plot(
+    orders: NDArray[np.intp],
+    frequencies: Sequence[Array],
+    stable: Sequence[Mask],
+    criteria: Mapping[str, Array],
+    *,
+    chosen: int,
+    criterion: str,
+    time_unit: str = "s",
+    title: str | None = None,
+    ax: Any = None,
+) -> ct.ControlPlot:
+    """Stabilisation diagram: natural frequencies of each order, and what each criterion has above its least value."""
+    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
+        figure, axes = _beside(ax)
+        lines = np.empty(axes.shape, dtype=object)
+        lines[0, 0] = _draw_stabilisation(axes[0, 0], orders, frequencies, stable)
+        lines[0, 1] = _draw_criteria(axes[0, 1], orders, criteria)
+        for frequency in frequencies[list(orders).index(chosen)]:
+            axes[0, 0].axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
+        axes[0, 0].set_xlabel(_plain(f"Natural frequency [rad/{time_unit}]"))
+        axes[0, 0].set_ylabel("Order (number of modes)")
+        axes[0, 1].set_xlabel("Criterion above its least value")
+        for axis, label in zip(axes[0], (f"{criterion} chooses {chosen}", "_"), strict=True):
+            axis.axhline(chosen, color="C3", linewidth=6.0, alpha=0.15, zorder=0, label=label)
+            axis.set_ylim(orders[0] - 0.5, orders[-1] + 0.5)
+            axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+            axis.grid(True, linewidth=0.5, alpha=0.6)
+        legend = np.array([[_legend_above(axes[0, 0]), _legend_above(axes[0, 1])]], dtype=object)
+        _entitle(figure, title, ax, "Choice of the order")
+    return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def _draw_stabilisation(
+    axis: Axes, orders: NDArray[np.intp], frequencies: Sequence[Array], stable: Sequence[Mask]
+) -> list[Any]:
+    d = np.concatenate([np.zeros(0), *frequencies])
+    order = np.repeat(orders, [len(row) for row in frequencies])
+    kept = np.concatenate([np.zeros(0, bool), *stable])
+    lines = axis.plot(d[kept], order[kept], linestyle="none", marker="o", markersize=5.0, color="C0", label="stable")
+    lines += axis.plot(d[~kept], order[~kept], linestyle="none", marker="x", markersize=4.5, color="0.5", label="new")
+    axis.set_xlim(0.0, 1.05 * float(d.max(initial=0.0)) or 1.0)
+    return lines
+
+
+def _draw_criteria(axis: Axes, orders: NDArray[np.intp], criteria: Mapping[str, Array]) -> list[Any]:
+    lines: list[Any] = []
+    for name, above in criteria.items():
+        colour, marker, style = _CRITERIA[name]
+        lines += axis.plot(
+            np.where(np.isfinite(above), above, np.nan), orders, color=colour, marker=marker, markersize=4.0,
+            linestyle=style, linewidth=1.2, label=name,
+        )  # fmt: skip
+    # thousands at low orders and a few near the best: both must be seen
+    axis.set_xscale("symlog", linthresh=_FLAT)
+    axis.set_xlim(left=-0.08 * _FLAT)
+    return lines
+
+
+# --- axes and titles -------------------------------------------------------------------------------------------------
+
+
+def _stacked(ax: Any, heights: list[float], *, share: bool = True) -> tuple[Figure, NDArray[Any]]:
+    """One column of axes; the second shares its time with the first."""
+    if ax is not None:
+        return _given(ax, (len(heights), 1))
+    figure = plt.figure(figsize=(7.2, 1.2 + 0.75 * sum(heights) if share else 5.4), layout="constrained")
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    panels = [figure.add_subplot(grid[0])]
+    panels.append(figure.add_subplot(grid[1], sharex=panels[0] if share else None))
+    panels[0].tick_params(labelbottom=not share)
+    panels += [figure.add_subplot(grid[k]) for k in range(2, len(heights))]
+    figure.align_ylabels(panels)
+    return figure, np.array(panels, dtype=object)[:, None]
+
+
+def _beside(ax: Any) -> tuple[Figure, NDArray[Any]]:
+    if ax is not None:
+        return _given(ax, (1, 2))
+    figure, axes = plt.subplots(
+        1, 2, sharey=True, squeeze=False, layout="constrained", figsize=(7.8, 4.4), width_ratios=[1.7, 1.0]
+    )
+    return figure, axes
+
+
+def _given(ax: Any, shape: tuple[int, int]) -> tuple[Figure, NDArray[Any]]:
+    axes = np.array(ax, dtype=object)
+    if axes.size != np.prod(shape):
+        raise StructureError(f"ax has {axes.size} axes; needed {np.prod(shape)}, of shape {shape}")
+    axes = axes.reshape(shape)
+    return axes[0, 0].figure, axes
+
+
+def _entitle(figure: Figure, title: str | None, ax: Any, default: str) -> None:
+    """Title of the figure; on axes of one's own only if it was asked for."""
+    if title is not None or ax is None:
+        figure.suptitle(_plain(default if title is None else title))
