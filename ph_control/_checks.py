@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
+SMALLEST_SQUARED = 1e-153  # so that squares do
+_TINY = float(np.finfo(float).tiny)
 
 
 def readonly(array: NDArray[Any]) -> NDArray[Any]:
@@ -81,19 +83,23 @@ def finite(name: str, array: NDArray[Any]) -> None:
         )
 
 
-def in_range(name: str, array: Array) -> None:
+def in_range(name: str, array: Array, smallest: float = SMALLEST) -> None:
     """Refuse an array, other than zero, of a size whose square or reciprocal leaves the range of doubles."""
     size = float(np.max(np.abs(array), initial=0.0))
-    if size > LARGEST or 0 < size < SMALLEST:
+    if size > LARGEST or 0 < size < smallest:
         raise StructureError(
-            f"{name} is out of range: its largest entry is {size:.3g}, allowed {SMALLEST:.0e} to {LARGEST:.0e}; "
+            f"{name} is out of range: its largest entry is {size:.3g}, allowed {smallest:.0e} to {LARGEST:.0e}; "
             "choose other units of time or amplitude"
         )
 
 
-def representable(what: str, *arrays: NDArray[Any]) -> None:
-    """Refuse intermediate results that left the range of doubles, where the input itself was finite."""
-    if not all(np.isfinite(array).all() for array in arrays):
+def representable(what: str, *arrays: NDArray[Any], nonzero: NDArray[np.bool_] | bool = False) -> None:
+    """Refuse intermediate results that left the range of doubles, where the input itself was finite.
+
+    `nonzero` says where results are not 0: there an underflow would pass for a weight that is absent.
+    """
+    lost = any((nonzero & (np.abs(array) < _TINY)).any() for array in arrays)
+    if lost or not all(np.isfinite(array).all() for array in arrays):
         raise StructureError(
             f"{what} leave the range of doubles (1e-308 to 1e308); choose other units of time or amplitude"
         )
@@ -178,7 +184,7 @@ def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
         )
     if array.shape[1] == 0:
         raise StructureError(f"{name} has no columns; a port-Hamiltonian system needs at least one port")
-    in_range(name, array)
+    in_range(name, array, SMALLEST_SQUARED)
     return array
 
 
@@ -218,7 +224,7 @@ def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
             f"v has shape {vector.shape}; with {len(frequencies)} natural frequencies it must be "
             f"({2 * len(frequencies)},){hint}"
         )
-    in_range("v", vector)
+    in_range("v", vector, SMALLEST_SQUARED)
     return frequencies, vector
 
 

@@ -48,7 +48,8 @@ class _CanonicalForm(LosslessSystem):
         q, p = self._v[:n], self._v[n:]
         if len(self._d) == n:
             order = np.argsort(self._d, kind="stable")
-            return ModalForm(self._d[order], (q + 1j * p)[order, None], np.zeros((0, 1)), (q * q + p * p)[order])
+            nu, rigid, r = (q + 1j * p)[order, None], np.zeros((0, 1)), (q * q + p * p)[order]
+            return _in_range(ModalForm(self._d[order], nu, rigid, r))
         d1, d2 = self._d[:n], self._d[n:]
         free = (d1 == 0) | (d2 == 0)
         # a squeeze that makes both halves of the energy of a mode alike
@@ -56,7 +57,7 @@ class _CanonicalForm(LosslessSystem):
         order = np.argsort(d, kind="stable")
         nu = (q[~free] * squeeze + 1j * p[~free] / squeeze)[order, None]
         still = np.sqrt(d1[free]) * q[free] + np.sqrt(d2[free]) * p[free]
-        return ModalForm(d[order], nu, still[:, None])
+        return _in_range(ModalForm(d[order], nu, still[:, None]))
 
     @property
     def modes(self) -> ModalForm:
@@ -361,6 +362,15 @@ def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -
     moved = np.eye(1, len(still))[0] * np.linalg.norm(modes.rigid)
     doubled = np.concatenate([still, d, still + 1.0, d])
     return kind(doubled, np.concatenate([still, nu.real, moved, nu.imag]), **names)
+
+
+def _in_range(modes: ModalForm) -> ModalForm:
+    """Refuse a modal form of one port whose weights leave the range of doubles."""
+    what = "the modal weights of this d and v"
+    with np.errstate(over="ignore"):
+        _checks.representable(what, modes.r, modes.kappa, nonzero=modes.nu[:, 0] != 0)
+        _checks.representable(what, modes.rigid**2, nonzero=modes.rigid != 0)
+    return modes
 
 
 def _restore(kind: type[Any], d: Array, v: Array, names: dict[str, Any]) -> Any:

@@ -453,9 +453,10 @@ def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:
     frequencies = _checks.natural_frequencies(d)
     weights = _checks.residue_weights(r, len(frequencies))
     with np.errstate(over="ignore"):
-        largest = float(np.max(frequencies * weights, initial=0.0))
-    if np.isinf(largest):
+        residues = frequencies * weights
+    if np.isinf(residues).any():
         raise StructureError("a residue d r exceeds the range of doubles; scale the output or time")
+    _checks.representable("the residues d r", residues, nonzero=weights > 0)
     order = np.argsort(frequencies, kind="stable")
     frequencies, weights = frequencies[order], weights[order]
     return ModalForm(frequencies, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights)

@@ -322,3 +322,21 @@ def test_bad_parameters_say_what_is_wrong(name):
 def test_no_modes_are_a_system_without_states():
     sys = phc.ch([], [])
     assert sys.n == 0 and sys([1j]) == 0
+
+
+@pytest.mark.parametrize("make", [phc.ch, phc.oh])
+def test_weights_whose_squares_underflow_are_refused_and_not_taken_for_zero(make):
+    with pytest.raises(phc.StructureError, match=r"v is out of range: .* allowed 1e-153 to 1e"):
+        make([1.0], [1e-200, 0.0])
+    for d, v in (
+        ([1.0, 2.0], [1.0, 1e-200, 0.0, 0.0]),
+        ([1e-10], [1e-150, 0.0]),
+        ([0.0, 1.0, 1.0, 1.0], [0.0, 1.0, 1e-200, 0.0]),
+    ):
+        sys = make(d, v)
+        for look in (lambda sys=sys: sys.c, lambda sys=sys: sys.modes, lambda sys=sys: sys(1j)):
+            with pytest.raises(
+                phc.StructureError, match="the modal weights of this d and v leave the range of doubles"
+            ):
+                look()
+    assert make([1.0], [1e-153, 0.0]).c > 0 and make([1.0, 2.0], [1.0, 0.0, 0.0, 0.0]).modes.r[1] == 0

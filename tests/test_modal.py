@@ -398,3 +398,10 @@ def test_a_relative_tolerance_is_a_number_from_0_to_1(rtol):
 @pytest.mark.parametrize("rtol", [0, 0.0, 0.999, np.float32(1e-6), np.int64(0)])
 def test_a_number_from_0_to_1_of_any_type_is_a_relative_tolerance(rtol):
     assert phc.modes([1.0], [1.0]).minimal(rtol=rtol).n == 1
+
+
+@pytest.mark.parametrize(("d", "r"), [([1e-200], [1e-200]), ([1.0, 1e-10], [1.0, 1e-300])])
+def test_a_residue_that_underflows_is_refused_and_not_taken_for_zero(d, r):
+    with pytest.raises(phc.StructureError, match="the residues d r leave the range of doubles"):
+        phc.modes(d, r)
+    assert phc.modes(d, 0 * np.array(r)).kappa[0] == 0

@@ -641,3 +641,51 @@ def test_springs_and_masses_of_very_different_units_are_positive_definite():
     sys = phc.ph(np.diag([1e12, 1e-12]), [0.0, 1.0])
     assert sys.d[0] == pytest.approx(1.0, rel=8 * EPS)
     assert len(sys.modes.rigid) == 0
+
+
+# --- the range of doubles ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("B", [[1e-200, 0.0], [1e-154, 0.0], [1e154, 0.0]])
+def test_an_input_matrix_whose_squares_leave_the_range_is_refused_and_not_taken_for_zero(B):
+    with pytest.raises(phc.StructureError, match=r"B is out of range: .* allowed 1e-153 to 1e"):
+        phc.ph(np.eye(2), B)
+    assert phc.ph(np.eye(2), [1e-153, 0.0]).r > 0 and phc.ph(np.eye(2), [0.0, 0.0]).r == 0
+
+
+@pytest.mark.parametrize(
+    ("Q", "B"),
+    [
+        (np.diag([1.0, 4.0, 1.0, 1.0]), [1.0, 1e-200, 0.0, 0.0]),
+        (1e-10 * np.eye(2), [1e-150, 0.0]),
+        (np.diag([0.0, 1.0, 1.0, 1.0]), [0.0, 1.0, 1e-200, 0.0]),
+    ],
+    ids=["one of two modes", "residue", "rigid body"],
+)
+def test_a_mode_reached_with_a_weight_whose_square_underflows_is_not_one_that_no_port_reaches(Q, B):
+    with pytest.raises(phc.StructureError, match="the modal weights of this Q and B leave the range of doubles"):
+        _ = phc.ph(Q, B).modes
+
+
+def test_the_rounding_of_a_small_input_matrix_is_no_weight():
+    Q, _ = ref.random_hamiltonian(np.arange(1.0, 6.0), np.random.default_rng(0), 0.5)
+    _, S = phc.williamson(Q)
+    small = 1e-145 * np.linalg.inv(S)[:, 0]
+    weights = phc.ph(Q, small).r
+    assert abs(weights[0] - 1e-290) < 1e-12 * 1e-290 and np.all(weights[1:] < 1e-12 * weights[0])
+
+
+@pytest.mark.parametrize("factor", [1e308, 1e-308])
+@pytest.mark.parametrize(
+    "sys",
+    [
+        phc.ph(phc.modes([1.0], [1.0])),
+        phc.ph(np.eye(2), [0.0, 1.0]),
+        phc.ph(phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0]).modes),
+    ],
+    ids=["modes", "matrices", "rigid body"],
+)
+def test_a_factor_that_leads_out_of_the_range_is_refused(sys, factor):
+    with pytest.raises(phc.StructureError, match=r"(times .* leave the range of doubles|times .* is out of range)"):
+        for _ in range(3):
+            sys = factor * sys
