@@ -6,6 +6,7 @@ port-Hamiltonian systems; on canonical pairs its classes are the orbits of `act`
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -20,7 +21,7 @@ from .exceptions import StructureError
 from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
 from .isomorphism import Verdict, block_unitary, real_form
 from .modal import ModalForm
-from .pairs import resonances
+from .pairs import resonances, squared_weights
 from .partial_fractions import from_state_space
 from .symplectic import apply_form
 from .systems import PortHamiltonian, modes
@@ -45,7 +46,7 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     -------
     Verdict
         With the common minimal modal form as witness; residual and bound are those of the residue that speaks most
-        against it, relative to the largest.
+        against it, relative to what is at its frequency, or with `rtol` to the largest.
 
     Raises
     ------
@@ -99,13 +100,15 @@ def _spectrum(sys: Any) -> Spectrum:
         d_error = amplification(d) * _checks.EPS * d
         residue_error = amplification(d) * _checks.EPS * size
     nu_error = residue_error / np.sqrt(d * size)
-    return Spectrum(found.modes, found.d_error + d_error, found.nu_error + nu_error, found.groups, found.minimal)
+    return replace(found, d_error=found.d_error + d_error, nu_error=found.nu_error + nu_error)
 
 
 def _modes_of_pair(d: Array, v: Array) -> ModalForm:
     n = len(d)
     order = np.argsort(d, kind="stable")
-    r = v[:n] ** 2 + v[n:] ** 2
+    r = squared_weights(v)
+    with np.errstate(over="ignore"):
+        _checks.representable("the residues r d of the pair", r * d)
     return ModalForm(d[order], (v[:n] + 1j * v[n:])[order, None], np.zeros((0, 1)), r[order])
 
 
@@ -153,7 +156,7 @@ def filter_coefficients(d: ArrayLike, v: ArrayLike) -> Array:
     """
     frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
-    r = vector[:n] ** 2 + vector[n:] ** 2
+    r = squared_weights(vector)
     powers = np.vander(frequencies**2, 2 * n, increasing=True).T
     e = (powers @ (r * frequencies)) * np.where(np.arange(2 * n) % 2, -1.0, 1.0)
     _checks.representable(f"the filter coefficients of {n} modes", e)

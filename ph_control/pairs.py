@@ -17,6 +17,8 @@ from .symplectic import apply_form
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_SMALLEST_ROOT = 1.5e-154  # below, squares lose digits
+
 
 def act(sigma: ArrayLike, theta: ArrayLike, d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Act on a pair `(d, v)` by a permutation of the modes, then by a turn of the phase of each.
@@ -91,7 +93,8 @@ def to_unique(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     Raises
     ------
     StructureError
-        If `d` and `v` do not fit, or the pair is not canonical: two frequencies equal, or an `r` of 0.
+        If `d` and `v` do not fit, the pair is not canonical (two frequencies equal, or an `r` of 0), or an `r` leaves
+        the range of doubles.
 
     Notes
     -----
@@ -105,9 +108,8 @@ def to_unique(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     (array([1., 2.]), array([25.,  1.]))
     """
     frequencies, vector = _checks.parameter_pair(d, v)
-    n = len(frequencies)
     order = np.argsort(frequencies, kind="stable")
-    r = (vector[:n] ** 2 + vector[n:] ** 2)[order]
+    r = squared_weights(vector)[order]
     frequencies = frequencies[order]
     _canonical(frequencies, r, "merge them with modes(..).minimal()")
     return frequencies, r
@@ -179,9 +181,25 @@ def _canonical(d: Array, r: Array, remedy: str) -> None:
 # --- arguments ---
 
 
+def squared_weights(v: Array) -> Array:
+    """`r_l = v_l^2 + v_{n+l}^2`, refused where a square leaves the range of doubles."""
+    q, p = v.reshape(2, -1)
+    size = np.maximum(np.abs(q), np.abs(p))
+    lost = (size > 0) & (size < _SMALLEST_ROOT)
+    if lost.any():
+        raise StructureError(
+            f"the weights r = v^2 leave the range of doubles (1e-308 to 1e308): at mode {int(lost.argmax())}, v is "
+            f"{size[lost.argmax()]:.3g}; choose other units of time or amplitude"
+        )
+    return np.asarray(q**2 + p**2, float)
+
+
 def permutation(sigma: ArrayLike, n: int) -> Indices:
     """Check a permutation of `0 .. n-1`."""
-    order = np.asarray(sigma)
+    try:
+        order = np.asarray(sigma)
+    except ValueError as error:
+        raise StructureError(f"sigma is no permutation of the indices 0 .. {n - 1}: {error}") from None
     if order.shape != (n,) or (n and order.dtype.kind not in "iu") or not np.array_equal(np.sort(order), np.arange(n)):
         raise StructureError(
             f"sigma is {np.array2string(order, threshold=9)}; it must be a permutation of the indices 0 .. {n - 1}"

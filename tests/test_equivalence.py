@@ -120,6 +120,40 @@ def test_systems_without_residues_have_the_same_filter():
     assert not same_filter(([], []), ([3.0], [1.0, 0.0]))
 
 
+@pytest.mark.parametrize(
+    ("d", "v", "w"),
+    [(1.0, 1e77, 2e77), (1.0, 1e-85, 2e-85), (1e100, 1e100, 2e100), (1e-100, 1e-100, 2e-100), (1e150, 1e-140, 2e-140)],
+)
+def test_filters_whose_residues_have_no_square_are_told_apart_without_a_warning(d, v, w):
+    """Warnings are errors here; the residues are within the range of doubles, the squares of them are not."""
+    assert same_filter(([d], [v, 0.0]), ([d], [0.0, v]))
+    verdict = same_filter(([d], [v, 0.0]), ([d], [w, 0.0]))
+    assert not verdict and abs(verdict.residual - 0.6) < 1e-14
+
+
+@pytest.mark.parametrize("small", [1.0, 1e-30, 1e-200])
+def test_a_residue_of_exact_data_is_compared_with_its_own_rounding_not_with_the_largest(small):
+    large = 1e18
+    for first, second in (
+        (phc.modes([1.0, 2.0], [large, small]), phc.modes([1.0, 2.0], [large, 9 * small])),
+        (([1.0, 2.0], [large, small**0.5, 0, 0]), ([1.0, 2.0], [large, 3 * small**0.5, 0, 0])),
+    ):
+        verdict = same_filter(first, second)
+        assert not verdict and "frequency 2" in verdict.reason
+        assert same_filter(first, first)
+        assert same_filter(first, second, rtol=1e-9)
+    near = phc.modes([1.0, 2.0], [large, small * (1 + 2 * EPS)])
+    assert same_filter(phc.modes([1.0, 2.0], [large, small]), near)
+
+
+def test_residues_at_zero_of_exact_data_are_compared_with_their_own_rounding_too():
+    d, nu = np.array([1.0]), np.array([[1e9 + 0j]])
+    forms = [phc.ModalForm(d.copy(), nu.copy(), np.array([[x]])) for x in (1e-6, 2e-6)]
+    verdict = same_filter(*forms)
+    assert not verdict and verdict.reason.startswith("the residues at 0 differ: 1e-12 and 4e-12")
+    assert same_filter(*forms, rtol=1e-9)
+
+
 # --- filter coefficients -----------------------------------------------------------------------------------------
 
 
@@ -345,6 +379,10 @@ def test_noncanonical_pairs_have_no_coordinates():
         (r"not canonical: the frequencies 1 and 1", lambda: from_unique([1, 1], [1, 1])),
         (r"r = 0 at frequency 1", lambda: from_unique([1, 2], [0, 1])),
         (r"r is negative", lambda: from_unique([1, 2], [-1, 1])),
+        (r"the weights r = v\^2 leave the range.*at mode 1, v is 1e-170", lambda: to_unique([1, 2], [1, 1e-170, 0, 0])),
+        (r"the weights r = v\^2 leave the range", lambda: same_filter(([1, 2], [1, 1e-170, 0, 0]), ([], []))),
+        (r"the residues r d of the pair leave", lambda: same_filter(([1e100], [1e150, 0]), ([], []))),
+        (r"sigma is no permutation of the indices 0 .. 1", lambda: act([[1], [1, 2]], [0, 0], [1, 2], np.ones(4))),
         (r"sigma is \[0 0\]", lambda: act([0, 0], [0, 0], [1, 2], np.ones(4))),
         (r"sigma is \[0. 1.\]", lambda: act([0.0, 1.0], [0, 0], [1, 2], np.ones(4))),
         (r"theta has shape \(1,\)", lambda: act([0, 1], [0], [1, 2], np.ones(4))),
