@@ -15,16 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
-from .coefficients import amplification
 from .conditioning import relative_tolerance
 from .exceptions import StructureError
 from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
 from .isomorphism import Verdict, block_unitary, real_form
+from .lossless import Judged, lossless_modes_with_errors
+from .lossless_system import LosslessSystem
 from .modal import ModalForm
 from .pairs import resonances, squared_weights
-from .partial_fractions import from_state_space
 from .symplectic import apply_form
-from .systems import PortHamiltonian, modes
+from .systems import _normal_form as normal_form_of
+from .systems import full_port_hamiltonian
 
 Array = NDArray[np.float64]
 
@@ -88,19 +89,28 @@ def _spectrum(sys: Any) -> Spectrum:
         return modal_spectrum(_modes_of_pair(*_checks.parameter_pair(*sys)))
     if isinstance(sys, ModalForm):
         return modal_spectrum(sys)
-    if isinstance(sys, PortHamiltonian | ControllableHamiltonian | ObservableHamiltonian):
+    if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian):
         return lossless_spectrum(sys)
-    found = modal_spectrum(modes(sys))
-    d, size = found.modes.d, np.linalg.norm(np.atleast_2d(found.modes.kappa.T), axis=0)
-    if isinstance(sys, ct.StateSpace):
-        form = from_state_space(sys.A, sys.B, sys.C, sys.D)
-        nearest = np.abs(1j * d[:, None] - form.poles).argmin(axis=1) if len(d) else np.zeros(0, int)
-        d_error, residue_error = form.pole_error[nearest], 2 * form.residue_error[nearest]
-    else:
-        d_error = amplification(d) * _checks.EPS * d
-        residue_error = amplification(d) * _checks.EPS * size
-    nu_error = residue_error / np.sqrt(d * size)
-    return replace(found, d_error=found.d_error + d_error, nu_error=found.nu_error + nu_error)
+    normal = isinstance(sys, ct.StateSpace) and sys.isctime() and normal_form_of(sys) is not None
+    if normal or isinstance(sys, LosslessSystem):
+        return lossless_spectrum(full_port_hamiltonian(sys))
+    return _judged_spectrum(lossless_modes_with_errors(sys))
+
+
+def _judged_spectrum(judged: Judged) -> Spectrum:
+    """Modes of a plain system, with the bounds that held when its poles and residues were judged."""
+    found = modal_spectrum(judged.modes)
+    d, total = found.modes.d, np.sum(np.abs(found.modes.nu) ** 2, axis=1)
+    nu_error = 0.5 * judged.kappa_error / (d * np.sqrt(total))
+    rigid = np.sum(found.modes.rigid**2, axis=1)
+    whole = max((d * total).max(initial=0.0), rigid.max(initial=0.0))
+    rigid_error = 8 * max(1, found.modes.n) * _checks.EPS * whole / np.sqrt(rigid)
+    return replace(
+        found,
+        d_error=found.d_error + judged.d_error,
+        nu_error=found.nu_error + nu_error,
+        rigid_error=found.rigid_error + rigid_error,
+    )
 
 
 def _modes_of_pair(d: Array, v: Array) -> ModalForm:

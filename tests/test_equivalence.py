@@ -120,6 +120,31 @@ def test_systems_without_residues_have_the_same_filter():
     assert not same_filter(([], []), ([3.0], [1.0, 0.0]))
 
 
+@pytest.mark.parametrize("gap", [1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-8, 1e-3])
+def test_close_poles_of_a_plain_system_are_compared_within_the_errors_they_were_judged_with(gap):
+    sys = phc.ph(phc.modes([1.0, 1.0 + gap], [1.0, 2.0]))
+    heavier = phc.ph(phc.modes([1.0, 1.0 + gap], [1.0, 2.5]))
+    for seed in range(3):
+        T, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((4, 4)))
+        moved = plain(T @ sys.A @ T.T, T @ sys.B, sys.C @ T.T)
+        assert same_filter(sys, moved) and same_filter(moved, sys)
+        # 0.25 is the error of the single residues at the worst of these gaps
+        assert same_filter(heavier, moved).holds == (gap == 1e-12)
+
+
+def test_the_transfer_function_of_close_poles_is_the_same_filter():
+    sys, heavier = (phc.ph(phc.modes([1.0, 1.001], [1.0, r])) for r in (2.0, 2.0 + 1e-5))
+    assert same_filter(sys, phc.tf(sys)) and not same_filter(heavier, phc.tf(sys))
+
+
+def test_a_rigid_body_mode_of_a_plain_system_is_compared_too():
+    Q = np.diag([0.0, 4.0, 1.0, 1.0])
+    sys, heavier = (phc.ph(Q, [0.0, 0.0, x, 1.0]) for x in (1.0, 1.0 + 1e-6))
+    T, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((4, 4)))
+    moved = plain(T @ sys.A @ T.T, T @ sys.B, sys.C @ T.T)
+    assert same_filter(sys, moved) and not same_filter(heavier, moved)
+
+
 @pytest.mark.parametrize(
     ("d", "v", "w"),
     [(1.0, 1e77, 2e77), (1.0, 1e-85, 2e-85), (1e100, 1e100, 2e100), (1e-100, 1e-100, 2e-100), (1e150, 1e-140, 2e-140)],
