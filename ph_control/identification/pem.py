@@ -178,6 +178,8 @@ def _forward_path(
     current = problem.project(np.zeros(0))
     path = [_stage(problem, current, 0, True)]
     floor = _rounding_floor(problem)
+    # what the BIC does not feel is left to the last polish
+    stop = min(1e-4, 0.1 / len(problem.target))
     for order in range(1, largest + 1):
         if current.loss <= floor:
             break
@@ -187,7 +189,7 @@ def _forward_path(
             if callback is not None:
                 callback(Progress(order, largest, iteration, loss / len(problem.target)))
 
-        refined = refine(problem, start, rtol=1e-9, progress=report)
+        refined = refine(problem, start, rtol=stop, progress=report)
         current = refined.projection
         path.append(_stage(problem, current, refined.iterations, refined.converged))
         best = min(range(len(path)), key=lambda k: path[k].row.bic)
