@@ -342,10 +342,10 @@ def _refuse_other_weights(nu: ComplexArray, r: Array) -> None:
 
 def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
     """Fields of a system: its names, and its matrices or its modes, whichever it was made of."""
-    _, (given, modes, names) = system.__reduce__()
-    if given is None:
-        return {**names, "modes": _modes_to_dict(modes)}
-    return {**names, "Q": given[0], "B": given[1]}
+    names = system._names()
+    if system._given is None:
+        return {**names, "modes": _modes_to_dict(system.modes)}
+    return {**names, "Q": system.Q, "B": system.B}
 
 
 def system_from_dict(fields: Fields) -> PortHamiltonian:
