@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from . import _checks
 from .equivalence import reduced_residuals, star_equivalent
 from .exceptions import StructureError
 from .isomorphism import are_isomorphic
+from .pairs import power_of_two
 from .symplectic import apply_form
 from .systems import PortHamiltonian
 
@@ -71,9 +73,14 @@ class PortHamiltonianGroupoid:
         if offence:
             raise StructureError(f"L is not an arrow from this system: {offence}")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.L.copy(), self.source)
+
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is no arrow
     def _offence(self) -> str:
         """What keeps `L` from being an arrow, or nothing."""
-        L, Q, B = self.L, self.source.Q, self.source.B
+        # neither condition depends on the units of Q and B
+        L, Q, B = self.L, self.source.Q / power_of_two(self.source.Q), self.source.B / power_of_two(self.source.B)
         allowed = _allowed(len(L))
         inverse = np.linalg.inv(L)
         moved = _conjugate(L) @ Q @ inverse
@@ -88,7 +95,7 @@ class PortHamiltonianGroupoid:
         if port > allowed:
             return f"B differs from J^T L^T J L B by {port:.1e} of the products in it, allowed {allowed:.1e}"
         smallest, tolerance = _checks.smallest_scaled_eigenvalue(0.5 * (moved + moved.T))
-        if smallest <= tolerance or np.diag(moved).min() <= 0:
+        if smallest <= tolerance or np.diag(moved).min(initial=np.inf) <= 0:
             return (
                 f"J^T L J Q L^-1 is not positive definite: smallest eigenvalue after scaling {smallest:.3g}, needed > "
                 f"{tolerance:.1e}"
@@ -110,7 +117,7 @@ class PortHamiltonianGroupoid:
                 f"the arrows do not compose: they are of {other.source.nstates} and {self.source.nstates} states"
             )
         mismatch = max(_mismatch(other.target.Q, self.source.Q), _mismatch(other.target.B, self.source.B))
-        allowed = _allowed(len(self.L)) * float(np.linalg.cond(other.L))
+        allowed = _allowed(len(self.L)) * _condition(other.L)
         if mismatch > allowed:
             raise StructureError(
                 f"the arrows do not compose: the target of the right one differs from the source of the left one by "
@@ -146,10 +153,16 @@ class PortHamiltonianGroupoid:
         PortHamiltonianGroupoid
             The unit at this system.
 
+        Raises
+        ------
+        StructureError
+            If it is no `PortHamiltonian` of one port with a positive definite Q.
+
         Examples
         --------
         See `PortHamiltonianGroupoid`.
         """
+        _one_port(source)
         return cls(np.eye(source.nstates), source)
 
     @classmethod
@@ -281,6 +294,9 @@ class ReducedGroupoid:
                     f"it, allowed {allowed:.1e}"
                 )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.P.copy(), self.A.copy(), self.d.copy(), self.v.copy())
+
     @property
     def source(self) -> tuple[Array, Array]:
         """Pair `(d, v)` at which the arrow starts."""
@@ -299,7 +315,7 @@ class ReducedGroupoid:
             raise StructureError(f"the arrows do not compose: they are of {len(other.d)} and {len(self.d)} modes")
         d, v = other.target
         mismatch = max(_mismatch(d, self.d), _mismatch(v, self.v))
-        allowed = _allowed(2 * len(d)) * float(np.linalg.cond(other.A))
+        allowed = _allowed(2 * len(d)) * _condition(other.A)
         if mismatch > allowed:
             raise StructureError(
                 "the arrows do not compose: the target of the right one differs from the source of the left one by "
@@ -442,12 +458,16 @@ def _invertible(name: str, M: ArrayLike, size: int) -> Array:
     array = _checks.real_array(name, M, 2)
     if array.shape != (size, size):
         raise StructureError(f"{name} has shape {array.shape}, needed ({size}, {size})")
-    condition = float(np.linalg.cond(array)) if size else 1.0
+    condition = _condition(array)
     if not condition * _checks.EPS < 1:
         raise StructureError(
             f"{name} is not invertible: its condition number is {condition:.1e}, allowed {1 / _checks.EPS:.1e}"
         )
     return array
+
+
+def _condition(M: Array) -> float:
+    return float(np.linalg.cond(M)) if M.size else 1.0
 
 
 def _conjugate(L: Array) -> Array:
@@ -460,11 +480,15 @@ def _allowed(size: int) -> float:
 
 
 def _relative(residual: Array, products: Array) -> float:
-    size = float(np.linalg.norm(products))
-    return float(np.linalg.norm(residual)) / (size or 1.0)
+    unit = power_of_two(products)
+    size = float(np.linalg.norm(products / unit))
+    ratio = float(np.linalg.norm(residual / unit)) / (size or 1.0)
+    return ratio if ratio < np.inf else np.inf
 
 
 def _mismatch(first: Array, second: Array) -> float:
     """Relative distance of two arrays."""
+    unit = power_of_two(np.concatenate([first, second]))
+    first, second = first / unit, second / unit
     size = max(float(np.linalg.norm(first)), float(np.linalg.norm(second)))
     return float(np.linalg.norm(first - second)) / (size or 1.0)

@@ -6,6 +6,8 @@ A group permutes the modes and turns the phase of each.  On canonical pairs, whe
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -213,6 +215,12 @@ def resonances(d: Array, rtol: float | None = None) -> list[Indices]:
     order = np.argsort(d, kind="stable")
     gaps = np.diff(d[order])
     return np.split(order, np.flatnonzero(gaps > close * d[order][1:]) + 1) if len(d) else []
+
+
+def power_of_two(values: NDArray[Any]) -> float:
+    """Size of the largest of some numbers, as a power of two; 1 if all are 0."""
+    largest = float(np.abs(values).max(initial=0.0))
+    return float(np.ldexp(0.5, np.frexp(largest)[1])) if 0 < largest < np.inf else 1.0
 
 
 def symplectic_inverse(S: Array) -> Array:

@@ -335,6 +335,30 @@ def test_star_says_what_differs():
         star_equivalent(d, v, d, [1.0, 2.0, 3.0])
 
 
+@pytest.mark.parametrize("gap", [2e-15, 4e-15, 1e-14])
+def test_star_tells_as_many_frequencies_apart_as_the_filters_do(gap):
+    first, second = ([1.0, 1.0 + gap], [1.0, 2.0, 0.0, 0.0]), ([1.0 + gap, 1.0], [1.0, 2.0, 0.0, 0.0])
+    systems = [phc.ph(np.diag(np.r_[d, d]), v) for d, v in (first, second)]
+    assert star_equivalent(*first, *second) and same_filter(first, second) and are_isomorphic(*systems)
+
+
+def test_star_compares_the_weights_of_each_frequency_with_their_own_size():
+    d, v, w = [1.0, 2.0], np.array([1e18, 1.0, 0.0, 0.0]), np.array([1e18, 3.0, 0.0, 0.0])
+    systems = [phc.ph(np.diag(np.r_[d, d]), x) for x in (v, w)]
+    assert not star_equivalent(d, v, d, w) and not same_filter((d, v), (d, w)) and not are_isomorphic(*systems)
+    assert star_equivalent(d, v, d, w, rtol=1e-12)
+    turned = np.array([0.0, 1.0, 1e18, 0.0])
+    assert star_equivalent(d, v, d, turned)
+
+
+@pytest.mark.parametrize("size", [1e-150, 1e-100, 1e100, 1e150])
+def test_star_does_not_depend_on_units(size):
+    assert star_equivalent([1.0], [size, 0.0], [1.0], [0.0, size])
+    assert not star_equivalent([1.0], [size, 0.0], [1.0], [2 * size, 0.0])
+    assert star_equivalent([size], [size, 0.0], [size], [0.0, size])
+    assert not star_equivalent([size], [size, 0.0], [size], [2 * size, 0.0])
+
+
 # --- the group ---------------------------------------------------------------------------------------------------
 
 

@@ -1,5 +1,8 @@
 """The two groupoids: axioms, membership, and orbits that are the equivalence classes."""
 
+import copy
+import pickle
+
 import control as ct
 import numpy as np
 import pytest
@@ -249,3 +252,50 @@ def test_arrows_cannot_be_changed():
     for array in (f.P, f.A, f.d, f.v, *f.target, g.L):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda arrow: pickle.loads(pickle.dumps(arrow))])
+def test_copies_of_arrows_cannot_be_changed_either(copied):
+    f = ReducedGroupoid.identity([1.0], [1.0, 0.0])
+    g = PortHamiltonianGroupoid.identity(phc.ph(np.eye(2), [1.0, 0.0]))
+    first, second = copied(f), copied(g)
+    for array, original in zip(
+        (first.P, first.A, first.d, first.v, *first.target, second.L, second.source.Q),
+        (f.P, f.A, f.d, f.v, *f.target, g.L, g.source.Q),
+        strict=True,
+    ):
+        assert np.array_equal(array, original)
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+    assert hash(first) and (second @ g).L.tolist() == np.eye(2).tolist()
+
+
+# --- sizes -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("d", "v"), [(1e100, 1e100), (1e-100, 1e-100), (1e150, 1e-150), (1.0, 1e-152), (1.0, 1e152)])
+def test_what_is_an_arrow_does_not_depend_on_units(d, v):
+    """Warnings are errors here."""
+    source = [d], [v, 0.0]
+    turn = symplectic_form(1)
+    sys = phc.ph(np.diag([d, d]), source[1])
+    assert ReducedGroupoid.is_arrow(np.eye(1), turn, *source) and PortHamiltonianGroupoid.is_arrow(turn, sys)
+    for size in (2.0, 0.5, 1 + 1e-9, 1e200, 1e-200):
+        assert not ReducedGroupoid.is_arrow(np.eye(1), size * turn, *source)
+        assert not PortHamiltonianGroupoid.is_arrow(size * turn, sys)
+    arrow = ReducedGroupoid(np.eye(1), turn, *source)
+    assert np.array_equal((arrow.inverse() @ arrow).A, np.eye(2))
+    with pytest.raises(phc.StructureError, match="differs from the source of the left one by"):
+        ReducedGroupoid.identity([d], [0.0, 0.9 * v]) @ arrow
+
+
+def test_there_is_a_unit_at_the_system_without_states():
+    unit = PortHamiltonianGroupoid.identity(phc.ph(phc.modes([], [])))
+    assert unit.L.shape == (0, 0) and (unit @ unit.inverse()).target.nstates == 0
+    assert ReducedGroupoid.identity([], []).target[0].shape == (0,)
+
+
+@pytest.mark.parametrize("thing", [3, None, ct.tf([1.0, 0.0], [1.0, 0.0, 1.0]), np.eye(2)])
+def test_there_is_no_unit_at_what_is_no_port_hamiltonian_system(thing):
+    with pytest.raises(phc.StructureError, match="an object of the groupoid is a PortHamiltonian, not a"):
+        PortHamiltonianGroupoid.identity(thing)
