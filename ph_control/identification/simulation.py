@@ -251,7 +251,7 @@ def _sampled(model: Any, label: str, h: float, hold: Hold) -> _Sampled:
     """A linear system at the instants of a record: as it is in discrete time, by the rule of `hold` otherwise."""
     try:
         system = ct.ss(model, name=model.name, remove_useless_states=False)
-    except (ValueError, ct.ControlException) as error:
+    except ValueError as error:
         raise StructureError(f"model {label!r} has no state-space form, so it cannot be simulated: {error}") from None
     A, B, C, D = (np.asarray(matrix, float) for matrix in (system.A, system.B, system.C, system.D))
     for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
@@ -278,6 +278,7 @@ def _discretised(A: Array, b: Array, c: Array, D: float, label: str, hold: Hold)
         raise StructureError("method='euler' uses the input at the start of each step only; intersample must be 'zoh'")
     n, h = len(A), hold.h
     F: Any
+    now: Any
     now, then = h * b, 0 * b
     if hold.method == "exact":
         M = np.zeros((n + 2, n + 2))
@@ -294,8 +295,8 @@ def _discretised(A: Array, b: Array, c: Array, D: float, label: str, hold: Hold)
             F, now = np.linalg.solve(left, np.eye(n) + 0.5 * h * A), np.linalg.solve(left, h * b)
         except np.linalg.LinAlgError:
             raise StructureError(
-                f"model {label!r} is unstable: it has a pole at 2/h = {2 / h:.6g}, where the midpoint rule has no step; "
-                "use method='exact'"
+                f"model {label!r} is unstable: it has a pole at 2/h = {2 / h:.6g}, where the midpoint rule has no "
+                "step; use method='exact'"
             ) from None
         if hold.intersample == "foh":
             now = then = 0.5 * now
