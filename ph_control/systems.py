@@ -266,7 +266,7 @@ class PortHamiltonian(LosslessSystem):
         return PortHamiltonian._from_modes(scaled)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (self._given, self._modes if self._given is None else None, self._names())
+        return _restore, (type(self), self._given, self._modes if self._given is None else None, self._names())
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
@@ -277,11 +277,13 @@ class PortHamiltonian(LosslessSystem):
         return f"ph(ModalForm(\n{text})" + (f",\n{labels})" if labels else ")")
 
 
-def _restore(given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> PortHamiltonian:
+def _restore(
+    kind: type[PortHamiltonian], given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]
+) -> PortHamiltonian:
     if given is not None:
-        return PortHamiltonian._from_matrices(given[0].copy(), given[1].copy(), **names)
+        return kind._from_matrices(given[0].copy(), given[1].copy(), **names)
     assert modes is not None
-    return PortHamiltonian._from_modes(modes, **names)
+    return kind._from_modes(modes, **names)
 
 
 def _stands_out(rows: NDArray[Any], B: Array) -> NDArray[np.bool_]:
@@ -372,7 +374,7 @@ def ph(
     if isinstance(source, PortHamiltonian):
         given, modes = source._given, source._modes
         names = inherited_names(source, names, "inputs", "outputs", "states")
-        return _restore(given, modes if given is None else None, names)
+        return _restore(PortHamiltonian, given, modes if given is None else None, names)
     if isinstance(source, LosslessSystem):
         return source._converted(**names)
     if isinstance(source, ct.StateSpace) and source.isctime() and (found := _normal_form(source)):

@@ -689,3 +689,19 @@ def test_a_factor_that_leads_out_of_the_range_is_refused(sys, factor):
     with pytest.raises(phc.StructureError, match=r"(times .* leave the range of doubles|times .* is out of range)"):
         for _ in range(3):
             sys = factor * sys
+
+
+class Plant(phc.PortHamiltonian):
+    """A class of a user, whose constructor takes something else."""
+
+    def __init__(self, stiffness):
+        super().__init__(np.diag([stiffness, 1.0]), [0.0, 1.0])
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda sys: pickle.loads(pickle.dumps(sys))])
+def test_a_copy_of_a_subclass_is_of_that_class(duplicate):
+    sys = Plant(4.0)
+    twin = duplicate(sys)
+    assert type(twin) is Plant and np.array_equal(twin.Q, sys.Q)
+    assert type(duplicate(Plant._from_modes(sys.modes))) is Plant
+    assert type(phc.ph(sys)) is phc.PortHamiltonian
