@@ -110,7 +110,7 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     try:
         points = np.atleast_1d(value).astype(complex, copy=False)
     except (TypeError, ValueError, OverflowError):
-        raise StructureError(f"{name} are not complex numbers: {value!r}; give a number or a vector") from None
+        raise StructureError(f"{name} are not complex numbers: {shown(value)}; give a number or a vector") from None
     if points.ndim > 1:
         raise StructureError(f"{name} have shape {points.shape}; give a number or a vector")
     if np.isnan(points).any():
@@ -230,16 +230,17 @@ def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
 
 def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Check the parameters of a canonical form: a pair, or `d = (d_1, d_2) >= 0` of as many entries as `v`."""
-    if np.size(d) != np.size(v) or np.size(d) == 0 or np.size(d) % 2:
-        frequencies, vector = parameter_pair(d, v)
+    given, weights = real_array("d", d), real_array("v", v)
+    if given.size != weights.size or given.size == 0 or given.size % 2:
+        frequencies, vector = parameter_pair(given, weights)
     else:
-        frequencies = np.atleast_1d(real_array("d", d))
+        frequencies = np.atleast_1d(given)
         if frequencies.ndim == 1 and frequencies.min() < 0:
             worst = int(frequencies.argmin())
             raise StructureError(
                 f"d is negative: d[{worst}] = {frequencies[worst]:.6g}; the entries of (d_1, d_2) are >= 0"
             )
-        _, vector = parameter_pair(np.ones(np.size(d) // 2), v)
+        _, vector = parameter_pair(np.ones(given.size // 2), weights)
     in_range("d", frequencies)
     return readonly(frequencies), readonly(vector)
 

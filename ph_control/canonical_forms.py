@@ -90,7 +90,7 @@ class _CanonicalForm(LosslessSystem):
     def _companion(self) -> Array:
         """Companion matrix with the coefficients in its last row."""
         _warn_of_lost_digits(self.modes, "companion matrix")
-        A = np.diag(np.ones(len(self.a) - 1), 1)
+        A = np.eye(len(self.a), k=1)
         A[-1:] = 0.0 - self.a
         return A
 
@@ -102,7 +102,7 @@ class _CanonicalForm(LosslessSystem):
 
     def _unit(self) -> Array:
         """Column `(0 .. 0, 1)`."""
-        return np.eye(2 * self.n)[:, -1:]
+        return np.eye(2 * self.n, 1, k=1 - 2 * self.n)
 
     def port_hamiltonian(self, S: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
         """Port-Hamiltonian system `(S^T diag(d, d) S, S^{-1} v)` with the same transfer function, of the same size.
@@ -374,7 +374,10 @@ def _in_range(modes: ModalForm) -> ModalForm:
 
 
 def _restore(kind: type[Any], d: Array, v: Array, names: dict[str, Any]) -> Any:
-    return kind(d, v, **names)
+    self: Any = object.__new__(kind)
+    # the constructor of a subclass may take other arguments
+    _CanonicalForm.__init__(self, d, v, **names)
+    return self
 
 
 def _warn_of_lost_digits(modes: ModalForm, what: str) -> None:

@@ -340,3 +340,39 @@ def test_weights_whose_squares_underflow_are_refused_and_not_taken_for_zero(make
             ):
                 look()
     assert make([1.0], [1e-153, 0.0]).c > 0 and make([1.0, 2.0], [1.0, 0.0, 0.0, 0.0]).modes.r[1] == 0
+
+
+class Filter(phc.ControllableHamiltonian):
+    """A class of a user, whose constructor takes something else."""
+
+    def __init__(self, d):
+        super().__init__([d], [1.0, 0.0])
+
+
+def test_a_copy_of_a_subclass_is_of_that_class():
+    sys = Filter(2.0)
+    for twin in (pickle.loads(pickle.dumps(sys)), copy.copy(sys), copy.deepcopy(sys)):
+        assert type(twin) is Filter and twin.d == 2
+
+
+@pytest.mark.parametrize("make", [phc.ch, phc.oh])
+def test_a_form_without_modes_has_matrices_and_can_be_connected(make):
+    empty, other = make([], []), make([1.0], [1.0, 0.0])
+    assert empty.A.shape == (0, 0) and empty.B.shape == (0, 1) and empty.C.shape == (1, 0) and not empty.D
+    s = 0.3 + 0.7j
+    for found, value in (
+        (empty + other, other(s)),
+        (other - empty, other(s)),
+        (empty * other, 0),
+        (other * empty, 0),
+        (ct.feedback(other, empty), other(s)),
+        (ct.feedback(empty, other), 0),
+    ):
+        assert abs(found(s) - value) < 8 * EPS
+
+
+@pytest.mark.parametrize(("d", "v"), [([[1], [1, 2]], [1.0, 0.0]), ([1.0], [[1], [1, 2]])])
+@pytest.mark.parametrize("make", [phc.ch, phc.oh])
+def test_ragged_parameters_are_refused(make, d, v):
+    with pytest.raises(phc.StructureError, match="is not a rectangular array of numbers"):
+        make(d, v)
