@@ -6,12 +6,14 @@ and its product with `s` that of the port-Hamiltonian system `(Q, -J B)`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import schur
 
 from . import _checks
 from .exceptions import NotLosslessError, StructureError
@@ -22,6 +24,8 @@ from .systems import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+_POINTS = 256  # at which the values of a state space are computed at once
 
 
 class AffineHamiltonian(LosslessSystem):
@@ -142,17 +146,35 @@ class AffineHamiltonian(LosslessSystem):
         )
 
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
-        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN."""
+        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, 0 at infinity, never NaN.
+
+        Values beyond the range of doubles, next to a double pole at 0, are `inf` too.
+        """
         s = _checks.complex_points("the points", x)
-        values = self.modes.evaluate(s)
-        at_zero = s == 0
-        with np.errstate(invalid="ignore"):
-            out: ComplexArray = values / np.where(at_zero, 1.0, s)
-        infinite = np.isinf(values)
-        if at_zero.any():
-            alpha, _ = self.modes._symmetric_residues
-            out[:, :, at_zero] = np.sum(alpha / self.d[:, None, None] ** 2, axis=0)[:, :, None]
-        return np.where(infinite, complex(np.inf, 0.0), out)
+        velocity = self.modes.evaluate(s)
+        with np.errstate(all="ignore"):
+            out = self._one_port(s, velocity) if self.ninputs == 1 else self._many_ports(s)
+        out[:, :, np.isinf(s)] = 0.0
+        return np.where(np.isinf(velocity) | ~np.isfinite(out), complex(np.inf, 0.0), out)
+
+    def _one_port(self, s: ComplexArray, velocity: ComplexArray) -> ComplexArray:
+        """`velocity / s`; and well below all frequencies the static value, as rounding leaves no other."""
+        modes = self.modes
+        static = not len(modes.rigid) and np.abs(s) <= 1e-9 * np.min(modes.d, initial=np.inf)
+        return np.where(static, np.sum(modes.kappa / modes.d / modes.d), velocity / s)
+
+    def _many_ports(self, s: ComplexArray) -> ComplexArray:
+        """`sum (alpha - s beta / d) / (s^2 + d^2)`: with commuting outputs `sum beta / d` vanishes, and is left out."""
+        modes = self.modes
+        alpha, beta = modes._symmetric_residues
+        at_pole = (s.real[:, None] == 0) & (np.abs(s.imag[:, None]) == modes.d)
+        up, down = (np.where(at_pole, 1.0, s[:, None] + sign * 1j * modes.d) for sign in (1, -1))
+        weight = np.where(at_pole, 0.0, 1.0 / up / down)
+        out = np.tensordot(alpha, weight.T, axes=(0, 0))
+        out = out - np.tensordot(beta / modes.d[:, None, None], (s[:, None] * weight).T, axes=(0, 0))
+        residue, still = (modes.rigid.T @ modes.rigid)[:, :, None], np.where(s == 0, 1.0, s)
+        # dividing 0 by the smallest numbers gives NaN
+        return np.asarray(out + np.where(residue != 0, residue / still / still, 0.0))
 
     def zeros(self) -> ComplexArray:
         """Zeros: those of the derivative but the one at 0, which the integrator takes away."""
@@ -161,7 +183,7 @@ class AffineHamiltonian(LosslessSystem):
         return np.delete(zeros, at_zero[:1]) if not len(self.modes.rigid) else zeros.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (self.Q.copy(), self._interaction.copy(), self._names())
+        return _restore, (type(self), self.Q.copy(), self._interaction.copy(), self._names())
 
     def _repr_eval_(self) -> str:
         return self._repr_of(self.Q, self._interaction)
@@ -235,8 +257,11 @@ def _derivative(sys: Any) -> Any:
     return ct.ss(sys.A, sys.B, sys.C @ sys.A, 0.0)
 
 
-def _restore(Q: Array, B: Array, names: dict[str, Any]) -> AffineHamiltonian:
-    return AffineHamiltonian(Q, B, **names)
+def _restore(kind: type[AffineHamiltonian], Q: Array, B: Array, names: dict[str, Any]) -> AffineHamiltonian:
+    self = kind.__new__(kind)
+    # the constructor of a subclass may take other arguments
+    AffineHamiltonian.__init__(self, Q, B, **names)
+    return self
 
 
 @dataclass(frozen=True)
@@ -290,7 +315,7 @@ def is_odd(sys: Any, *, rtol: float | None = None) -> Symmetry:
     Notes
     -----
     Compared at `4n + 4` points of the complex plane, more than two different rational functions of this order can
-    share.  O(n^4) for a state-space system.
+    share.  O(n^3) for a state-space system, whose matrix is brought to triangular form once.
 
     Examples
     --------
@@ -337,42 +362,84 @@ def is_even(sys: Any, *, rtol: float | None = None) -> Symmetry:
 def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
     if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
         raise StructureError(f"this is a {type(sys).__name__}; give a continuous-time StateSpace or TransferFunction")
-    poles = np.abs(sys.poles())
-    live = poles[poles > 0]
-    low, high = (live.min(), live.max()) if len(live) else (1.0, 1.0)
-    count = 4 * max(1, len(poles)) + 4
-    # between the axes and away from both: a lossless pole is on one of them, a damped one seldom near these rays
-    angles = np.pi * np.where(np.arange(count) % 2, 0.37, 0.21)
-    s = np.geomspace(low / 3, 3 * high, count) * np.exp(1j * angles)
+    tolerance = None if rtol is None else _checks.relative_tolerance(rtol)
     with np.errstate(all="ignore"):
-        here, there = (np.asarray(sys.horner(point)).reshape(-1, count) for point in (s, -s))
+        look = _look(sys)
+        poles = np.abs(look.poles)
+        live = poles[poles > 0]
+        low, high = (live.min(), live.max()) if len(live) else (1.0, 1.0)
+        count = 4 * max(1, look.order) + 4
+        # between the axes and away from both: a lossless pole is on one of them, a damped one seldom near these rays
+        angles = np.pi * np.where(np.arange(count) % 2, 0.37, 0.21)
+        s = np.geomspace(low / 3, 3 * high, count) * np.exp(1j * angles)
+        values, rounding = look.at(np.concatenate([s, -s]))
+        here, there = np.split(np.asarray(values).reshape(-1, 2 * count), 2, axis=1)
         size = np.abs(here) + np.abs(there)
         residual = float(np.max(np.where(size > 0, np.abs(here + sign * there) / np.where(size > 0, size, 1), 0.0)))
     if not np.isfinite(residual):
         raise StructureError("the transfer function leaves the range of doubles; choose another unit of time")
-    allowed = _rounding(sys, np.concatenate([s, -s])) if rtol is None else _checks.relative_tolerance(rtol)
+    allowed = rounding if tolerance is None else tolerance
     return Symmetry(residual <= allowed, residual, allowed)
 
 
-def _rounding(sys: Any, points: ComplexArray) -> float:
-    """Relative error that rounding of the data of a system makes in its values, to first order, with some room."""
+class _Look(NamedTuple):
+    """A system as `_symmetry` looks at it.
+
+    `at` gives the values at points, and the relative error that rounding of the data of the system makes in them, to
+    first order with some room.
+    """
+
+    poles: ComplexArray
+    order: int
+    at: Callable[[ComplexArray], tuple[ComplexArray, float]]
+
+
+def _look(sys: ct.StateSpace | ct.TransferFunction) -> _Look:
     if isinstance(sys, LosslessSystem):
-        return 1e4 * _checks.EPS
-    worst = 0.0
-    if isinstance(sys, ct.TransferFunction):
-        for num, den in (
-            (n, d) for row in zip(sys.num_list, sys.den_list, strict=True) for n, d in zip(*row, strict=True)
-        ):
-            for polynomial in (num, den):
-                value = np.abs(np.polyval(polynomial, points))
-                terms = np.polyval(np.abs(polynomial), np.abs(points))
-                worst = max(worst, float(np.max(len(polynomial) * terms / np.where(value > 0, value, np.inf))))
-        return 32 * _checks.EPS * max(worst, 1.0)
-    A, B, C = (np.asarray(M, float) for M in (sys.A, sys.B, sys.C))
-    for s in points:
-        K = s * np.eye(len(A)) - A
-        X, Y = np.linalg.solve(K, B), np.linalg.solve(K.T, C.T).T
-        value = np.abs(C @ X).max()
-        error = np.linalg.norm(Y) * (abs(s) + np.linalg.norm(A)) * np.linalg.norm(X)
-        worst = max(worst, float(error / value) if value > 0 else 0.0)
-    return 32 * len(A) * _checks.EPS * max(worst, 1.0)
+        return _Look(sys.poles(), sys.nstates, lambda s: (sys.horner(s), 1e4 * _checks.EPS))
+    return _look_at_polynomials(sys) if isinstance(sys, ct.TransferFunction) else _look_at_matrices(sys)
+
+
+def _look_at_polynomials(sys: ct.TransferFunction) -> _Look:
+    entries = [pair for row in zip(sys.num_list, sys.den_list, strict=True) for pair in zip(*row, strict=True)]
+
+    def at(points: ComplexArray) -> tuple[ComplexArray, float]:
+        worst = 1.0
+        for polynomial in (p for pair in entries for p in pair):
+            value = np.abs(np.polyval(polynomial, points))
+            terms = np.polyval(np.abs(polynomial), np.abs(points))
+            worst = max(worst, float(np.max(len(polynomial) * terms / np.where(value > 0, value, np.inf))))
+        return sys.horner(points), 32 * _checks.EPS * worst
+
+    # not sys.poles(), which takes the numerators apart as well and warns of small ones
+    poles = np.concatenate([np.roots(den).astype(complex) for _, den in entries])
+    return _Look(poles, max(len(p) - 1 for pair in entries for p in pair), at)
+
+
+def _look_at_matrices(sys: ct.StateSpace) -> _Look:
+    A, B, C, D = (_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD")
+    T, Z = schur(A, output="complex") if len(A) else (A.astype(complex), A.astype(complex))
+    inputs, outputs = Z.conj().T @ B, C @ Z
+    size = float(np.linalg.norm(A))
+
+    def at(points: ComplexArray) -> tuple[ComplexArray, float]:
+        values, worst = [], 1.0
+        for part in np.split(points, range(_POINTS, len(points), _POINTS)):
+            X = _shifted_solve(T, inputs, part)
+            # the transpose of T, read backwards, is upper triangular too
+            Y = _shifted_solve(T.T[::-1, ::-1], outputs.T[::-1], part)
+            values.append(np.tensordot(outputs, X, axes=1))
+            error = np.linalg.norm(Y, axis=(0, 1)) * (np.abs(part) + size) * np.linalg.norm(X, axis=(0, 1))
+            value = np.max(np.abs(values[-1]), axis=(0, 1), initial=0.0)
+            worst = max(worst, float(np.max(error / np.where(value > 0, value, np.inf), initial=0.0)))
+        return np.concatenate(values, axis=2) + D[:, :, None].astype(complex), 32 * len(A) * _checks.EPS * worst
+
+    return _Look(np.diag(T), len(A), at)
+
+
+def _shifted_solve(T: ComplexArray, B: ComplexArray, s: ComplexArray) -> ComplexArray:
+    """Solve `(s I - T) X = B` for upper triangular T at all points s at once, shape (N, columns of B, points)."""
+    X = np.empty((*B.shape, len(s)), complex)
+    for k in range(len(T) - 1, -1, -1):
+        X[k] = (B[k][:, None] + np.tensordot(T[k, k + 1 :], X[k + 1 :], axes=1)) / (s - T[k, k])
+    return X

@@ -135,7 +135,7 @@ class ModalForm:
         Returns
         -------
         ndarray, shape (m, m, N)
-            `G(s)`; `inf` at a pole and 0 at infinity, never NaN.
+            `G(s)`; `inf` at a pole and beyond the range of doubles, 0 at infinity, never NaN.
 
         Raises
         ------
@@ -154,19 +154,14 @@ class ModalForm:
         >>> phc.modes(1.0, 2.0).evaluate([1.0])
         array([[[1.+0.j]]])
         """
-        try:
-            points = np.atleast_1d(np.asarray(s, dtype=complex))
-        except (TypeError, ValueError) as error:
-            raise StructureError(f"the points are not complex numbers: {error}") from None
-        if points.ndim != 1 or np.isnan(points).any():
-            nan = int(np.isnan(points).sum())
-            raise StructureError(f"the points have shape {points.shape} and {nan} are NaN; give a vector of numbers")
+        points = _checks.complex_points("the points", s)
         out = np.empty((self.nports, self.nports, points.size), complex)
         step = max(1, _CHUNK // max(1, self.n * self.nports))
         for start in range(0, points.size, step):
             part = slice(start, start + step)
-            out[:, :, part] = self._evaluate(points[part])
-        return out
+            with np.errstate(over="ignore", invalid="ignore"):
+                out[:, :, part] = self._evaluate(points[part])
+        return np.where(np.isfinite(out), out, complex(np.inf, 0.0))
 
     def _evaluate(self, s: ComplexArray) -> ComplexArray:
         out = np.zeros((self.nports, self.nports, s.size), complex)
@@ -195,7 +190,8 @@ class ModalForm:
         """Add the pole at 0 and set the entries whose mode is hit exactly to infinity."""
         residue = self.rigid.T @ self.rigid
         at_zero = s == 0
-        out = out + residue[:, :, None] / np.where(at_zero, 1.0, s)
+        # dividing 0 by the smallest numbers gives NaN
+        out = out + np.where(residue[:, :, None] != 0, residue[:, :, None] / np.where(at_zero, 1.0, s), 0.0)
         infinite = np.einsum("lij,kl->ijk", visible, at_pole) | ((residue != 0)[:, :, None] & at_zero)
         return np.where(infinite, complex(np.inf, 0.0), out)
 

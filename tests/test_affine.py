@@ -2,15 +2,18 @@
 
 import copy
 import pickle
+import sys
 
 import control as ct
 import numpy as np
 import pytest
+import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import EPS, dense_transfer_function, random_hamiltonian, symplectic_form
 
 import ph_control as phc
+from ph_control.affine import _look
 
 relaxed = settings(deadline=None, max_examples=30, derandomize=True)
 POINTS = np.array([0.3 + 1j, -2.0 + 0.1j, 5.0])
@@ -179,3 +182,100 @@ def test_what_takes_an_odd_transfer_function_does_not_take_an_affine_system_for_
 def test_a_tolerance_of_no_meaning_is_refused(test, rtol):
     with pytest.raises(phc.StructureError, match=r"rtol is .*; a relative tolerance is a number from 0 to 1"):
         test(ct.tf([1, 0], [1, 0, 1]), rtol=rtol)
+
+
+# --- values at and beyond the ends of the range ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("point", [complex(0, np.inf), complex(np.inf, 0), complex(-np.inf, np.inf), np.inf])
+def test_at_infinity_the_value_is_0(point):
+    for Q in (np.eye(2), np.diag([0.0, 1.0])):
+        assert phc.affine(Q, [1.0, 0.0])([point])[0] == 0
+    two = phc.affine(np.eye(4), np.eye(4)[:, :2])
+    assert not two.horner([point, 1.0])[:, :, 0].any()
+
+
+@pytest.mark.parametrize("point", [1e-200j, 1e-160, 5e-324j, 0.0])
+def test_next_to_the_double_pole_of_a_rigid_body_the_value_is_beyond_doubles(point):
+    assert phc.affine(np.diag([0.0, 1.0]), [1.0, 0.0])([point])[0] == complex(np.inf, 0)
+    B = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    values = phc.affine(np.diag([0.0, 4.0, 1.0, 1.0]), B).horner([point])[:, :, 0]
+    assert values[0, 0] == complex(np.inf, 0) and values[0, 1] == values[1, 0] == 0
+    assert abs(values[1, 1] - 0.25) < 4 * EPS
+
+
+@pytest.mark.parametrize("point", [0.0, 5e-324j, 1e-300, 1e-100j, 1e-20, 1e-12, 1e-9j])
+def test_well_below_its_frequencies_a_system_has_its_static_value(point):
+    Q, S = random_hamiltonian(np.array([1.0, 2.0, 3.5]), np.random.default_rng(3), 0.5)
+    B = np.linalg.inv(S) @ np.random.default_rng(4).standard_normal((6, 1))
+    other = symplectic_form(3) @ np.linalg.qr(np.column_stack([B, np.eye(6)]))[0][:, 1:2]
+    other = other - symplectic_form(3) @ B * (B.T @ symplectic_form(3) @ other) / -(B.T @ B)
+    for ports in (B, np.column_stack([B, other])):
+        compliance = ports.T @ np.linalg.solve(Q, ports)
+        off = np.abs(phc.affine(Q, ports).horner([point])[:, :, 0] - compliance)
+        # linear in s off the diagonal
+        assert np.max(off) < (1e3 * EPS + 10 * abs(point)) * np.max(np.abs(compliance))
+
+
+# --- symmetry of large state spaces ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_the_symmetry_of_a_state_space_is_decided_on_one_triangular_form_of_its_matrix(ports, monkeypatch):
+    rng = np.random.default_rng(0)
+    Q, _ = random_hamiltonian(np.linspace(1, 3, 12), rng, 0.3)
+    lossless = phc.ph(Q, rng.standard_normal((24, ports)))
+    plain = ct.StateSpace(lossless.A, lossless.B, lossless.C, lossless.D)
+    damped = ct.StateSpace(lossless.A - 1e-6 * np.eye(24), lossless.B, lossless.C, lossless.D)
+    calls = []
+
+    def counted(A, **options):
+        calls.append(len(A))
+        return scipy.linalg.schur(A, **options)
+
+    monkeypatch.setattr(sys.modules["ph_control.affine"], "schur", counted)
+    monkeypatch.setattr(np.linalg, "solve", None)
+    monkeypatch.setattr(ct.StateSpace, "horner", None)
+    assert bool(phc.is_odd(plain)) is (ports == 1)  # the skew part of several ports is even
+    assert not phc.is_odd(damped) and not phc.is_even(damped)
+    assert calls == [24, 24, 24]
+
+
+@relaxed
+@given(st.integers(1, 6), st.integers(1, 3), st.integers(0, 2**32 - 1))
+def test_the_values_of_a_state_space_are_those_of_dense_solves(n, ports, seed):
+    rng = np.random.default_rng(seed)
+    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, ports)), rng.standard_normal((2, n))
+    D = rng.standard_normal((2, ports))
+    look = _look(ct.StateSpace(A, B, C, D))
+    s = np.concatenate([POINTS, 10 * rng.standard_normal(600) + 1j])
+    values, allowed = look.at(s)
+    truth = np.array([dense_transfer_function(A, B, C, x) + D for x in s])
+    error = np.abs(np.moveaxis(values, 2, 0) - truth)
+    size = np.max(np.abs(truth - D), axis=(1, 2), keepdims=True) + np.max(np.abs(D))
+    assert np.all(error <= allowed * size)
+    apart = np.abs(look.poles[:, None] - np.linalg.eigvals(A))
+    assert look.order == n and max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 1e-9
+
+
+def test_a_small_transfer_function_is_odd_without_a_warning():
+    assert phc.is_odd(phc.tf(phc.ph(phc.modes([1.0], [1e-14]))))
+    assert not phc.is_odd(ct.tf([1e-14, 1e-15], [1, 0, 1]))
+
+
+def test_a_static_or_improper_system_has_a_symmetry_too():
+    assert phc.is_even(ct.ss([], [], [], 3.0)) and not phc.is_odd(ct.ss([], [], [], 3.0))
+    assert phc.is_odd(ct.tf([1, 0, 0, 0], [1])) and not phc.is_odd(ct.tf([1, 0, 0, 1], [1]))
+
+
+class Spring(phc.AffineHamiltonian):
+    """A class of a user, whose constructor takes something else."""
+
+    def __init__(self, stiffness):
+        super().__init__(np.diag([stiffness, 1.0]), [1.0, 0.0])
+
+
+def test_a_copy_of_a_subclass_is_of_that_class():
+    sys = Spring(4.0)
+    for twin in (pickle.loads(pickle.dumps(sys)), copy.copy(sys), copy.deepcopy(sys)):
+        assert type(twin) is Spring and np.array_equal(twin.Q, sys.Q)

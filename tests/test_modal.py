@@ -405,3 +405,21 @@ def test_a_residue_that_underflows_is_refused_and_not_taken_for_zero(d, r):
     with pytest.raises(phc.StructureError, match="the residues d r leave the range of doubles"):
         phc.modes(d, r)
     assert phc.modes(d, 0 * np.array(r)).kappa[0] == 0
+
+
+@pytest.mark.parametrize(
+    "point", [10**400, 10**5000, [1.0, 10**400], [[1], [1, 2]]], ids=["400", "5000", "list", "ragged"]
+)
+def test_a_point_that_is_no_double_is_refused(point):
+    with pytest.raises(phc.StructureError, match="the points are not complex numbers"):
+        phc.modes(1.0, 1.0).evaluate(point)
+
+
+def test_a_value_beyond_the_range_next_to_the_pole_at_0_is_infinite():
+    rigid = phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0]).modes
+    for point in (5e-324j, 5e-324, 1e-310 + 1e-310j, 0.0):
+        assert rigid.evaluate(point)[0, 0, 0] == complex(np.inf, 0)
+    assert abs(rigid.evaluate(1e-300)[0, 0, 0] / 1e300 - 1) < 4 * EPS
+    two = phc.ph(np.diag([0.0, 4.0, 1.0, 1.0]), np.eye(4)[:, 2:]).modes
+    values = two.evaluate(5e-324)[:, :, 0]
+    assert values[0, 0] == complex(np.inf, 0) and values[0, 1] == values[1, 0] == 0 and abs(values[1, 1]) < 1e-300
