@@ -7,6 +7,7 @@ functions of the state that the motion conserves whatever the energy, and that o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,7 @@ from .symplectic import skew_normal_form
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Planes:
     """`J = sum_l sigma_l (a_l b_l^T - b_l a_l^T)`, orthonormal columns, the rest of which spans the kernel."""
 
@@ -80,6 +81,11 @@ class CasimirSplit:
     def __post_init__(self) -> None:
         for array in (self.Q, self.B, self.T, self.casimirs, self.driven):
             _checks.readonly(array)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = self.Q, self.B, self.T, self.casimirs, self.driven
+        Q, B, T, casimirs, driven = (array.copy() for array in arrays)
+        return type(self), (Q, B, T, self.rank, casimirs, driven)
 
     def __str__(self) -> str:
         return self.report()
@@ -226,8 +232,9 @@ def split_casimirs(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> CasimirSplit:
     Notes
     -----
     Orthogonal coordinates of the range and the kernel of `J`; on the range those of `darboux`.  The kernel is turned so
-    that as few Casimirs as possible are driven: as many as `K^T B` has rank, `K` a basis of the kernel (columns of `B`
-    to unit length, singular values below `8 N eps` are zero).  O(N^3).
+    that as few Casimirs as possible are driven: as many as `K^T B` has rank, `K` a basis of the kernel.  An entry of
+    `K^T B` is zero if it is below `8 N eps` times what the port does to the variables of that Casimir, whatever it does
+    to others.  O(N^3).
 
     Examples
     --------
@@ -335,11 +342,28 @@ def _invertible(planes: _Planes) -> _Planes:
 def _driven_first(kernel: Array, ports: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Rows of Casimirs, turned so that the first ones take all that the ports do to the kernel."""
     size, count = kernel.shape
-    length = np.linalg.norm(ports, axis=0)
-    unit = ports / np.where(length > 0, length, 1.0)
-    U, gain, _ = np.linalg.svd(kernel.T @ unit)
-    driven = np.arange(count) < int(np.sum(gain > 8 * size * _checks.EPS))
-    return (U.T @ kernel.T if driven.any() else kernel.T.copy()), driven
+    zero = 8 * size * _checks.EPS
+    ports = ports / _largest(ports, axis=0)
+    reached = kernel.T @ ports
+    # against the rounding of the variables in each Casimir, whatever a port does to others
+    reached[np.abs(reached) <= zero * ((kernel != 0).T @ np.abs(ports))] = 0.0
+    unit = _largest(reached, axis=1)
+    U, gain, _ = np.linalg.svd(reached / unit)
+    rank = int(np.sum(gain > zero))
+    driven = np.arange(count) < rank
+    if rank in (0, count):
+        return kernel.T.copy(), driven
+    still = U[:, rank:] / unit
+    turn, _ = np.linalg.qr(still / _largest(still, axis=0), mode="complete")
+    still, moved = turn[:, : count - rank], turn[:, count - rank :]
+    moved = moved @ np.linalg.svd(moved.T @ reached)[0]
+    return np.concatenate([moved, still], axis=1).T @ kernel.T, driven
+
+
+def _largest(M: Array, axis: int) -> Array:
+    """Largest size along an axis, 1 where all are 0; kept as an axis of length 1."""
+    size = np.abs(M).max(axis=axis, initial=0.0, keepdims=True)
+    return np.where(size > 0, size, 1.0)
 
 
 def _congruent(Q: Array, columns: Array) -> Array:

@@ -1,5 +1,8 @@
 """General constant structure: Darboux coordinates, the normal form in them, Casimirs split off."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -268,10 +271,49 @@ def test_an_invertible_structure_has_nothing_to_split_off():
     assert "0 Casimirs" in split.report()
 
 
-def test_the_size_of_a_port_does_not_decide_whether_it_drives():
-    for size in (1e-100, 1.0, 1e100):
-        assert split_casimirs(np.eye(3), size * np.array([1.0, 0.0, 1e-3]), skew_plane()).driven.all()
-        assert not split_casimirs(np.eye(3), size * np.array([1.0, 0.0, 1e-16]), skew_plane()).driven.any()
+@pytest.mark.parametrize("size", [1e-100, 1.0, 1e100])
+def test_the_size_of_a_port_does_not_decide_whether_it_drives(size):
+    assert split_casimirs(np.eye(3), size * np.array([1.0, 0.0, 1e-3]), skew_plane()).driven.all()
+    # in coupled variables the kernel is known up to rounding
+    J, K = skew([1.0], 1, np.random.default_rng(3))
+    blind = np.linalg.qr(K, mode="complete")[0][:, 1]
+    assert not split_casimirs(np.eye(3), size * (blind + EPS * K[:, 0]), J).driven.any()
+    assert split_casimirs(np.eye(3), size * (blind + 1e3 * EPS * K[:, 0]), J).driven.all()
+
+
+@pytest.mark.parametrize("x", [1e-3, 1e-18, 1e-60])
+def test_the_unit_of_a_casimir_does_not_decide_whether_it_is_driven(x):
+    """`c = z_3` in units such that its input is x and its energy `(c / x)^2 / 2`: the same system for every x."""
+    split = split_casimirs(np.diag([1.0, 1.0, 1 / x**2]), [0.0, 1.0, x], skew_plane())
+    assert split.driven.tolist() == [True]
+    s = 0.3 + 1j
+    assert abs(phc.ph(split.Q, split.B)(s) - (s / (s**2 + 1) + 1 / s)) < 32 * EPS
+
+
+def test_casimirs_of_far_apart_units_are_parted_into_driven_and_still_ones():
+    x = 1e-18
+    # three uncoupled Casimirs, two ports, one combination left alone: k with k @ B = 0
+    B = np.array([[1.0, 1.0], [x, 2 * x], [0.0, x], [0.0, 0.0]])
+    split = split_casimirs(np.eye(4), B, np.zeros((4, 4)))
+    assert split.driven.tolist() == [True, True, False, False]
+    rows = split.casimirs
+    assert np.max(np.abs(rows @ rows.T - np.eye(4))) < 32 * EPS
+    assert np.max(np.abs(rows[2:] @ B)) <= 32 * EPS
+    # the combinations that B leaves alone
+    assert np.max(np.abs(rows[:2] @ np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]).T)) <= 32 * EPS
+    one = split_casimirs(np.eye(2), [1.0, x], np.zeros((2, 2)))
+    assert one.driven.tolist() == [True, False] and abs(one.casimirs[1] @ [1.0, x]) <= 8 * EPS * x
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda split: pickle.loads(pickle.dumps(split))])
+def test_copies_of_a_split_cannot_be_changed_either(copied):
+    split = split_casimirs(np.eye(3), np.ones(3), np.zeros((3, 3)))
+    twin = copied(split)
+    for name in ("Q", "B", "T", "casimirs", "driven"):
+        assert np.array_equal(getattr(twin, name), getattr(split, name))
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(twin, name)[...] = 0
+    assert twin.rank == split.rank and hash(twin)
 
 
 def skew_plane():
