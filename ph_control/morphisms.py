@@ -221,6 +221,9 @@ class ExpressivePower:
     def __post_init__(self) -> None:
         _checks.readonly(self.missing)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.rank, self.dark, self.resonant, self.missing.copy())
+
     @property
     def is_full(self) -> bool:
         """Whether nothing is missed: the morphism is an isomorphism, the system canonical."""

@@ -1,5 +1,7 @@
 """The matrices between canonical forms and port-Hamiltonian systems, against the paper's recursion in many digits."""
 
+import copy
+import pickle
 import warnings
 
 import control as ct
@@ -336,3 +338,13 @@ def test_bad_arguments_are_refused_with_what_was_measured():
 def test_a_system_without_states_has_empty_morphisms():
     assert controllable_morphism([], []).shape == (0, 0)
     assert expressive_power([], []).is_full
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda power: pickle.loads(pickle.dumps(power))])
+def test_copies_of_an_expressive_power_cannot_be_changed_either(copied):
+    power = expressive_power([1.0, 2.0], [1.0, 0.0, 0.0, 0.0])
+    twin = copied(power)
+    assert (twin.rank, twin.dark, twin.resonant) == (power.rank, power.dark, power.resonant)
+    assert np.array_equal(twin.missing, power.missing) and hash(twin)
+    with pytest.raises(ValueError, match="read-only"):
+        twin.missing[...] = 0
