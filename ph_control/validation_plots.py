@@ -186,7 +186,7 @@ def _draw_correlation(axis: Axes, lags: NDArray[Any], values: Array, band: Array
         axis.vlines(lags[mask], 0.0, values[mask], color=colour, linewidth=1.2, zorder=2)
         lines += axis.plot(
             lags[mask], values[mask], linestyle="none", marker="o", markersize=3.5, color=colour, zorder=3,
-            label=name if mask.any() else "_",
+            label=name,
         )  # fmt: skip
     reach = 1.25 * max(float(np.nanmax(np.abs(values), initial=0.0)), float(shown.max()), 1e-3)
     axis.set_ylim(-reach, reach)
@@ -222,7 +222,8 @@ def order_plot(
         axes[0, 0].set_xlabel(_plain(f"Natural frequency [rad/{time_unit}]"))
         axes[0, 0].set_ylabel("Order (number of modes)")
         axes[0, 1].set_xlabel("Criterion above its least value")
-        for axis, label in zip(axes[0], (f"{criterion} chooses {chosen}", "_"), strict=True):
+        choice = f"{criterion} chooses {chosen}" + ", the largest tried" * int(chosen == orders[-1])
+        for axis, label in zip(axes[0], (choice, "_"), strict=True):
             axis.axhline(chosen, color="C3", linewidth=6.0, alpha=0.15, zorder=0, label=label)
             axis.set_ylim(orders[0] - 0.5, orders[-1] + 0.5)
             axis.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -240,7 +241,10 @@ def _draw_stabilisation(
     kept = np.concatenate([np.zeros(0, bool), *stable])
     lines = axis.plot(d[kept], order[kept], linestyle="none", marker="o", markersize=5.0, color="C0", label="stable")
     lines += axis.plot(d[~kept], order[~kept], linestyle="none", marker="x", markersize=4.5, color="0.5", label="new")
-    axis.set_xlim(0.0, 1.05 * float(d.max(initial=0.0)) or 1.0)
+    low, high = float(d.min(initial=np.inf)), float(d.max(initial=0.0))
+    # frequencies close together are spread out, others seen from 0 on
+    margin = max(0.1 * (high - low), 0.02 * high)
+    axis.set_xlim(low - margin if low > 0.5 * high else 0.0, high + margin if high else 1.0)
     return lines
 
 

@@ -668,7 +668,7 @@ def test_the_picture_of_residuals_shows_both_correlations_and_their_bands():
         reach = np.concatenate([path.vertices[:, 1] for path in lines[0].axes.collections[0].get_paths()])
         assert reach.max() == pytest.approx(band.max())
     assert len(plot.lines[0, 0][1].get_xdata()) > 10
-    assert "99 % band" in legend_texts(plot.axes[0, 0])
+    assert legend_texts(plot.axes[0, 0]) == ["99 % band", "inside", "outside"]
     assert plot.axes[0, 0].get_xlabel() == "Lag [samples]"
     assert p_value(analysis.whiteness) in plot.axes[0, 0].get_title(loc="left")
 
@@ -690,6 +690,8 @@ def test_the_stabilisation_diagram_shows_frequencies_by_order_and_criteria_besid
     np.testing.assert_allclose(curves["BIC"].get_xdata(), selection.bic - selection.bic.min())
     assert curves["BIC"].get_xdata()[2] == 0 and curves["BIC"].get_ydata()[2] == 2
     assert "AIC chooses" in legend_texts(selection.plot("aic").axes[0, 0])[-1]
+    limited = order_selection(recording(noise=0.1), 1, dt=STEP).plot()
+    assert legend_texts(limited.axes[0, 0])[-1] == "BIC chooses 1, the largest tried"
 
 
 def test_dollar_signs_in_names_are_drawn_as_they_are():

@@ -180,6 +180,8 @@ def order_selection(
         If the data or options are not of this form.
     IdentificationError
         As `pem`, or if the part that is not held out is too short.
+    TypeError
+        If a keyword is not one of `pem`, or `order` or `max_order` is given.
 
     See Also
     --------
