@@ -354,10 +354,12 @@ def _driven_first(kernel: Array, ports: Array) -> tuple[Array, NDArray[np.bool_]
     if rank in (0, count):
         return kernel.T.copy(), driven
     still = U[:, rank:] / unit
-    turn, _ = np.linalg.qr(still / _largest(still, axis=0), mode="complete")
-    still, moved = turn[:, : count - rank], turn[:, count - rank :]
-    moved = moved @ np.linalg.svd(moved.T @ reached)[0]
-    return np.concatenate([moved, still], axis=1).T @ kernel.T, driven
+    still = still / _largest(still, axis=0)
+    # large rows first: then Householder reflections keep the digits of each row, however small
+    order = np.argsort(-np.abs(still).max(axis=1), kind="stable")
+    turn = np.empty((count, count))
+    turn[order], _ = np.linalg.qr(still[order], mode="complete")
+    return np.roll(turn, rank, axis=1).T @ kernel.T, driven
 
 
 def _largest(M: Array, axis: int) -> Array:

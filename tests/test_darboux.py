@@ -301,8 +301,10 @@ def test_casimirs_of_far_apart_units_are_parted_into_driven_and_still_ones():
     assert np.max(np.abs(rows[2:] @ B)) <= 32 * EPS
     # the combinations that B leaves alone
     assert np.max(np.abs(rows[:2] @ np.array([[0.0, 1.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]).T)) <= 32 * EPS
-    one = split_casimirs(np.eye(2), [1.0, x], np.zeros((2, 2)))
+    one = split_casimirs(np.diag([1.0, 1 / x**2]), [1.0, x], np.zeros((2, 2)))
     assert one.driven.tolist() == [True, False] and abs(one.casimirs[1] @ [1.0, x]) <= 8 * EPS * x
+    # both store as much energy: G = 1/s + 1/s
+    assert abs(phc.ph(one.Q, one.B)(2.0) - 1.0) < 32 * EPS
 
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda split: pickle.loads(pickle.dumps(split))])
