@@ -38,9 +38,9 @@ def default_time_vector(d: Array, tfinal: float | None = None, samples: int | No
 def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
     parts = []
     if len(fast):
-        parts.append(f"too coarse for {_listed(fast)} (fewer than 3 samples a period)")
+        parts.append(f"too coarse for {listed(fast)} (fewer than 3 samples a period)")
     if len(slow):
-        parts.append(f"too short for {_listed(slow)} (less than one period)")
+        parts.append(f"too short for {listed(slow)} (less than one period)")
     if parts:
         warnings.warn(
             f"the default time vector ({len(t)} samples to t = {t[-1]:.4g}) is {' and '.join(parts)}; "
@@ -50,7 +50,8 @@ def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
         )
 
 
-def _listed(d: Array) -> str:
+def listed(d: Array) -> str:
+    """Text that names modes in a warning."""
     shown = ", ".join(f"{value:.4g}" for value in d[:3])
     return f"{len(d)} mode{'s' if len(d) > 1 else ''} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from . import _checks
-from .exceptions import StructureError
+from ._instants import listed
+from .exceptions import ResolutionWarning, StructureError
 from .lossless_system import LosslessSystem, inherited_names
 from .motion import Rule, check_finite, trajectory
 from .propagation import INTERSAMPLE, METHODS
@@ -49,6 +51,12 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     StructureError
         If the system is not one of these, or `h` is not positive.
 
+    Warns
+    -----
+    ResolutionWarning
+        If `method` is 'exact' and modes turn by half a period or more in a step: beyond the frequency of Nyquist they
+        cannot be told from slower ones, and after whole half periods the input may not reach them.
+
     See Also
     --------
     ph : with `method`, the way back.
@@ -77,6 +85,8 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
         _checks.choice("method", method, METHODS),
         _checks.choice("intersample", intersample, INTERSAMPLE),
     )
+    if rule.method == "exact":
+        _warn_of_aliases(sys.modes.d, rule.h)
     size, ports = sys.nstates, sys.ninputs
     rest = np.zeros(size)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -88,6 +98,17 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     check_finite(F, now, 1.0, rule)
     kept = inherited_names(sys, names, "inputs", "outputs", "states")
     return ct.ss(F, now + F @ then, sys.C, sys.C @ then, rule.h, **kept)
+
+
+def _warn_of_aliases(d: Array, h: float) -> None:
+    beyond = d[d * h >= np.pi * (1 - 4 * _checks.EPS)]
+    if len(beyond):
+        warnings.warn(
+            f"the step {h:.4g} is half a period or more of {listed(beyond)}: sampled, they cannot be told from slower "
+            f"ones, or are not reached; take a step below {np.pi / d.max():.4g}",
+            ResolutionWarning,
+            stacklevel=3,
+        )
 
 
 def _pulse(ports: int, port: int, k: int) -> Array:
@@ -155,7 +176,8 @@ def energy_balance(
     Raises
     ------
     StructureError
-        If the response has no states, several traces, or sizes that do not fit the system.
+        If the response is none, has no states, several traces, sizes that do not fit the system or one another,
+        numbers that are not real and finite, or energies beyond the range of doubles.
 
     Notes
     -----
@@ -175,25 +197,32 @@ def energy_balance(
     """
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(f"this is a {type(sys).__name__}; the energy is that of a PortHamiltonian: use ph(sys)")
+    if not isinstance(response, ct.TimeResponseData):
+        raise StructureError(f"this is a {type(response).__name__}; pass the response that forced_response gives")
     _checks.choice("method", method, METHODS)
     _checks.choice("intersample", intersample, INTERSAMPLE)
     t, _ = _checks.time_vector(response.time)
-    z, u = _trace(response.x, "states", sys.nstates), _trace(response.u, "inputs", sys.ninputs)
+    z = _trace(response.x, "states", sys.nstates, len(t))
+    u = _trace(response.u, "inputs", sys.ninputs, len(t))
     stored = np.asarray(sys.hamiltonian(z))
     h = float((t[-1] - t[0]) / (len(t) - 1)) if len(t) > 1 else 0.0
-    work = _work(sys, z, u, h, method, intersample)
-    supplied = np.concatenate([[0.0], np.cumsum(work)])
-    return EnergyBalance(t.copy(), stored, supplied, stored - stored[0] - supplied)
+    with np.errstate(over="ignore", invalid="ignore"):
+        supplied = np.concatenate([[0.0], np.cumsum(_work(sys, z, u, h, method, intersample))])
+        defect = stored - stored[0] - supplied
+    _checks.representable("the energies supplied", supplied, defect)
+    return EnergyBalance(t.copy(), stored, supplied, defect)
 
 
-def _trace(value: Any, what: str, rows: int) -> Array:
+def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
     if value is None or np.size(value) == 0:
         raise StructureError(f"the response has no {what}; compute it with forced_response and return_states=True")
-    array = np.asarray(value, float)
+    array = _checks.real_array(f"the list of {what} of the response", value)
     if array.ndim == 3 and array.shape[1] == 1:
         array = array[:, 0]
     if array.ndim != 2 or array.shape[0] != rows:
         raise StructureError(f"the {what} of the response have shape {array.shape}; needed one trace of {rows} rows")
+    if array.shape[1] != samples:
+        raise StructureError(f"the response has {array.shape[1]} samples of {what} at {samples} instants")
     return array
 
 

@@ -204,7 +204,7 @@ class PortHamiltonian(LosslessSystem):
         Raises
         ------
         StructureError
-            If `z` has the wrong number of rows, or is not real and finite.
+            If `z` has the wrong number of rows, is not real and finite, or its energy exceeds the range of doubles.
 
         Notes
         -----
@@ -220,7 +220,13 @@ class PortHamiltonian(LosslessSystem):
         if states.ndim not in (1, 2) or states.shape[0] != self.nstates:
             raise StructureError(f"z has shape {states.shape}; it must be ({self.nstates},) or ({self.nstates}, T)")
         _, E, E0 = self._energy
-        energy = 0.5 * (np.sum(np.abs(E @ states) ** 2, axis=0) + np.sum((E0 @ states) ** 2, axis=0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            energy = 0.5 * (np.sum(np.abs(E @ states) ** 2, axis=0) + np.sum((E0 @ states) ** 2, axis=0))
+        if not np.isfinite(energy).all():
+            raise StructureError(
+                f"z is out of range: its largest entry is {np.max(np.abs(states)):.3g}, whose energy exceeds the range "
+                "of doubles; choose another unit of amplitude"
+            )
         return float(energy) if states.ndim == 1 else energy
 
     # --- what python-control asks a system ------------------------------------------------------------------------

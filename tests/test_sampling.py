@@ -241,3 +241,59 @@ def test_a_balance_needs_states_of_the_system(make, message):
     response, sys = make(phc.ph(np.eye(2), [0, 1]), np.linspace(0, 1, 5))
     with pytest.raises(phc.StructureError, match=message):
         phc.energy_balance(response, sys)
+
+
+def made(time=(0.0, 0.1, 0.2), states=((1, 1, 1), (1, 1, 1)), inputs=((1, 1, 1),)):
+    """A response, as python-control makes one of anything; it checks sizes only against one another."""
+    response = ct.TimeResponseData([0.0, 0.1, 0.2], np.ones((1, 3)), np.ones((2, 3)), np.ones((1, 3)))
+    response.t, response.x, response.u = np.asarray(time), np.asarray(states), np.asarray(inputs)
+    return response
+
+
+@pytest.mark.parametrize(
+    ("response", "message"),
+    [
+        (None, "this is a NoneType; pass the response that forced_response gives"),
+        ((np.zeros(3), np.zeros(3)), "this is a tuple"),
+        (made(states=np.full((2, 3), np.nan)), "the list of states of the response is not finite"),
+        (made(inputs=[[1.0, np.nan, 2.0]]), "the list of inputs of the response is not finite"),
+        (made(states=np.full((2, 3), 1j)), "the list of states of the response is complex"),
+        (made(inputs=[["a", "b", "c"]]), "the list of inputs of the response does not hold real numbers"),
+        (made(time=["a", "b", "c"]), "the time vector does not hold real numbers"),
+        (made(time=[0.0, 0.1]), "the response has 3 samples of states at 2 instants"),
+        (made(inputs=np.ones((1, 4))), "the response has 4 samples of inputs at 3 instants"),
+        (made(states=np.full((2, 3), 1e200)), r"z is out of range: its largest entry is 1e\+200"),
+        (made(states=1e120 * np.eye(2, 3), inputs=[[1e200, 1e200, 0]]), "the energies supplied leave the range"),
+    ],
+)
+def test_a_response_of_other_sizes_or_without_numbers_has_no_balance(response, message):
+    with pytest.raises(phc.StructureError, match=message):
+        phc.energy_balance(response, phc.ph(np.eye(2), [0.0, 1.0]))
+    assert abs(phc.energy_balance(made(), phc.ph(np.eye(2), [0.0, 1.0])).stored[0] - 1) < 4 * EPS
+
+
+def test_a_response_too_large_for_its_energy_says_so():
+    sys = phc.ph(np.eye(2), [0.0, 1.0])
+    response = phc.forced_response(sys, [0, 0.1, 0.2], 1e200)
+    with pytest.raises(phc.StructureError, match=r"z is out of range: its largest entry is 1.99e\+199"):
+        phc.energy_balance(response, sys)
+
+
+# --- Nyquist -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [phc.ph, phc.ch, phc.oh, lambda modes: phc.affine(phc.ph(modes).Q, phc.ph(modes).B)])
+def test_modes_at_and_beyond_the_frequency_of_nyquist_are_named(make):
+    sys = make(phc.modes([1.0, 2.0, 4.0], [1.0, 1.0, 1.0]))
+    for h, named in (
+        (np.pi / 2, "2 modes at d = 2, 4 rad"),
+        (0.8, "1 mode at d = 4 rad"),
+        (np.pi / 4, "1 mode at d = 4"),
+    ):
+        with pytest.warns(
+            phc.ResolutionWarning, match=f"half a period or more of {named}.* take a step below 0.7854"
+        ) as w:
+            phc.sample(sys, h)
+        assert w[0].filename == __file__
+    for method, h in (("exact", 0.999 * np.pi / 4), ("midpoint", 2.0), ("euler", 2.0)):
+        phc.sample(sys, h, method)

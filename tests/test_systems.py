@@ -705,3 +705,11 @@ def test_a_copy_of_a_subclass_is_of_that_class(duplicate):
     assert type(twin) is Plant and np.array_equal(twin.Q, sys.Q)
     assert type(duplicate(Plant._from_modes(sys.modes))) is Plant
     assert type(phc.ph(sys)) is phc.PortHamiltonian
+
+
+@pytest.mark.parametrize("z", [[1e200, 0.0], [[1.0, 0.0], [0.0, 1.7e308]]])
+def test_a_state_whose_energy_exceeds_the_range_is_refused_with_the_figure(z):
+    with pytest.raises(
+        phc.StructureError, match=r"z is out of range: its largest entry is 1.*e\+[23]0[08], whose energy"
+    ):
+        phc.ph(np.eye(2), [0.0, 1.0]).hamiltonian(z)
