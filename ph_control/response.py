@@ -20,6 +20,8 @@ from .propagation import INTERSAMPLE, METHODS
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_MOST = 10**9  # instants, 8 GB of them
+
 
 def forced_response(
     sysdata: Any,
@@ -299,7 +301,8 @@ def _resolve_aliases(named: dict[str, Any], aliases: dict[str, Any]) -> None:
         if name not in named:
             raise TypeError(f"unrecognized keyword: {short!r}")
         default = {"inputs": 0.0, "initial_state": 0.0, "return_states": False}.get(name)
-        if named[name] is not None and not (np.ndim(named[name]) == 0 and named[name] == default):
+        given = named[name]
+        if isinstance(given, list | tuple) or not (given is None or (np.ndim(given) == 0 and given == default)):
             raise TypeError(f"multiple values for {name!r}: also given as {short!r}")
         named[name] = value
 
@@ -324,11 +327,14 @@ def _each(
 
 
 def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:
-    if timepts is not None and np.ndim(timepts) > 0:
+    if isinstance(timepts, list | tuple) or np.ndim(timepts) > 0:
         return _checks.time_vector(timepts)[0]
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
-    if samples is not None and not (isinstance(samples, int | np.integer) and samples >= 2):
-        raise StructureError(f"timepts_num is {samples!r}; it must be a whole number of at least 2 instants")
+    if samples is not None and not (isinstance(samples, int | np.integer) and 2 <= samples <= _MOST):
+        raise StructureError(
+            f"timepts_num is {_checks.shown(samples)}; it must be a whole number of at least 2 instants, and no more "
+            f"than {_MOST:.0e}"
+        )
     visible = [sys.modes.d[sys.modes.nu.any(axis=1)] for sys in systems]
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 

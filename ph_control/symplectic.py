@@ -17,6 +17,7 @@ from .exceptions import StructureError
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_LARGEST = 10**8  # degrees of freedom of a matrix that memory could be addressed for
 _SLICES = 4  # of 21 bits or more each: twice the digits of a double with some to spare for terms that cancel
 
 
@@ -36,7 +37,7 @@ def symplectic_form(n: int) -> Array:
     Raises
     ------
     StructureError
-        If `n` is not a whole number, or negative.
+        If `n` is not a whole number, negative, or more than a matrix has room for.
 
     Examples
     --------
@@ -46,7 +47,13 @@ def symplectic_form(n: int) -> Array:
            [-1.,  0.]])
     """
     if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 0:
-        raise StructureError(f"n is {n!r}; the number of degrees of freedom is a whole number, not negative")
+        raise StructureError(
+            f"n is {_checks.shown(n)}; the number of degrees of freedom is a whole number, not negative"
+        )
+    if n > _LARGEST:
+        raise StructureError(
+            f"n is too large for a matrix in memory: allowed up to {_LARGEST}; apply J by swapping halves"
+        )
     J = np.zeros((2 * n, 2 * n))
     J[:n, n:] = np.eye(n)
     J[n:, :n] = -np.eye(n)

@@ -489,3 +489,23 @@ def test_a_keyword_of_another_response_is_unknown():
         phc.impulse_response(ONE, T3, X0=1.0)
     with pytest.raises(TypeError, match="multiple values for 'initial_state'"):
         phc.initial_response(ONE, T3, np.ones(4), X0=np.zeros(4))
+
+
+@pytest.mark.parametrize("ragged", [[[1], [1, 2]], ([1], [1, 2])])
+def test_ragged_arguments_are_refused(ragged):
+    for call in (
+        lambda: phc.forced_response(ONE, ragged),
+        lambda: phc.forced_response(ONE, T3, ragged),
+        lambda: phc.forced_response(ONE, T3, 0.0, ragged),
+        lambda: phc.step_response(ONE, T=ragged),
+    ):
+        with pytest.raises(phc.StructureError, match="is not a rectangular array of numbers"):
+            call()
+    with pytest.raises(TypeError, match="multiple values for 'inputs'"):
+        phc.forced_response(ONE, T3, ragged, U=1.0)
+
+
+@pytest.mark.parametrize("count", [10**400, 10**5000, 10**10], ids=["400", "5000", "10"])
+def test_a_number_of_instants_that_no_memory_holds_is_refused(count):
+    with pytest.raises(phc.StructureError, match=r"timepts_num is .*; it must be a whole number of at least 2"):
+        phc.step_response(ONE, timepts_num=count)

@@ -394,3 +394,9 @@ def test_a_skew_matrix_is_a_sum_of_rotations_in_orthogonal_planes(size):
 def test_a_tolerance_of_no_meaning_is_refused_and_symmetrises_nothing(test, rtol):
     with pytest.raises(phc.StructureError, match=r"rtol is .*; a relative tolerance is a number from 0 to 1"):
         test(np.array([[1.0, 0.5], [0.0, 1.0]]), rtol=rtol)
+
+
+@pytest.mark.parametrize("n", [10**400, 10**5000, 10**9], ids=["400", "5000", "9"])
+def test_a_symplectic_form_that_no_memory_holds_is_refused(n):
+    with pytest.raises(phc.StructureError, match="n is too large for a matrix in memory"):
+        phc.symplectic_form(n)
