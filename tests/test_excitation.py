@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.identification.excitation import excitation
+from ph_control.identification.excitation import examine_fit, excitation
 from ph_control.identification.excited_band import excited_band
 from ph_control.identification.information import Information
+from ph_control.identification.regressors import Hold
 from ph_control.identification.remedy import multisine
+from ph_control.identification.solver import Problem
 
 EPS = np.finfo(float).eps
 GOLDEN = (np.sqrt(5) - 1) / 2
@@ -167,6 +169,20 @@ def test_the_bounds_at_a_fit_are_its_standard_errors():
     assert found.noise_std == pytest.approx(np.sqrt(result.noise_variance), rel=1e-9)
     assert np.allclose(found.stderr["d"], result.stderr["d"], rtol=1e-6)
     assert np.allclose(found.stderr["r"], result.stderr["r"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("from_rest", [False, True])
+def test_the_end_of_a_fit_is_judged_with_its_own_sensitivities(from_rest):
+    u, h = white(300), 0.1
+    d, r, x0 = np.array([3.0, 1.0]), np.array([0.2, 1.0]), np.array([0.5, 1 + 1j]) * (not from_rest)
+    y = output_of(d, r, x0, u, h)
+    end = Problem(u, y, np.ones(300, bool), Hold(h), from_rest).project(d)
+    found = examine_fit(end, 0.1)
+    same = excitation((u, y), (d, r), dt=h, noise_std=0.1, initial_state="zero" if from_rest else "estimate")
+    assert np.allclose(found.r, same.r, rtol=1e-9) and np.array_equal(found.d, [1.0, 3.0])
+    for key in found.stderr:
+        assert np.allclose(found.stderr[key], same.stderr[key], rtol=1e-6)
+    assert found.headline == same.headline and found.information.tolerance == pytest.approx(same.information.tolerance)
 
 
 def test_every_form_of_a_model_and_of_a_record_gives_the_same():

@@ -16,11 +16,11 @@ from ..systems import modes
 from .data import Record, as_record
 from .excitation_report import Excitation
 from .excited_band import ExcitedBand, excited_band
-from .information import Combination, Information, model_information
+from .information import Combination, Information, information_of, model_information
 from .regressors import Hold, regressors
 from .remedy import input_remedy
 from .scan import Scan, representative, scan
-from .solver import Problem
+from .solver import Problem, Projection
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -159,6 +159,18 @@ def examine(
         remedies=(),
     )
     return replace(found, remedies=_remedies(found, problem, amplitudes))
+
+
+def examine_fit(at: Projection, noise_std: float = np.nan) -> Excitation:
+    """Judge a record at the end of a fit, with the sensitivities that the fit has."""
+    n = len(at.d)
+    rank = np.argsort(at.d)
+    kappa, alpha, beta = (part[rank] for part in np.split(at.coefficients, 3))
+    d, amplitudes = at.d[rank], alpha + 1j * beta
+    jacobian = at.full_jacobian()[0]
+    sorting = np.concatenate([rank + k * n for k in range(jacobian.shape[1] // n)])
+    information = information_of(at.problem, jacobian[:, sorting], d, kappa / d, amplitudes)
+    return examine(at.problem, d, kappa / d, amplitudes, noise_std=noise_std, information=information)
 
 
 def _positive(name: str, value: Any) -> float:

@@ -227,17 +227,26 @@ def model_information(problem: Problem, d: Array, r: Array, amplitudes: ComplexA
 
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
     """
-    n, samples, h = len(d), len(problem.u), problem.hold.h
+    n = len(d)
     found = regressors(d, problem.u, problem.hold)
     coefficients = np.concatenate([r * d, amplitudes.real, amplitudes.imag])
     columns, slopes = problem.seen(found.columns()), problem.seen(found.slopes())
     by_d = (slopes * coefficients).reshape(len(columns), 3, n).sum(axis=1)
     linear = columns[:, :n] if problem.from_rest else columns
-    J = in_weights(np.concatenate([by_d, linear], axis=1), d, r)
+    return information_of(problem, np.concatenate([by_d, linear], axis=1), d, r, amplitudes)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def information_of(problem: Problem, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+    """Information at a model from the sensitivities to `(d, kappa, Re x(0), Im x(0))`, or from the R of their QR."""
+    n, samples, h = len(d), len(problem.u), problem.hold.h
+    J = in_weights(jacobian, d, r)
     forced, free = _state_sizes(problem, d)
     moving = r * d * forced + np.abs(amplitudes) * free
     sizes = [samples * h * moving + r * forced, d * forced] + ([] if problem.from_rest else [free, free])
-    return Information.of(J, parameter_names(n, problem.from_rest), rows=len(J), sizes=np.concatenate(sizes))
+    return Information.of(
+        J, parameter_names(n, problem.from_rest), rows=len(problem.target), sizes=np.concatenate(sizes)
+    )
 
 
 def _state_sizes(problem: Problem, d: Array) -> tuple[Array, Array]:
