@@ -211,8 +211,8 @@ def residual_analysis(
     *Correlation with the input.*  The band is `sum_m c_e(m) c_u(m)` with both autocorrelations.  The p-values are those
     of F tests that regress the residuals on shifted inputs: at lags 0 to L for a response, and beside these at lags -L
     to -1 for feedback.  They are exact for white Gaussian noise; for coloured residuals their own past is among the
-    regressors (Granger), so that long responses show too.  NaN stands for what the record cannot tell, such as a response
-    under a constant input.
+    regressors (Granger), so that long responses show too.  NaN stands for what the record cannot tell, such as a
+    response under a constant input.
 
     O(T (n + L)^2), and O(T (n + L)) of memory.
 
