@@ -20,8 +20,11 @@ from .exceptions import (
 from .files import load, read_csv, save
 from .groupoids import PortHamiltonianGroupoid, ReducedGroupoid
 from .identification.gradient import GradientResult, gradient_descent
+from .identification.orders import OrderSelection, order_selection
 from .identification.pem import pem, prediction_error_fit
+from .identification.residuals import ResidualAnalysis, residual_analysis
 from .identification.result import PEMResult
+from .identification.validation import Comparison, compare
 from .isomorphism import Verdict, are_isomorphic, system_isomorphism
 from .modal import ModalForm
 from .models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain

@@ -69,15 +69,18 @@ T = np.linspace(0.0, 1.0, 5)
 
 # a valid call of each function that collects keywords, once for each way its arguments can go
 CALLS: dict[str, list[Callable[..., Any]]] = {
+    "OrderSelection.plot": [lambda **k: phc.order_selection(fitted().record, 2).plot(**k)],
     "PEMResult.plot": [lambda **k: fitted().plot(**k)],
     "AffineHamiltonian": [lambda **k: phc.AffineHamiltonian(np.eye(2), [1, 0], **k)],
     "AffineHamiltonian.derivative": [lambda **k: phc.affine(np.eye(2), [1, 0]).derivative(**k)],
+    "Comparison.plot": [lambda **k: phc.compare(fitted().record, plant()).plot(**k)],
     "ControllableHamiltonian": [lambda **k: phc.ControllableHamiltonian([1.0], [1.0, 0.0], **k)],
     "ControllableHamiltonian.port_hamiltonian": [lambda **k: phc.ch([1.0], [1.0, 0.0]).port_hamiltonian(**k)],
     "ObservableHamiltonian": [lambda **k: phc.ObservableHamiltonian([1.0], [1.0, 0.0], **k)],
     "ObservableHamiltonian.port_hamiltonian": [
         lambda **k: phc.oh([1.0], [1.0, 0.0]).port_hamiltonian(np.diag([2.0, 0.5]), **k)
     ],
+    "ResidualAnalysis.plot": [lambda **k: phc.residual_analysis(fitted().record, fitted()).plot(**k)],
     "affine": [
         lambda **k: phc.affine(np.eye(2), [1, 0], **k),
         lambda **k: phc.affine(ct.tf([1], [1, 0, 4]), **k),
@@ -99,6 +102,7 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "impulse_response": [lambda **k: phc.impulse_response(plant(), T, **k)],
     "initial_response": [lambda **k: phc.initial_response(plant(), T, 1.0, **k)],
     "lc_circuit": [lambda **k: phc.lc_circuit([1.0, 2.0], 1.0, **k)],
+    "order_selection": [lambda **k: phc.order_selection(fitted().record, 2, **k)],
     "ph": [
         lambda **k: phc.ph(np.eye(2), [0, 1], **k),
         lambda **k: phc.ph(plant(), **k),

@@ -201,12 +201,11 @@ def order_selection(
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.identification.orders import order_selection
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(400)
     >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u).outputs + 0.01 * rng.standard_normal(400)
-    >>> selection = order_selection((u, y), 4, dt=0.1, holdout=0.25)
+    >>> selection = phc.order_selection((u, y), 4, dt=0.1, holdout=0.25)
     >>> selection.chosen(), selection.chosen("holdout")
     (2, 2)
     >>> selection.frequencies[2].round(3), selection.stable[3]

@@ -219,15 +219,14 @@ def residual_analysis(
     Examples
     --------
     >>> import control as ct, numpy as np, ph_control as phc
-    >>> from ph_control.identification.residuals import residual_analysis
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(400)
     >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u).outputs + 0.01 * rng.standard_normal(400)
-    >>> analysis = residual_analysis((u, y), plant, dt=0.1)
+    >>> analysis = phc.residual_analysis((u, y), plant, dt=0.1)
     >>> analysis.verdict
     'white, and independent of the input'
-    >>> residual_analysis((u, y), ct.tf([1, 0], [1, 0.1, 1]), dt=0.1).verdict
+    >>> phc.residual_analysis((u, y), ct.tf([1, 0], [1, 0.1, 1]), dt=0.1).verdict
     'NOT all of the response to the input is in the model'
     >>> picture = analysis.plot()
     """

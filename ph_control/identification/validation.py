@@ -163,13 +163,12 @@ def compare(
     Examples
     --------
     >>> import control as ct, numpy as np, ph_control as phc
-    >>> from ph_control.identification.validation import compare
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]), name="plant")
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(400)
     >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u).outputs + 0.01 * rng.standard_normal(400)
     >>> damped = ct.tf([1, 0], [1, 0.1, 1], name="damped")
-    >>> comparison = compare((u, y), plant, damped, dt=0.1)
+    >>> comparison = phc.compare((u, y), plant, damped, dt=0.1)
     >>> print(comparison)
     Fit to 'y': 400 samples; initial state estimated
       model              fit  RMS error
