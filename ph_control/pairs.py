@@ -223,6 +223,13 @@ def power_of_two(values: NDArray[Any]) -> float:
     return float(np.ldexp(0.5, np.frexp(largest)[1])) if 0 < largest < np.inf else 1.0
 
 
+def norm_of(M: NDArray[Any], axis: int | None = None) -> Any:
+    """Euclidean norm, also where squares leave the range of doubles."""
+    unit = np.abs(M).max(axis=axis, initial=0.0, keepdims=True)
+    unit = np.where((unit > 0) & np.isfinite(unit), unit, 1.0)
+    return np.linalg.norm(M / unit, axis=axis) * np.squeeze(unit, axis=axis)
+
+
 def symplectic_inverse(S: Array) -> Array:
     """`S^{-1} = J^T S^T J` of a symplectic matrix, exactly."""
     return apply_form(apply_form(S).T)

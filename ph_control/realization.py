@@ -24,6 +24,8 @@ from .systems import PortHamiltonian, full_port_hamiltonian
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
+
 
 class KalmanDecomposition(NamedTuple):
     """A system as the direct sum of what its port reaches and what it does not; made by `kalman_decomposition`.
@@ -244,7 +246,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     NotLosslessError
         If the system has no port-Hamiltonian form.
     StructureError
-        If `m` is less than n or no whole number, or the padding is not of the kind above.
+        If `m` is less than n, more than 100000 or no whole number, or the padding is not of the kind above.
 
     Warns
     -----
@@ -271,12 +273,8 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     """
     system = full_port_hamiltonian(sys)
     n = system.n
-    if not isinstance(m, int | np.integer) or isinstance(m, bool) or m < n:
-        raise StructureError(
-            f"m is {m!r}, the system has n = {n} degrees of freedom; needed a whole number of at least n: take hidden "
-            "modes off with minreal first, if there are any"
-        )
-    added = _padding(system.d, int(m) - n, padding)
+    m = lifted_size(m, n)
+    added = _padding(system.d, m - n, padding)
     if m == n:
         return system
     _warn_of_jordan_blocks(system, added)
@@ -373,6 +371,16 @@ def _lifted_energy(
     frequencies = np.concatenate([d, added])
     order = np.argsort(frequencies, kind="stable")
     return frequencies[order], rows[order], rigid
+
+
+def lifted_size(m: Any, n: int) -> int:
+    """Check the degrees of freedom of a lifted system: a whole number of at least n, and not beyond all memory."""
+    if not isinstance(m, int | np.integer) or isinstance(m, bool) or not n <= m <= max(n, _LARGEST):
+        raise StructureError(
+            f"m is {_checks.shown(m)}, the system has n = {n} degrees of freedom; needed a whole number of at least n "
+            f"and at most {_LARGEST}: take hidden modes off with minreal first, if there are any"
+        )
+    return int(m)
 
 
 # --- padding -------------------------------------------------------------------------------------------------

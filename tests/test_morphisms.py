@@ -321,7 +321,9 @@ def test_bad_arguments_are_refused_with_what_was_measured():
         (r"range of doubles", lambda: controllable_morphism([1e100, 2e100, 3e100], np.ones(6))),
         (r"2 ports, needed 1", lambda: observable_morphism(two)),
         (r"needed a PortHamiltonian", lambda: observable_morphism(ct.ss(sys))),
-        (r"m is 0; .* at least the 1", lambda: lift_morphism(sys, 0)),
+        (r"m is 0, .* at least n", lambda: lift_morphism(sys, 0)),
+        (r"m is int, .* at most 100000", lambda: lift_morphism(sys, 10**5000)),
+        (r"m is 1000000, .* at most 100000", lambda: phc.lift(sys, 10**6)),
         (r"m is 2.0", lambda: lift_morphism(sys, 2.0)),
         (r"needed a PortHamiltonian", lambda: lift_morphism("x", 2)),
         (r"L has shape \(2, 1\)", lambda: is_morphism([[1], [1]], sys, sys)),
@@ -348,3 +350,40 @@ def test_copies_of_an_expressive_power_cannot_be_changed_either(copied):
     assert np.array_equal(twin.missing, power.missing) and hash(twin)
     with pytest.raises(ValueError, match="read-only"):
         twin.missing[...] = 0
+
+
+# --- sizes -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e-150, 1e-100, 1e-30, 1e-8, 1e8, 1e30, 1e100, 1e150])
+def test_what_is_a_morphism_does_not_depend_on_units(size):
+    """Warnings are errors here."""
+    for sys in (
+        phc.ph(size * np.eye(2), [1.0, 0.0]),
+        phc.ph(np.eye(2), [size, 0.0]),
+        phc.ph(size * np.eye(2), [size, 0.0]),
+        phc.ch([size], [1.0, 0.0]),
+    ):
+        if size not in (1e-150, 1e150) or isinstance(sys, phc.PortHamiltonian):
+            assert is_morphism(np.eye(2), sys, sys) and not is_morphism((1 + 1e-9) * np.eye(2), sys, sys)
+
+
+@pytest.mark.parametrize("size", [1e-8, 1e8, 1e-30, 1e30])
+def test_companion_matrices_are_balanced_in_any_unit_of_time(size):
+    """Warnings are errors here; the entries span the fourth power of the unit."""
+    sys = phc.ch([size, 2 * size], np.ones(4))
+    assert is_morphism(np.eye(4), sys, sys) and not is_morphism(np.diag([1, 1, 1, 1 + 1e-9]), sys, sys)
+
+
+def test_products_beyond_the_range_of_doubles_are_refused():
+    sys = phc.ph(1e100 * np.eye(2), [1.0, 0.0])
+    with pytest.raises(phc.StructureError, match="products of L and these systems leave the range"):
+        is_morphism(1e250 * np.eye(2), sys, sys)
+
+
+@pytest.mark.parametrize(("d", "v"), [(1e-200, 1e-100), (1e150, 1e150), (1e-150, 1e-150), (1e150, 1e-150)])
+def test_a_weight_in_small_units_is_not_taken_for_a_dark_mode(d, v):
+    for rtol in (None, 1e-3):
+        assert expressive_power([d, 2 * d], [v, 0.5 * v, 0.0, 0.0], rtol=rtol).is_full
+        assert expressive_power([d, 2 * d], [v, 0.0, 0.0, 0.0], rtol=rtol).dark == (1,)
+    assert expressive_power([1.0, 2.0], [1e-200, 1.0, 0.0, 0.0]).is_full
