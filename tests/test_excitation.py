@@ -618,6 +618,17 @@ def test_the_summary_is_narrow_and_complete():
         assert " ".join(found.message.split()) in " ".join(found.summary().split())
 
 
+def test_many_modes_are_told_in_few_words():
+    n = 30
+    crowded = excitation((sines(1.0), None), (0.5 + 0.2 * np.arange(n), np.ones(n)), dt=STEP)
+    assert "and 53 more" in crowded.headline
+    assert "use a white or multisine input" in crowded.message or "record for at least" in crowded.message
+    assert len(crowded.message) < 4000
+    assert "The same is true of 26 more." in crowded.message
+    wide = excitation((sines(1.0), None), (1 + 1.3 * np.arange(10), np.ones(10)), dt=STEP)
+    assert "add frequencies" not in wide.message and "white or multisine" in wide.message
+
+
 def test_the_text_says_what_is_shown_where_nothing_is_amiss():
     found = excitation((white(SAMPLES), None), CHAIN, dt=STEP)
     assert str(found) == "The record shows d, r and the initial state of 2 modes."

@@ -17,7 +17,7 @@ from .scan import SPACING, Scan
 
 Array = NDArray[np.float64]
 
-_SHOWN_COMBINATIONS = 3
+_TOLD = 3  # combinations, modes or pairs described one by one
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class Excitation:
         if self.artefacts:
             return f"shows {what} of {count} by an artefact of the integration rule only"
         if self.nearly_blind:
-            return f"hardly shows {'; '.join(one.words for one in self.nearly_blind[:_SHOWN_COMBINATIONS])}"
+            return f"hardly shows {'; '.join(one.words for one in self.nearly_blind[:_TOLD])}"
         if self.uncertain:
             return f"is too noisy for {listed(list(self.uncertain))}"
         return f"shows {count} in doubt"
@@ -198,7 +198,7 @@ class Excitation:
         Returns
         -------
         str
-            Several lines, at most 100 characters wide.
+            Several lines: the table at most 120 characters wide, the sentences 100.
 
         Notes
         -----
@@ -277,8 +277,8 @@ def _sentences(found: Excitation) -> Iterator[str]:
 
 
 def _some(combinations: tuple[Combination, ...]) -> str:
-    more = len(combinations) - _SHOWN_COMBINATIONS
-    shown = "; ".join(str(one) for one in combinations[:_SHOWN_COMBINATIONS])
+    more = len(combinations) - _TOLD
+    shown = "; ".join(str(one) for one in combinations[:_TOLD])
     return shown + (f"; and {more} more" if more > 0 else "")
 
 
@@ -332,16 +332,19 @@ def _of_errors(found: Excitation) -> Iterator[str]:
 
 
 def _of_time(found: Excitation) -> Iterator[str]:
-    for l in found.above_nyquist:
+    for l in found.above_nyquist[:_TOLD]:
         yield (
             f"Mode {l + 1}, at {found.d[l]:.4g} rad/time, lies above the Nyquist frequency {np.pi / found.dt:.4g} and "
             f"looks like one at {found.apparent[l]:.4g}."
         )
-    for j, k in found.unresolved:
+    for j, k in found.unresolved[:_TOLD]:
         yield (
             f"Modes {j + 1} and {k + 1} are {abs(found.apparent[j] - found.apparent[k]):.2g} rad/time apart, less than "
             f"the {found.band.bin:.2g} that the record resolves."
         )
+    more = sum(max(0, len(told) - _TOLD) for told in (found.above_nyquist, found.unresolved))
+    if more:
+        yield f"The same is true of {more} more."
     if found.slow:
         named = named_modes([l + 1 for l in found.slow]).capitalize()
         yield f"{named} complete{'s' * (len(found.slow) == 1)} less than a period in the record."

@@ -27,6 +27,8 @@ NEARLY_BLIND = 0.01  # singular value below which a combination counts: its erro
 _ROUNDED = 0.01  # relative difference of weights that are sorted as equal
 _STATE = "(0)"  # end of the name of an initial state
 _MINOR = 0.02  # weight below which a coefficient is not printed
+_LARGEST_ROUNDING = 1e-3  # of a null vector: without a gap, what takes part in it counts as blind
+_MANY = 8  # items of a list in a sentence
 _LISTED = 6  # coefficients of a combination that are printed
 
 
@@ -74,8 +76,10 @@ class Combination:
 
 
 def listed(items: list[str] | list[int]) -> str:
-    """Items with commas and an 'and'."""
+    """Items with commas and an 'and', many of them cut short."""
     words = [str(item) for item in items]
+    if len(words) > _MANY:
+        words = [*words[: _MANY - 1], f"{len(words) - _MANY + 1} more"]
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
 
 
@@ -175,7 +179,8 @@ class Information:
         part = np.linalg.norm(self.vectors[self.rank :], axis=0)
         # a null vector is known to the tolerance over the distance to the next singular value
         gap = self.singular_values[self.rank - 1] / self.singular_values[0] if self.rank else 1.0
-        return np.where(part > max(np.sqrt(EPS), len(self.names) * self.tolerance / gap), part, 0.0)
+        rounding = float(np.clip(len(self.names) * self.tolerance / gap, np.sqrt(EPS), _LARGEST_ROUNDING))
+        return np.where(part > rounding, part, 0.0)
 
     @cached_property
     def inflation(self) -> Array:
@@ -197,11 +202,12 @@ class Information:
     @cached_property
     def blind(self) -> tuple[Combination, ...]:
         """A basis of the combinations that leave no trace, each of as few parameters as elimination gives."""
-        null = self.vectors[self.rank :].T * (self._blind_part > 0)[:, None]
+        null = self.vectors[self.rank :]
         if not null.size:
             return ()
-        pivots = qr(null.T, mode="r", pivoting=True)[1][: null.shape[1]]
-        found = [self._combination(v, np.inf) for v in np.linalg.solve(null[pivots].T, null.T)]
+        pivots = qr(null, mode="r", pivoting=True)[1][: len(null)]
+        sparse = np.linalg.solve(null[:, pivots], null) * (self._blind_part > 0)
+        found = [self._combination(v, np.inf) for v in sparse]
         return tuple(sorted(found, key=lambda one: [self.names.index(name) for name in one.parameters]))
 
     @cached_property

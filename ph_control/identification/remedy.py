@@ -18,6 +18,7 @@ ComplexArray = NDArray[np.complex128]
 _AFFORDABLE = 1_000_000  # samples times modes up to which remedies are tried; beyond, they are named untried
 _MARGIN = (0.5, 1.25)  # of the lowest and highest frequency: the band of a broadband input
 _LONGEST = 8  # times the record
+_MOST_LINES = 6  # that are advised one by one
 _FEWEST_LINES = 16  # of a multisine
 
 
@@ -52,7 +53,7 @@ def input_remedy(
     parts = []
     # beside a free motion that is not known, a line shows one combination of weights
     fewest = 1 if problem.from_rest else min(max(1, missing), len(d))
-    lines = _lines_to_add(problem, d[r > 0], band, size, fewest, shows_all)
+    lines = _lines_to_add(problem, d[r > 0], band, size, fewest, shows_all) if fewest <= _MOST_LINES else []
     if lines:
         several = len(lines) > 1
         parts.append(f"add {'frequencies' if several else 'a frequency'} near {listed(lines)} rad/time to the input")
