@@ -19,6 +19,8 @@ from .exceptions import (
 )
 from .files import load, read_csv, save
 from .groupoids import PortHamiltonianGroupoid, ReducedGroupoid
+from .identification.excitation import excitation
+from .identification.excitation_report import Excitation
 from .identification.gradient import GradientResult, gradient_descent
 from .identification.orders import OrderSelection, order_selection
 from .identification.pem import pem, prediction_error_fit

@@ -89,16 +89,15 @@ def excitation(
     One sine drives a zero of this chain, so that its weights cannot be learned:
 
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.identification.excitation import excitation
     >>> chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
-    >>> found = excitation((np.sin(t), None), chain, dt=0.01)
+    >>> found = phc.excitation((np.sin(t), None), chain, dt=0.01)
     >>> found.rank, len(found.names)
     (7, 8)
     >>> found.blind[0].words
     'r_1 and r_2 with the initial states of modes 1 and 2'
     >>> found.remedies[0][:53]
     'add a frequency near 1.6 rad/time to the input, or us'
-    >>> excitation((np.sin(t) + np.sin(1.6 * t), None), chain, dt=0.01).sufficient
+    >>> phc.excitation((np.sin(t) + np.sin(1.6 * t), None), chain, dt=0.01).sufficient
     True
     """
     _checks.choice("method", method, METHODS)

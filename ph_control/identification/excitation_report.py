@@ -64,9 +64,8 @@ class Excitation:
     Examples
     --------
     >>> import numpy as np, ph_control as phc
-    >>> from ph_control.identification.excitation import excitation
     >>> u = np.random.default_rng(0).standard_normal(1000)
-    >>> print(excitation((u, None), phc.modes([0.5, 2.0], [1.0, 0.25]), dt=0.1))
+    >>> print(phc.excitation((u, None), phc.modes([0.5, 2.0], [1.0, 0.25]), dt=0.1))
     The record shows d, r and the initial state of 2 modes.
     """
 
@@ -206,9 +205,8 @@ class Excitation:
 
         Examples
         --------
-        >>> import numpy as np
-        >>> from ph_control.identification.excitation import excitation
-        >>> print(excitation((np.sin(0.1 * np.arange(500)), None), ([0.5, 2.0], [1.0, 0.25]), dt=0.1).summary())
+        >>> import numpy as np, ph_control as phc
+        >>> print(phc.excitation((np.sin(0.1 * np.arange(500)), None), ([0.5, 2.0], [1.0, 0.25]), dt=0.1).summary())
         What the record shows of 2 modes
           verdict         does NOT show r_1 and r_2
           record          500 samples, step 0.1: one bin is 0.1257 rad/time, Nyquist 31.42 rad/time
