@@ -7,7 +7,8 @@ linear problem is solved in each block; nothing needs powers of a matrix.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import control as ct
@@ -34,6 +35,7 @@ Indices = NDArray[np.intp]
 
 _NEAR = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of frequencies below which modes are taken to mix
 _SMALL = 16  # states up to which all eigenvalues may be treated as one block
+_LARGEST_BLOCK = 24  # eigenvalues in one block up to which its k^2 equations are solved at once, in O(k^6)
 _PARALLEL = 1e-8  # ports whose weights in a group of modes differ by less give no direction of their own
 
 
@@ -84,7 +86,8 @@ def are_isomorphic(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | No
     Raises
     ------
     StructureError
-        If they are no state-space systems, their ports or time bases differ, or `rtol` is no tolerance.
+        If they are no state-space systems, ports or time bases differ, `rtol` is no tolerance, or more than 24
+        eigenvalues coincide that are not semisimple.
 
     Notes
     -----
@@ -136,7 +139,7 @@ def system_isomorphism(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float 
     Raises
     ------
     StructureError
-        If they are no state-space systems, their ports or time bases differ, or `rtol` is no tolerance.
+        As for `are_isomorphic`.
 
     Notes
     -----
@@ -148,7 +151,7 @@ def system_isomorphism(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float 
 
     >>> import control as ct, ph_control as phc
     >>> plain = ct.ss([[0.0, -4.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.0)
-    >>> phc.system_isomorphism(plain, phc.ph(plain)).round(12)
+    >>> phc.system_isomorphism(plain, phc.ph(plain)).round(12) + 0.0
     array([[ 0.70710678,  0.        ],
            [ 0.        , -1.41421356]])
     """
@@ -307,7 +310,9 @@ def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float |
             center = values[group].mean()
             reason = f"{ours} and {len(group) - ours} of their eigenvalues are at {center:.6g}"
             return Verdict(False, 1.0, float(radius[group].max() / (abs(center) or 1.0)), None, reason)
-        offence = _seen_by_one_only(first, second, group)
+        # below the real axis are the conjugates of what is above
+        above = values[group].imag.max() >= -radius[group].max()
+        offence = _seen_by_one_only(first, second, group) if above else None
         if offence is not None:
             return offence
     candidates, floor = [], 0.0
@@ -316,7 +321,15 @@ def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float |
         partitions.append([np.arange(2 * n)])
     for k, groups in enumerate(partitions):
         if k == 0 or len(groups) < len(partitions[k - 1]):
-            L, error = _from_blocks(first, second, groups, radius)
+            try:
+                L, error = _from_blocks(first, second, groups, radius)
+            except _TooLarge as size:
+                if k > 0:
+                    continue
+                raise StructureError(
+                    f"{size} eigenvalues coincide in each system and are not semisimple; linking them needs the "
+                    f"solution of {size}^2 equations at once, possible for at most {_LARGEST_BLOCK}"
+                ) from None
             candidates.append(L * second.scale[:, None] / first.scale)
             floor = max(floor, error)
     return _judge(candidates, sys1, sys2, SAFETY * floor if rtol is None else rtol)
@@ -352,7 +365,7 @@ def _from_blocks(
         ours, theirs = group[group < n], group[group >= n] - n
         around = values[group].imag
         if len(ours) != len(theirs) or around.max() < -radius[group].max():
-            continue  # below the real axis are the conjugates of the blocks above
+            continue
         left, right = first.block(ours), second.block(theirs)
         error = SAFETY * _checks.EPS * n * (1 / left.separation + 1 / right.separation)
         G = _block_solution(left, right, max(first.size, second.size), error)
@@ -360,6 +373,10 @@ def _from_blocks(
         L += 2 * part if around.min() > radius[group].max() else part
         worst = max(worst, error)
     return L, worst
+
+
+class _TooLarge(Exception):
+    """A block of eigenvalues is too large for its equations to be solved at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,6 +403,7 @@ class _Eigenvalues:
     values: ComplexArray
     radius: Array
     size: float
+    blocks: dict[bytes, _Block] = field(default_factory=dict)
 
     @classmethod
     def of(cls, sys: ct.StateSpace) -> _Eigenvalues:
@@ -404,7 +422,14 @@ class _Eigenvalues:
         return cls(scale, T, Z, B, C, values, radius, size)
 
     def block(self, group: Indices) -> _Block:
-        """Split a cluster of eigenvalues off: reorder the Schur form, then solve a Sylvester equation."""
+        """Split a cluster of eigenvalues off, once."""
+        key = group.tobytes()
+        if key not in self.blocks:
+            self.blocks[key] = self._split_off(group)
+        return self.blocks[key]
+
+    def _split_off(self, group: Indices) -> _Block:
+        """Reorder the Schur form, then solve a Sylvester equation."""
         n, k = len(self.T), len(group)
         select = np.zeros(n, np.int32)
         select[group] = 1
@@ -426,6 +451,16 @@ def _block_solution(first: _Block, second: _Block, size: float, error: float) ->
     scale_c = max(np.linalg.norm(first.outputs), np.linalg.norm(second.outputs)) or 1.0
     # the two blocks have the same center but for rounding
     T1, T2 = (block.T - np.trace(block.T) / k * I for block in (first, second))
+    if np.linalg.norm(T1) + np.linalg.norm(T2) <= error * size:
+        # semisimple: any G commutes, and only the ports remain
+        from_b = _cut_inverse(first.inputs, error * scale_b)
+        from_c = _cut_inverse(second.outputs, error * scale_c)
+        G = second.inputs @ from_b
+        G = G + from_c @ (first.outputs - second.outputs @ G)
+        left, right = I - from_c @ second.outputs, I - first.inputs @ from_b
+        return _best_conditioned(G, lambda X: left @ X @ right)
+    if k > _LARGEST_BLOCK:
+        raise _TooLarge(k)
     system = np.concatenate(
         [
             (np.kron(T1.T, I) - np.kron(I, T2)) / (size or 1.0),
@@ -436,16 +471,29 @@ def _block_solution(first: _Block, second: _Block, size: float, error: float) ->
     wanted = np.concatenate(
         [np.zeros(k * k), second.inputs.ravel(order="F") / scale_b, first.outputs.ravel(order="F") / scale_c]
     )
-    U, sigma, Vh = np.linalg.svd(system)
+    U, sigma, Vh = np.linalg.svd(system, full_matrices=False)
     rank = int(np.sum(sigma > error))
     particular = Vh[:rank].conj().T @ ((U[:, :rank].conj().T @ wanted) / sigma[:rank])
     free = Vh[rank:].conj().T
-    # invertible unless chosen badly, if anything is: start nearest the identity, then at random
-    rng = np.random.default_rng(0)
+
+    def project(X: ComplexArray) -> ComplexArray:
+        return np.asarray((free @ (free.conj().T @ X.ravel(order="F"))).reshape(k, k, order="F"), complex)
+
+    return _best_conditioned(particular.reshape(k, k, order="F"), project)
+
+
+def _cut_inverse(M: ComplexArray, smallest: float) -> ComplexArray:
+    """Pseudoinverse, singular values up to the smallest taken for 0."""
+    U, sigma, Vh = np.linalg.svd(M, full_matrices=False)
+    rank = int(np.sum(sigma > smallest))
+    return np.asarray((Vh[:rank].conj().T / sigma[:rank]) @ U[:, :rank].conj().T, complex)
+
+
+def _best_conditioned(particular: ComplexArray, project: Callable[[ComplexArray], ComplexArray]) -> ComplexArray:
+    """Add a projection onto the homogeneous solutions: invertible unless chosen badly, if anything is."""
+    k, rng = len(particular), np.random.default_rng(0)  # nearest the identity, then at random
     typical = float(np.linalg.norm(particular)) / np.sqrt(k) or 1.0
-    starts = [I.astype(complex)] + [rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for _ in range(4)]
-    choices = [
-        (particular + typical * free @ (free.conj().T @ start.ravel(order="F"))).reshape(k, k, order="F")
-        for start in (starts if rank < k * k else starts[:1])
-    ]
+    starts = [np.eye(k, dtype=complex)]
+    starts += [rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for _ in range(4)]
+    choices = [particular + typical * project(start) for start in starts]
     return min(choices, key=lambda G: 1 / max(np.linalg.svd(G, compute_uv=False)[-1], 1e-300) * np.linalg.norm(G))

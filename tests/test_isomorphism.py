@@ -258,6 +258,39 @@ def test_canonical_form_objects_of_resonant_pairs_are_isomorphic_to_their_own_ki
             assert bool(verdict) == (j == k), verdict.reason
 
 
+def test_a_hundred_equal_modes_are_linked_without_a_system_of_their_square():
+    """The equations of all entries at once would take 200^2 x 200^2 numbers."""
+    v = np.random.default_rng(0).standard_normal(200)
+    sys = phc.ph(np.eye(200), v)
+    other = phc.ph(np.eye(200), np.roll(v, 1))
+    verdict = are_isomorphic(sys, ct.ss(other))
+    assert verdict and is_morphism(verdict.witness, sys, other).residual <= 1e-12
+    assert not are_isomorphic(sys, ct.ss(phc.ph(np.eye(200), 1.0001 * v)))
+
+
+@pytest.mark.parametrize(("ports", "outputs"), [(1, 1), (2, 1), (1, 3), (3, 3)])
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_semisimple_blocks_are_solved_as_dense_algebra_does(n, ports, outputs):
+    rng = np.random.default_rng(n)
+    A, T = -2.0 * np.eye(n), rng.standard_normal((n, n))
+    B, C = rng.standard_normal((n, ports)), rng.standard_normal((outputs, n))
+    first, second = plain(A, B, C), plain(A, T @ B, C @ np.linalg.inv(T))
+    verdict = are_isomorphic(first, second)
+    assert verdict and dense_solutions(first, second)[1] < 1e-10
+    L = verdict.witness
+    size = 1e3 * EPS * np.linalg.cond(T) ** 2
+    assert np.linalg.norm(L @ B - second.B) <= size * np.linalg.norm(second.B)
+    assert np.linalg.norm(second.C @ L - C) <= size * np.linalg.norm(C)
+    assert not are_isomorphic(first, plain(A, T @ B, 1.01 * C @ np.linalg.inv(T)))
+
+
+def test_a_jordan_block_too_large_for_its_equations_is_refused():
+    J = np.diag(-np.ones(30)) + np.diag(np.ones(29), 1)
+    sys = plain(J, np.ones((30, 1)), np.ones((1, 30)))
+    with pytest.raises(phc.StructureError, match=r"30 eigenvalues coincide .* at most 24"):
+        are_isomorphic(sys, sys)
+
+
 # --- verdicts and refusals ---------------------------------------------------------------------------------------
 
 
