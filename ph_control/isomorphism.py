@@ -25,7 +25,7 @@ from .exceptions import StructureError
 from .filters import MARGIN, filter_mismatch, lossless_spectrum
 from .lossless_system import LosslessSystem
 from .morphisms import balanced, comparable, is_morphism
-from .pairs import symplectic_inverse
+from .pairs import norm_of, symplectic_inverse
 from .partial_fractions import SAFETY, clusters
 from .systems import PortHamiltonian
 
@@ -183,6 +183,7 @@ def _definite(sys: ct.StateSpace) -> bool:
     return isinstance(sys, kinds) and len(sys.modes.d) == sys.n
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what overflows is refused
 def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | None) -> Verdict:
     first, second = lossless_spectrum(sys1), lossless_spectrum(sys2)
     d1, d2 = first.modes.d, second.modes.d
@@ -208,7 +209,9 @@ def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | 
         if 2 * len(spectrum.minimal.d) < sys1.nstates:
             reason = "of two canonical forms, only canonical pairs make them isomorphic, and this one is not"
             return Verdict(False, 1.0, 0.0, None, reason)
-    return _judge([_from_modal(sys2) @ _to_modal(sys1)], sys1, sys2, floor, invertible=True)
+    L = _from_modal(sys2) @ _to_modal(sys1)
+    _checks.representable("the entries of the isomorphism", L, nonzero=(L != 0) | ~L.any(axis=1, keepdims=True))
+    return _judge([L], sys1, sys2, floor, invertible=True)
 
 
 def _to_modal(sys: LosslessSystem) -> Array:
@@ -348,7 +351,7 @@ def _seen_by_one_only(first: _Eigenvalues, second: _Eigenvalues, group: Indices)
         ("inputs reach", left.inputs, right.inputs, (first.B, second.B)),
         ("outputs see", left.outputs, right.outputs, (first.C, second.C)),
     ):
-        size = [float(np.linalg.norm(part) / (np.linalg.norm(M) or 1.0)) for part, M in zip((a, b), whole, strict=True)]
+        size = [float(norm_of(part) / (norm_of(M) or 1.0)) for part, M in zip((a, b), whole, strict=True)]
         if min(size) <= error and max(size) > np.sqrt(error):
             return Verdict(False, max(size), error, None, f"the {what} the eigenvalue {center:.6g} in one of them only")
     return None
@@ -415,7 +418,7 @@ class _Eigenvalues:
             raise StructureError(
                 "the eigenvalues of A were not found; choose another unit of time, or states"
             ) from None
-        size = float(np.linalg.norm(A))
+        size = float(norm_of(A))
         overlap = np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), _checks.EPS)
         # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
         radius = np.minimum(len(A) * _checks.EPS * size / overlap, _checks.EPS**0.25 * size)
@@ -445,13 +448,12 @@ class _Eigenvalues:
 
 def _block_solution(first: _Block, second: _Block, size: float, error: float) -> ComplexArray:
     """Best `G` with `G T1 = T2 G`, `G b1 = b2`, `c1 = c2 G`; where it is not unique, a well-conditioned one."""
-    k = len(first.T)
-    I = np.eye(k)
-    scale_b = max(np.linalg.norm(first.inputs), np.linalg.norm(second.inputs)) or 1.0
-    scale_c = max(np.linalg.norm(first.outputs), np.linalg.norm(second.outputs)) or 1.0
+    I = np.eye(k := len(first.T))
+    scale_b = max(norm_of(first.inputs), norm_of(second.inputs)) or 1.0
+    scale_c = max(norm_of(first.outputs), norm_of(second.outputs)) or 1.0
     # the two blocks have the same center but for rounding
     T1, T2 = (block.T - np.trace(block.T) / k * I for block in (first, second))
-    if np.linalg.norm(T1) + np.linalg.norm(T2) <= error * size:
+    if norm_of(T1) + norm_of(T2) <= error * size:
         # semisimple: any G commutes, and only the ports remain
         from_b = _cut_inverse(first.inputs, error * scale_b)
         from_c = _cut_inverse(second.outputs, error * scale_c)
@@ -492,8 +494,7 @@ def _cut_inverse(M: ComplexArray, smallest: float) -> ComplexArray:
 def _best_conditioned(particular: ComplexArray, project: Callable[[ComplexArray], ComplexArray]) -> ComplexArray:
     """Add a projection onto the homogeneous solutions: invertible unless chosen badly, if anything is."""
     k, rng = len(particular), np.random.default_rng(0)  # nearest the identity, then at random
-    typical = float(np.linalg.norm(particular)) / np.sqrt(k) or 1.0
-    starts = [np.eye(k, dtype=complex)]
-    starts += [rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for _ in range(4)]
+    typical = norm_of(particular) / np.sqrt(k) or 1.0
+    starts = [np.eye(k), *(rng.standard_normal((k, k)) + 1j * rng.standard_normal((k, k)) for _ in range(4))]
     choices = [particular + typical * project(start) for start in starts]
-    return min(choices, key=lambda G: 1 / max(np.linalg.svd(G, compute_uv=False)[-1], 1e-300) * np.linalg.norm(G))
+    return min(choices, key=lambda G: 1 / max(np.linalg.svd(G, compute_uv=False)[-1], 1e-300) * norm_of(G))

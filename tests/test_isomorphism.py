@@ -291,6 +291,25 @@ def test_a_jordan_block_too_large_for_its_equations_is_refused():
         are_isomorphic(sys, sys)
 
 
+@pytest.mark.parametrize("size", [1e-100, 1e-30, 1e-8, 1e8, 1e30, 1e100])
+def test_isomorphisms_of_plain_systems_are_found_in_any_unit_without_a_warning(size):
+    sys = phc.ph(size * np.eye(2), [size, 0.0])
+    assert are_isomorphic(ct.ss(sys), phc.ph(size * np.eye(2), [0.0, size]))
+    assert not are_isomorphic(ct.ss(sys), phc.ph(size * np.eye(2), [0.0, 1.1 * size]))
+
+
+@pytest.mark.parametrize("size", [1e-8, 1e8, 1e30])
+def test_canonical_forms_are_linked_in_any_unit_of_time_without_a_warning(size):
+    first, second = phc.ch([size, 2 * size], np.ones(4)), phc.oh([size, 2 * size], np.ones(4))
+    assert are_isomorphic(first, first) and are_isomorphic(first, second)
+
+
+@pytest.mark.parametrize("size", [1e-70, 1e70])
+def test_an_isomorphism_beyond_the_range_of_doubles_is_refused_not_denied(size):
+    with pytest.raises(phc.StructureError, match="the entries of the isomorphism leave the range"):
+        are_isomorphic(phc.oh([size, 2 * size], np.ones(4)), phc.ch([size, 2 * size], np.ones(4)))
+
+
 # --- verdicts and refusals ---------------------------------------------------------------------------------------
 
 
