@@ -231,6 +231,12 @@ def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonia
     if isinstance(Q, AffineHamiltonian):
         names = inherited_names(Q, names, "inputs", "outputs", "states")
         return AffineHamiltonian(Q.Q, Q._interaction, **names)
+    if isinstance(Q, PortHamiltonian):
+        raise StructureError(
+            "the transfer function of a port-Hamiltonian system is odd, that of an affine one even; if the time "
+            "integral of its output is meant (displacement in place of velocity), use affine(Q, J B): "
+            "affine(sys.Q, symplectic_form(sys.n) @ sys.B)"
+        )
     velocity = ph(_derivative(Q))
     if velocity.nstates == 0:
         return AffineHamiltonian(velocity.Q, velocity.B, **inherited_names(Q, names, "inputs", "outputs"))

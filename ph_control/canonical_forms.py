@@ -85,7 +85,8 @@ class _CanonicalForm(LosslessSystem):
     @property
     def digits(self) -> float:
         """Decimal digits of the frequencies that survive in a companion matrix of doubles; 0 for repeated ones."""
-        return digits(np.concatenate([self.modes.d, np.zeros(len(self.modes.rigid))]))
+        # a pole at 0 costs none: its coefficients are exactly 0
+        return digits(self.modes.d)
 
     def _companion(self) -> Array:
         """Companion matrix with the coefficients in its last row."""
@@ -392,7 +393,7 @@ def _warn_of_lost_digits(modes: ModalForm, what: str) -> None:
 
 
 def tf(sys: Any, **names: Any) -> ct.TransferFunction:
-    """Transfer function of a lossless system, all coefficients of full relative accuracy.
+    """Transfer function of a lossless system; of one port all coefficients have full relative accuracy.
 
     Parameters
     ----------
@@ -457,18 +458,24 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
 def _matrix_coefficients(modes: ModalForm) -> tuple[list[list[Array]], Array]:
     """Numerators and the common denominator of several ports, descending."""
     rest = np.unique(modes.d)
-    rows = cofactors(np.concatenate([np.zeros(min(1, len(modes.rigid))), rest]))
+    frequencies = np.concatenate([np.zeros(min(1, len(modes.rigid))), rest])
+    rows = cofactors(frequencies)
     size = 2 * len(rows)
     even, odd = modes._symmetric_residues
     place = np.searchsorted(rest, modes.d) + len(rows) - len(rest)
-    symmetric, skew = np.zeros((len(rows), *even.shape[1:])), np.zeros((len(rows), *even.shape[1:]))
-    np.add.at(symmetric, place, even)
-    np.add.at(skew, place, odd * modes.d[:, None, None])
+    # symmetric and skew parts of the residues, and the size of what they are made of
+    parts = np.zeros((3, len(rows), *even.shape[1:]))
+    size_of = np.abs(modes.nu)[:, :, None] * np.abs(modes.nu)[:, None, :] * modes.d[:, None, None]
+    for part, values in zip(parts, (even, odd * modes.d[:, None, None], size_of), strict=True):
+        np.add.at(part, place, values)
     if len(modes.rigid):
-        symmetric[0] = modes.rigid.T @ modes.rigid
+        parts[0, 0], parts[2, 0] = modes.rigid.T @ modes.rigid, np.abs(modes.rigid).T @ np.abs(modes.rigid)
+    symmetric, skew, terms = np.einsum("plij,lk->pijk", parts, rows)
+    terms_of_skew = np.einsum("lij,lk->ijk", parts[2] * frequencies[:, None, None], rows)
     table = np.zeros((*even.shape[1:], size))
-    table[:, :, 1::2] = np.einsum("lij,lk->ijk", symmetric, rows)
-    table[:, :, 0::2] = np.einsum("lij,lk->ijk", skew, rows)
+    for start, total, scale in ((1, symmetric, terms), (0, skew, terms_of_skew)):
+        # where all cancel, what is left is rounding
+        table[:, :, start::2] = np.where(np.abs(total) > 8 * size * _checks.EPS * scale, total, 0.0)
     single = ModalForm(rest, np.ones((len(rest), 1), complex), np.ones((size // 2 - len(rest), 1)))
     denominator = np.concatenate([[1.0], single.coefficients()[0][::-1]])
     return [[entry[::-1] for entry in line] for line in table], denominator

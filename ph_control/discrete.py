@@ -28,13 +28,29 @@ def sampling_rule(sys: Any, method: str | None, intersample: str) -> tuple[float
                 "sampled: ph(sys, method='exact'), 'midpoint' or 'euler'"
             ]
         )
-    _checks.choice("method", method, METHODS)
+    check_method(method)
     _checks.choice("intersample", intersample, INTERSAMPLE)
     if method == "euler" and intersample == "foh":
         raise StructureError("method='euler' uses the input at the start of each step only; intersample must be 'zoh'")
     if isinstance(sys.dt, bool):
         raise StructureError(f"dt of the system is {sys.dt}; a sampling step in seconds is needed to go back")
     return _checks.sampling_step(sys.dt), method, intersample
+
+
+_OTHER_NAMES = {
+    "tustin": ("midpoint", "foh"),
+    "bilinear": ("midpoint", "foh"),
+    "zoh": ("exact", "zoh"),
+    "foh": ("exact", "foh"),
+}
+
+
+def check_method(method: Any) -> str:
+    """Check the name of a rule of stepping; those of python-control are explained."""
+    if isinstance(method, str) and method in _OTHER_NAMES:
+        rule, hold = _OTHER_NAMES[method]
+        raise StructureError(f"method is {method!r}; here that is method={rule!r} with intersample={hold!r}")
+    return _checks.choice("method", method, METHODS)
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")

@@ -12,12 +12,14 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from .conditioning import Energy, Group, Separation, separate
 from .exceptions import StructureError
+from .lossless_system import LosslessSystem
 from .modal import ModalForm
 from .systems import PortHamiltonian, full_port_hamiltonian
 
@@ -63,7 +65,7 @@ class CanonicalMargins:
     resonance_tolerance : float
         The distance that errors of these two frequencies allow.
     pair : tuple of int, or None
-        Their indices in `d`.
+        Their indices in `d`, from 0; the text counts from 1.
     degeneracy : float
         Residue of the mode that is nearest to being unreached, over the largest: `kappa_l / max kappa`.  Modes that
         count as one frequency count with their total.
@@ -88,12 +90,12 @@ class CanonicalMargins:
         lines = [f"the system is {'' if self.is_canonical else 'not '}canonical"]
         if self.pair is not None:
             lines.append(
-                f"  resonance: the frequencies {self.pair[0]} and {self.pair[1]} differ by {self.resonance:.3g} of "
-                f"their size, one frequency up to {self.resonance_tolerance:.1e}"
+                f"  resonance: the frequencies of modes {self.pair[0] + 1} and {self.pair[1] + 1} differ by "
+                f"{self.resonance:.3g} of their size, one frequency up to {self.resonance_tolerance:.1e}"
             )
         if self.mode is not None:
             lines.append(
-                f"  degeneracy: the residue of mode {self.mode} is {self.degeneracy:.3g} of the largest, "
+                f"  degeneracy: the residue of mode {self.mode + 1} is {self.degeneracy:.3g} of the largest, "
                 f"unreached up to {self.degeneracy_tolerance:.1e}"
             )
         if self.rigid:
@@ -196,7 +198,7 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     >>> (T @ [3.0, 4.0, 0.0, 0.0]).round(12) + 0.0
     array([5., 0., 0., 0.])
     """
-    system = full_port_hamiltonian(sys)
+    system = _with_hidden_modes(sys)
     if system.ninputs != 1:
         raise StructureError(
             f"the system has {system.ninputs} ports; the Kalman decomposition is that of one port: choose one by "
@@ -326,10 +328,10 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
     >>> import ph_control as phc
     >>> print(phc.canonical_margins(phc.modes([1.0, 2.0, 2.5], [1.0, 0.5, 0.01])))
     the system is canonical
-      resonance: the frequencies 1 and 2 differ by 0.2 of their size, one frequency up to 4.8e-15
-      degeneracy: the residue of mode 2 is 0.025 of the largest, unreached up to 0.0e+00
+      resonance: the frequencies of modes 2 and 3 differ by 0.2 of their size, one frequency up to 4.8e-15
+      degeneracy: the residue of mode 3 is 0.025 of the largest, unreached up to 0.0e+00
     """
-    system = full_port_hamiltonian(sys)
+    system = _with_hidden_modes(sys)
     if system.ninputs != 1:
         raise StructureError(
             f"the system has {system.ninputs} ports; the canonical margins are those of one port: choose one by its "
@@ -340,6 +342,23 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
     resonance, close, pair = _least_distance(system.d, found.errors.d)
     degeneracy, faint, mode = _least_residue(found)
     return CanonicalMargins(rigid == 0 and found.is_minimal, resonance, close, pair, degeneracy, faint, mode, rigid)
+
+
+def _with_hidden_modes(sys: Any) -> PortHamiltonian:
+    """Port-Hamiltonian system with all that `sys` has; refused where the conversion has left states behind."""
+    system = full_port_hamiltonian(sys)
+    visible = 2 * len(system.d) + len(system.modes.rigid)
+    if (
+        isinstance(sys, ct.StateSpace)
+        and not isinstance(sys, LosslessSystem)
+        and visible < sys.nstates != system.nstates
+    ):
+        raise StructureError(
+            f"the system has {sys.nstates} states, of which {visible} take part in its transfer function; what "
+            "the others store cannot be told from these matrices, so they are no part of its port-Hamiltonian form: "
+            "use minreal(sys), or give the energy, ph(Q, B)"
+        )
+    return system
 
 
 def _separation(system: PortHamiltonian, rtol: float | None) -> Separation:

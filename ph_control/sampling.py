@@ -13,6 +13,7 @@ from scipy.linalg import expm
 
 from . import _checks
 from ._instants import listed
+from .discrete import check_method
 from .exceptions import ResolutionWarning, StructureError
 from .lossless_system import LosslessSystem, inherited_names
 from .motion import Rule, check_finite, trajectory
@@ -82,7 +83,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
         )
     rule = Rule(
         _checks.sampling_step(h, name="h"),
-        _checks.choice("method", method, METHODS),
+        check_method(method),
         _checks.choice("intersample", intersample, INTERSAMPLE),
     )
     if rule.method == "exact":

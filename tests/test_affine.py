@@ -152,6 +152,11 @@ BAD = {
     "negative": (lambda: phc.affine(ct.tf([-1], [1, 0, 4])), phc.NotLosslessError, "negative"),
     "feedthrough": (lambda: phc.affine(ct.ss(ct.tf([1, 0, 5], [1, 0, 4]))), phc.NotLosslessError, "feedthrough D = 1"),
     "discrete": (lambda: phc.affine(ct.tf([1], [1, 0, 4], 0.1)), phc.StructureError, "continuous-time"),
+    "port-Hamiltonian": (
+        lambda: phc.affine(phc.ph(np.eye(2), [0, 1])),
+        phc.StructureError,
+        r"affine\(sys.Q, symplectic",
+    ),
     "no system": (lambda: phc.affine("spring"), phc.StructureError, "this is a str"),
     "two ports": (
         lambda: phc.affine(np.eye(2), np.eye(2)),
@@ -279,3 +284,9 @@ def test_a_copy_of_a_subclass_is_of_that_class():
     sys = Spring(4.0)
     for twin in (pickle.loads(pickle.dumps(sys)), copy.copy(sys), copy.deepcopy(sys)):
         assert type(twin) is Spring and np.array_equal(twin.Q, sys.Q)
+
+
+def test_the_affine_system_of_a_port_hamiltonian_one_is_found_as_its_refusal_says():
+    sys = phc.spring_chain([1.0, 2.0], 10.0, ground=1.0)
+    position = phc.affine(sys.Q, phc.symplectic_form(sys.n) @ sys.B)
+    assert np.array_equal(position.derivative().B, sys.B)

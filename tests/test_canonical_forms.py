@@ -376,3 +376,16 @@ def test_a_form_without_modes_has_matrices_and_can_be_connected(make):
 def test_ragged_parameters_are_refused(make, d, v):
     with pytest.raises(phc.StructureError, match="is not a rectangular array of numbers"):
         make(d, v)
+
+
+def test_a_pole_at_0_costs_no_digits():
+    form = phc.ch(phc.spring_chain([1.0, 1.0]))
+    assert form.digits == phc.ch([np.sqrt(2.0)], [1.0, 0.0]).digits > 15
+    assert phc.ch([0.0, 0.0, 1.0, 3.0], [1.0, 1.0, 1.0, 1.0]).digits > 15
+
+
+def test_where_the_residues_of_two_ports_cancel_the_coefficients_are_zero():
+    """Force at one end, velocity at the other: five of the coefficients of a chain of three masses cancel."""
+    G = phc.tf(phc.spring_chain([1.0, 2.0, 1.0], 10.0, ground=1.0, port=[0, 2]))
+    numerator = G.num_list[0][1]
+    assert len(numerator) == 2 and abs(numerator[0] / 50 - 1) < 1e-13 and numerator[1] == 0

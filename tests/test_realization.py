@@ -692,8 +692,8 @@ def test_the_margins_are_the_distances_of_the_nearest_pair_and_the_faintest_mode
     assert margins.degeneracy_tolerance == 0
     assert 8 * EPS < margins.resonance_tolerance < 100 * EPS
     assert "canonical" in str(margins)
-    assert "frequencies 1 and 2 differ by 0.2" in str(margins)
-    assert "mode 2 is 0.00179" in str(margins)
+    assert "frequencies of modes 2 and 3 differ by 0.2" in str(margins)
+    assert "mode 3 is 0.00179" in str(margins)
 
 
 def test_margins_of_systems_that_are_not_canonical_name_what_is_wrong():
@@ -750,3 +750,20 @@ def test_the_hidden_modes_of_a_canonical_form_are_kept():
         assert (reachable.n, hidden.n) == (2, 1)
         assert phc.modes(form).n == 3 and phc.lift(form, 5).n == 5 and not phc.canonical_margins(form).is_canonical
         assert phc.minreal(form).n == phc.ph(form).n == 2
+
+
+def test_what_a_foreign_state_space_hides_is_refused_not_forgotten():
+    """The hidden mode of a plain state space is in its matrices, its energy is not."""
+    source = phc.spring_chain([1.0, 2.0, 1.0], 100.0, ground=[50.0, 0.0, 50.0], port=1)
+    X = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 6)))[0]
+    plain = ct.ss(X.T @ source.A @ X, X.T @ source.B, source.C @ X, 0)
+    for call in (phc.kalman_decomposition, phc.canonical_margins):
+        with pytest.raises(phc.StructureError, match=r"has 6 states, of which 4 take part .*: use minreal\(sys\)"):
+            call(plain)
+    assert phc.minreal(plain).n == 2
+    for same in (source, ct.ss(source)):
+        assert phc.kalman_decomposition(same).hidden.n == 1 and not phc.canonical_margins(same).is_canonical
+    whole = phc.ph(phc.modes([1.0, 2.0], [1.0, 1.0]))
+    Y = X[:4, :4] + np.eye(4)
+    similar = ct.ss(Y @ whole.A @ np.linalg.inv(Y), Y @ whole.B, whole.C @ np.linalg.inv(Y), 0)
+    assert phc.canonical_margins(similar).is_canonical and phc.kalman_decomposition(similar).hidden.n == 0

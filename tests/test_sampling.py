@@ -154,7 +154,15 @@ BAD = {
         lambda: phc.ph(ct.tf([1, 0], [1, 0, 1]), method="exact"),
         "method='exact' says how a discrete-time system was sampled",
     ),
-    "method": (lambda: phc.ph(sampled_at(0.5), method="zoh"), "method is 'zoh'; it must be one of 'exact'"),
+    "method": (lambda: phc.ph(sampled_at(0.5), method="rk4"), "method is 'rk4'; it must be one of 'exact'"),
+    "method of python-control": (
+        lambda: phc.ph(sampled_at(0.5), method="tustin"),
+        "method is 'tustin'; here that is method='midpoint' with intersample='foh'",
+    ),
+    "another name": (
+        lambda: phc.sample(phc.ph(np.eye(2), [0, 1]), 0.1, "zoh"),
+        "method='exact' with intersample='zoh'",
+    ),
     "hold": (lambda: phc.ph(sampled_at(0.5), method="exact", intersample="linear"), "intersample is 'linear'"),
     "euler with foh": (lambda: phc.ph(sampled_at(0.5), method="euler", intersample="foh"), "must be 'zoh'"),
     "step": (lambda: phc.sample(phc.ph(np.eye(2), [0, 1]), -1.0), "h is -1.0; it must be one positive number"),

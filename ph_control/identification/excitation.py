@@ -78,7 +78,7 @@ def excitation(
 
     Notes
     -----
-    O(T n^2) time and O(T n) memory for one model; a number of modes is judged at up to 40 frequencies.  Remedies are
+    O(T n^2) time and O(T n) memory for one model; a number of modes is judged at about 40 frequencies.  Remedies are
     tried before they are named.  The singular values are those of the sensitivities themselves, not of their squares,
     so that combinations count as blind only at rounding level: max(T, 4n) eps.  The initial state enters as the modal
     state `x_l(0)`, with the free motion `sum_l Re(x_l(0) exp(-i d_l t))` at the output.  Where there are outputs it is
