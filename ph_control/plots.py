@@ -22,7 +22,7 @@ from .spectra import gapped_array
 Array = NDArray[np.float64]
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
-_DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
+DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 _FEW_PERIODS = 10  # that are seen in the whole record
 _DETAIL_PERIODS = 8
 _DETAIL_SAMPLES = (80, 1000)  # at least, if the record allows it, and where the strongest motion is slower than that
@@ -135,11 +135,11 @@ def bode_plot(
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
         _label_bode(axes, numbers, unit, unit_name, gain_unit)
         # a curve that is nowhere must at least be told
-        legend = _legend_above(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
+        legend = legend_above(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
         if title is None and ax is None:
             title = numbers.title
         if title:
-            figure.suptitle(_plain(title))
+            figure.suptitle(plain(title))
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
@@ -198,7 +198,7 @@ def _draw_curves(axis: Axes, curves: list[Curve], values: list[Array], unit: flo
     for k, (curve, value) in enumerate(zip(curves, values, strict=True)):
         # broken lines after the first, so that equal curves are all seen
         style = _STYLES[k % len(_STYLES)]
-        label = _plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
+        label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
         lines += axis.plot(curve.omega / unit, value, label=label, linestyle=style, linewidth=1.4, zorder=3)
     return lines
 
@@ -206,10 +206,10 @@ def _draw_curves(axis: Axes, curves: list[Curve], values: list[Array], unit: flo
 def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[Any]:
     omega = measured.omega / unit
     if measured.doubtful is None or not measured.doubtful.any():
-        return axis.plot(omega, values, label=_plain(measured.label), zorder=2.2, **_DOTS)
+        return axis.plot(omega, values, label=plain(measured.label), zorder=2.2, **_DOTS)
     sure = ~measured.doubtful
     return [
-        *axis.plot(omega[sure], values[sure], label=_plain(measured.label), zorder=2.2, **_DOTS),
+        *axis.plot(omega[sure], values[sure], label=plain(measured.label), zorder=2.2, **_DOTS),
         *axis.plot(omega[~sure], values[~sure], label="coherence below 0.5", zorder=2.1, **_PALE_DOTS),
     ]
 
@@ -217,11 +217,11 @@ def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[
 def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
     values = ", ".join(f"{limit:.4g}" for limit in limits)
     for k, limit in enumerate(limits):
-        label = "_" if k else _plain(f"Nyquist frequency ({values} {unit_name})")
+        label = "_" if k else plain(f"Nyquist frequency ({values} {unit_name})")
         axis.axvline(limit, label=label, zorder=1, **_LIMIT)
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Text that matplotlib shows as it is: two dollar signs would make a formula of what is between them."""
     return str(text).replace("$", r"\$")
 
@@ -234,16 +234,16 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: s
         axis.grid(True, which="major", linewidth=0.5, alpha=0.6)
         axis.grid(True, which="minor", axis="x", linewidth=0.3, alpha=0.35)
         if j == 0:
-            decibels = f"Magnitude [dB re 1 {_plain(gain_unit)}]" if gain_unit else "Magnitude [dB]"
+            decibels = f"Magnitude [dB re 1 {plain(gain_unit)}]" if gain_unit else "Magnitude [dB]"
             axis.set_ylabel("Phase [deg]" if row % 2 else decibels)
         if row == rows - 1:
-            axis.set_xlabel(_plain(f"Frequency [{unit_name}]"))
+            axis.set_xlabel(plain(f"Frequency [{unit_name}]"))
         if (rows > 2 or columns > 1) and row % 2 == 0:
             channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // 2]}"
-            axis.set_title(_plain(channel), loc="left")
+            axis.set_title(plain(channel), loc="left")
 
 
-def _legend_above(axis: Axes, least: int = 2) -> Any:
+def legend_above(axis: Axes, least: int = 2) -> Any:
     """Legend outside the data, where no line can hide behind it; none for fewer entries than `least`."""
     handles, labels = axis.get_legend_handles_labels()
     if len(labels) < least:
@@ -320,7 +320,7 @@ def fit_plot(
     """
     numbers = _fit_data(time, measured, predicted, detail)
     suffix = f"[{output_unit}]" if output_unit else ""
-    quantity, residual = (_plain(name.strip()) for name in (f"{output_label} {suffix}", f"Residual\n{suffix}"))
+    quantity, residual = (plain(name.strip()) for name in (f"{output_label} {suffix}", f"Residual\n{suffix}"))
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
         figure, axes = _fit_axes(numbers.detail is not None)
         lines = np.empty(axes.shape, dtype=object)
@@ -332,9 +332,9 @@ def fit_plot(
         if numbers.detail is not None:
             lines[2, 0] = _draw_detail(axes[2, 0], axes[0, 0], numbers, detail)
         for axis in axes[1:, 0]:
-            axis.set_xlabel(_plain(f"Time [{time_unit}]"))
-        legend = np.array([[_legend_above(axis)] for axis in axes[:, 0]], dtype=object)
-        figure.suptitle(_plain(f"{output_label}, measured and predicted" if title is None else title))
+            axis.set_xlabel(plain(f"Time [{time_unit}]"))
+        legend = np.array([[legend_above(axis)] for axis in axes[:, 0]], dtype=object)
+        figure.suptitle(plain(f"{output_label}, measured and predicted" if title is None else title))
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
@@ -375,11 +375,11 @@ def _fit_data(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike, detail
         return _FitData(t, y, p, None)
     if isinstance(detail, str):
         _checks.choice("detail", detail, ("auto",))
-        return _FitData(t, y, p, _strongest_part(y, y - p))
-    return _FitData(t, y, p, _chosen_part(t, detail))
+        return _FitData(t, y, p, strongest_part(y, y - p))
+    return _FitData(t, y, p, chosen_part(t, detail))
 
 
-def _strongest_part(measured: Array, residual: Array) -> slice | None:
+def strongest_part(measured: Array, residual: Array) -> slice | None:
     """A few periods of the strongest oscillation, where the residual is largest; None if the record has few itself."""
     known = np.isfinite(measured)
     signal = np.where(known, measured - np.mean(measured[known]), 0.0)
@@ -396,7 +396,8 @@ def _strongest_part(measured: Array, residual: Array) -> slice | None:
     return slice(start, start + count)
 
 
-def _chosen_part(time: Array, detail: Any) -> slice:
+def chosen_part(time: Array, detail: Any) -> slice:
+    """Samples between the two instants that the user asked to see enlarged."""
     ends = _checks.real_array("detail", detail, 1)
     if len(ends) != 2:
         raise StructureError(f"detail has {len(ends)} entries; give the first and the last instant to enlarge")
@@ -425,19 +426,19 @@ def _draw_record(axis: Axes, numbers: _FitData, fit_percent: float | None) -> li
     label = "predicted" if fit_percent is None else f"predicted (fit {_percent(fit_percent)})"
     axis.set_xlim(numbers.time[0], numbers.time[-1])
     return [
-        *axis.plot(*extremes(numbers.time, numbers.measured, _DRAWN), label="measured", **_MEASURED),
-        *axis.plot(*extremes(numbers.time, numbers.predicted, _DRAWN), label=label, **_PREDICTED),
+        *axis.plot(*extremes(numbers.time, numbers.measured, DRAWN), label="measured", **_MEASURED),
+        *axis.plot(*extremes(numbers.time, numbers.predicted, DRAWN), label=label, **_PREDICTED),
     ]
 
 
 def _draw_residual(axis: Axes, numbers: _FitData, unit: str) -> list[Any]:
-    size = _plain(f"RMS {numbers.residual_rms:.3g} {unit}".strip())
+    size = plain(f"RMS {numbers.residual_rms:.3g} {unit}".strip())
     axis.text(
         0.995, 1.0, size, transform=axis.transAxes, ha="right", va="bottom",
         fontsize=plt.rcParams["legend.fontsize"],
     )  # fmt: skip
     axis.axhline(0.0, color="0.3", linewidth=0.6, zorder=1)
-    return list(axis.plot(*extremes(numbers.time, numbers.residual, _DRAWN), label="residual", **_RESIDUAL))
+    return list(axis.plot(*extremes(numbers.time, numbers.residual, DRAWN), label="residual", **_RESIDUAL))
 
 
 def _draw_detail(axis: Axes, top: Axes, numbers: _FitData, detail: Any) -> list[Any]:
@@ -450,8 +451,8 @@ def _draw_detail(axis: Axes, top: Axes, numbers: _FitData, detail: Any) -> list[
     )
     axis.set_title(where, loc="left")
     return [
-        *axis.plot(*extremes(t, numbers.measured[part], _DRAWN), label="measured", **_SAMPLES),
-        *axis.plot(*extremes(t, numbers.predicted[part], _DRAWN), label="predicted", **_PREDICTED),
+        *axis.plot(*extremes(t, numbers.measured[part], DRAWN), label="measured", **_SAMPLES),
+        *axis.plot(*extremes(t, numbers.predicted[part], DRAWN), label="predicted", **_PREDICTED),
     ]
 
 

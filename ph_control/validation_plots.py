@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from .exceptions import StructureError
-from .plots import _DRAWN, _chosen_part, _legend_above, _plain, _strongest_part, extremes
+from .plots import DRAWN, chosen_part, extremes, legend_above, plain, strongest_part
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,7 +63,7 @@ def comparison_plot(
     """
     part = _enlarged(time, measured, predicted, detail, ax)
     suffix = f" [{output_unit}]" if output_unit else ""
-    names = [_plain(f"{label} ({percent(fit)})") for label, fit in zip(labels, fit_percent, strict=True)]
+    names = [plain(f"{label} ({percent(fit)})") for label, fit in zip(labels, fit_percent, strict=True)]
     everything = slice(None)
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
         figure, axes = _stacked(ax, [3.0, 2.0] + [3.0] * (part is not None))
@@ -76,12 +76,12 @@ def comparison_plot(
             axes[2, 0].set_title("Detail (shaded above)", loc="left")
         wording = (output_label + suffix, "Error" + suffix, output_label + suffix)
         for axis, label in zip(axes[:, 0], wording, strict=False):
-            axis.set_ylabel(_plain(label))
-            axis.set_xlabel(_plain(f"Time [{time_unit}]"))
+            axis.set_ylabel(plain(label))
+            axis.set_xlabel(plain(f"Time [{time_unit}]"))
             axis.grid(True, linewidth=0.5, alpha=0.6)
         if ax is None:
             axes[0, 0].set_xlabel("")
-        legend = _legend_above(axes[0, 0])
+        legend = legend_above(axes[0, 0])
         _entitle(figure, title, ax, f"{output_label}, measured and simulated")
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
@@ -95,8 +95,8 @@ def _enlarged(time: Array, measured: Array, predicted: Array, detail: Any, ax: A
         errors = np.nan_to_num(measured - predicted)
         # where the models differ most from the measurement, all together
         sizes = np.maximum(np.sqrt(np.mean(errors**2, axis=1, keepdims=True)), np.finfo(float).tiny)
-        return _strongest_part(measured, np.sqrt(np.sum((errors / sizes) ** 2, axis=0)))
-    return _chosen_part(time, detail)
+        return strongest_part(measured, np.sqrt(np.sum((errors / sizes) ** 2, axis=0)))
+    return chosen_part(time, detail)
 
 
 def _draw_outputs(
@@ -104,9 +104,9 @@ def _draw_outputs(
 ) -> list[Any]:
     t = time[part]
     axis.set_xlim(t[0], t[-1])
-    lines = axis.plot(*extremes(t, measured[part], _DRAWN), label="measured", zorder=2, **style)
+    lines = axis.plot(*extremes(t, measured[part], DRAWN), label="measured", zorder=2, **style)
     for k, (name, output) in enumerate(zip(names, predicted, strict=True)):
-        lines += axis.plot(*extremes(t, output[part], _DRAWN), label=name, linewidth=1.1, zorder=3, **_look(k))
+        lines += axis.plot(*extremes(t, output[part], DRAWN), label=name, linewidth=1.1, zorder=3, **_look(k))
     # a model that runs away must not hide the others
     known = measured[np.isfinite(measured)]
     reach = float(np.ptp(known)) or float(np.max(np.abs(known))) or 1.0
@@ -121,7 +121,7 @@ def _draw_errors(axis: Axes, time: Array, errors: Array, names: list[str]) -> li
     sizes = [float(np.sqrt(np.nanmean(error**2))) for error in errors]
     for k in np.argsort(sizes)[::-1]:
         # the smaller error is drawn over the larger
-        lines += axis.plot(*extremes(time, errors[k], _DRAWN), label=names[k], linewidth=0.8, **_look(int(k)))
+        lines += axis.plot(*extremes(time, errors[k], DRAWN), label=names[k], linewidth=0.8, **_look(int(k)))
     axis.set_xlim(time[0], time[-1])
     return lines
 
@@ -156,7 +156,7 @@ def residual_plot(
         for row, ((lags, values, band), panel_title) in enumerate(zip(panels, panel_titles, strict=True)):
             axis = axes[row, 0]
             lines[row, 0] = _draw_correlation(axis, lags, values, band, confidence)
-            axis.set_title(_plain(panel_title), loc="left")
+            axis.set_title(plain(panel_title), loc="left")
             axis.set_ylabel("Correlation")
         axes[0, 0].set_xlabel("Lag [samples]")
         axes[1, 0].set_xlabel("Lag of the residual behind the input [samples]")
@@ -165,7 +165,7 @@ def residual_plot(
             axes[1, 0].text(
                 place, 0.97, text, transform=axes[1, 0].transAxes, ha=side, va="top", color="0.35", fontsize="small"
             )
-        legend = _legend_above(axes[0, 0])
+        legend = legend_above(axes[0, 0])
         _entitle(figure, title, ax, "Residuals")
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
@@ -219,7 +219,7 @@ def order_plot(
         lines[0, 1] = _draw_criteria(axes[0, 1], orders, criteria)
         for frequency in frequencies[list(orders).index(chosen)]:
             axes[0, 0].axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
-        axes[0, 0].set_xlabel(_plain(f"Natural frequency [rad/{time_unit}]"))
+        axes[0, 0].set_xlabel(plain(f"Natural frequency [rad/{time_unit}]"))
         axes[0, 0].set_ylabel("Order (number of modes)")
         axes[0, 1].set_xlabel("Criterion above its least value")
         choice = f"{criterion} chooses {chosen}" + ", the largest tried" * int(chosen == orders[-1])
@@ -228,7 +228,7 @@ def order_plot(
             axis.set_ylim(orders[0] - 0.5, orders[-1] + 0.5)
             axis.yaxis.set_major_locator(MaxNLocator(integer=True))
             axis.grid(True, linewidth=0.5, alpha=0.6)
-        legend = np.array([[_legend_above(axes[0, 0]), _legend_above(axes[0, 1])]], dtype=object)
+        legend = np.array([[legend_above(axes[0, 0]), legend_above(axes[0, 1])]], dtype=object)
         _entitle(figure, title, ax, "Choice of the order")
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
@@ -299,4 +299,4 @@ def _given(ax: Any, shape: tuple[int, int]) -> tuple[Figure, NDArray[Any]]:
 def _entitle(figure: Figure, title: str | None, ax: Any, default: str) -> None:
     """Title of the figure; on axes of one's own only if it was asked for."""
     if title is not None or ax is None:
-        figure.suptitle(_plain(default if title is None else title))
+        figure.suptitle(plain(default if title is None else title))

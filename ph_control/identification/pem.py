@@ -21,6 +21,7 @@ from .result import OrderRow, PEMResult, ljung_box, state_from_amplitudes
 from .solver import Problem, Projection, refine
 from .start import Screen
 from .uncertainty import covariance_of, in_user_parameters
+from .validation import fit_percent
 from .verdict import Verdict
 
 Array = NDArray[np.float64]
@@ -272,7 +273,7 @@ def _result(
         n=n,
         order=order,
         spare=len(problem.target) - problem.unknowns * n,
-        fit_percent=_fit_percent(problem.target, at.loss),
+        fit_percent=fit_percent(problem.target, at.residual),
         active=tuple(int(l) for l in np.flatnonzero(~free)),
         deficiency=at.rank_deficiency,
         whiteness=1.0 if noiseless else ljung_box(residuals, min(20, len(problem.target) // 5)),
@@ -319,15 +320,6 @@ def _named_system(modes: ModalForm, record: Record) -> PortHamiltonian:
     """System with the labels of the record; python-control takes no dots in names."""
     labels = (record.input_label.replace(".", "_"), record.output_label.replace(".", "_"))
     return PortHamiltonian._from_modes(modes, inputs=[labels[0]], outputs=[labels[1]])
-
-
-def _fit_percent(y: Array, loss: float) -> float:
-    """`100 (1 - |residual| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
-    centred = y - y.mean()
-    power = float(centred @ centred)
-    if power <= len(y) * (_checks.EPS * np.max(np.abs(y))) ** 2:
-        power = float(y @ y)
-    return 100.0 * (1 - float(np.sqrt(loss / power)))
 
 
 def _placeholders(d: Array, count: int) -> Array:
