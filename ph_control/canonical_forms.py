@@ -18,6 +18,7 @@ from .coefficients import cofactors, digits
 from .exceptions import ConditioningWarning, StructureError
 from .lossless_system import LosslessSystem, View, inherited_names
 from .modal import ModalForm
+from .symplectic import symplectic_inverse
 from .systems import PortHamiltonian, full_port_hamiltonian, ph
 
 Array = NDArray[np.float64]
@@ -142,9 +143,7 @@ class _CanonicalForm(LosslessSystem):
             return PortHamiltonian(np.diag(weights), self._v, **inherited_names(self, names, "inputs", "outputs"))
         matrix = _checks.symplectic_matrix(S, 2 * n)
         Q = matrix.T @ (weights[:, None] * matrix)
-        # S^{-1} = -J S^T J
-        u = matrix.T @ np.concatenate([self._v[n:], -self._v[:n]])
-        B = np.concatenate([-u[n:], u[:n]])
+        B = symplectic_inverse(matrix) @ self._v
         return PortHamiltonian(0.5 * (Q + Q.T), B, **inherited_names(self, names, "inputs", "outputs"))
 
     def _full_port_hamiltonian(self) -> PortHamiltonian:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from . import _checks
-from ._checks import relative_tolerance as relative_tolerance
 from .modal import ModalForm
 
 Array = NDArray[np.float64]
@@ -167,7 +166,7 @@ def separate(
     [1, 0]
     """
     if rtol is not None:
-        errors = _chosen_tolerances(modes, relative_tolerance(rtol))
+        errors = _chosen_tolerances(modes, _checks.relative_tolerance(rtol))
     elif given is None or energy is None:
         close = _EXACT * max(1, modes.n) * _checks.EPS * modes.d
         errors = ModalErrors(close, np.zeros(len(modes.d)), np.zeros(len(modes.rigid)))

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
-from .conditioning import relative_tolerance
 from .exceptions import StructureError
 from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
 from .isomorphism import Verdict, block_unitary, real_form
@@ -71,7 +70,7 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     the residues at frequency 1 differ: 2 and 0
     """
     if rtol is not None:
-        relative_tolerance(rtol)
+        _checks.relative_tolerance(rtol)
     first, second = _spectrum(sys1), _spectrum(sys2)
     ports = first.modes.nports, second.modes.nports
     if ports[0] != ports[1]:
@@ -228,7 +227,7 @@ def star_equivalent(
     """
     (first, ours), (second, theirs) = (_named_pair(k, *pair) for k, pair in ((1, (d1, v1)), (2, (d2, v2))))
     n = len(first)
-    allowed = 32 * max(1, n) * _checks.EPS if rtol is None else relative_tolerance(rtol)
+    allowed = 32 * max(1, n) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     if len(second) != n:
         return Verdict(False, 1.0, allowed, None, f"they have {n} and {len(second)} modes")
     sigma = np.empty(n, int)

@@ -20,13 +20,13 @@ from scipy.linalg.lapack import ztrsen, ztrsyl
 from . import _checks
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .coefficients import cofactors
-from .conditioning import relative_tolerance
 from .exceptions import StructureError
 from .filters import MARGIN, filter_mismatch, lossless_spectrum
 from .lossless_system import LosslessSystem
 from .morphisms import balanced, comparable, is_morphism
-from .pairs import norm_of, symplectic_inverse
+from .pairs import norm_of
 from .partial_fractions import SAFETY, clusters
+from .symplectic import symplectic_inverse
 from .systems import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ def are_isomorphic(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | No
     """
     comparable(sys1, sys2)
     if rtol is not None:
-        relative_tolerance(rtol)
+        _checks.relative_tolerance(rtol)
     if sys1.nstates != sys2.nstates:
         return Verdict(False, 1.0, 0.0, None, f"they have {sys1.nstates} and {sys2.nstates} states")
     if sys1.nstates == 0:

@@ -17,10 +17,10 @@ from scipy.linalg.lapack import dgebal
 
 from . import _checks
 from .coefficients import cofactors
-from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .pairs import norm_of, power_of_two, resonances, symplectic_inverse
+from .pairs import norm_of, power_of_two, resonances
 from .realization import lifted_size
+from .symplectic import symplectic_inverse
 from .systems import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -271,7 +271,7 @@ def expressive_power(
     n = len(frequencies)
     nu = vector[:n] + 1j * vector[n:]
     root = np.sqrt(frequencies) * np.abs(nu)
-    dark = (nu == 0) if rtol is None else root <= np.sqrt(relative_tolerance(rtol)) * root.max(initial=0.0)
+    dark = (nu == 0) if rtol is None else root <= np.sqrt(_checks.relative_tolerance(rtol)) * root.max(initial=0.0)
     nu = np.where(dark, 0.0, nu)
     groups = resonances(frequencies, rtol)
     columns = [np.zeros((n, 0), complex)]
@@ -391,7 +391,7 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
             f"({sys2.nstates}, {sys1.nstates})"
         )
     size = max(matrix.shape)
-    allowed = 100 * max(1, size) * _checks.EPS if rtol is None else relative_tolerance(rtol)
+    allowed = 100 * max(1, size) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     scale1, A1, B1, C1, D1 = balanced(sys1)
     scale2, A2, B2, C2, D2 = balanced(sys2)
     matrix = matrix * scale1 / scale2[:, None]

@@ -19,7 +19,7 @@ from .coefficients import cofactors
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem
 from .propagation import Step, discretize, simulate
-from .symplectic import apply_form
+from .symplectic import apply_form, symplectic_inverse
 from .systems import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -71,17 +71,12 @@ def _phase_space_states(
     d, E, E0 = sys._energy
     root = np.sqrt(d)[:, None]
     if 2 * len(d) == sys.nstates:
-        return _phase_space(E / root, x)
+        rows = E / root
+        return symplectic_inverse(np.concatenate([rows.real, rows.imag])) @ np.concatenate([x.real, x.imag])
     U, W = _input_integrals(u, rule)
     X = ((E @ sys.B) @ U - root * (x - x0[:, None])) / (1j * d[:, None])
     X0 = np.outer(E0 @ z0, rule.h * np.arange(u.shape[1])) + (E0 @ sys.B) @ W
     return z0[:, None] + apply_form((E.conj().T @ X).real + E0.T @ X0) + sys.B @ U
-
-
-def _phase_space(rows: ComplexArray, x: ComplexArray) -> Array:
-    """Invert `x = S z` by `S^{-1} = -J S^T J`."""
-    S = np.concatenate([rows.real, rows.imag])
-    return -apply_form(S.T @ apply_form(np.concatenate([x.real, x.imag])))
 
 
 def _input_integrals(u: Array, rule: Rule) -> tuple[Array, Array]:

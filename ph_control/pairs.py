@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from .conditioning import relative_tolerance
 from .exceptions import StructureError
-from .symplectic import apply_form
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -211,7 +209,7 @@ def permutation(sigma: ArrayLike, n: int) -> Indices:
 
 def resonances(d: Array, rtol: float | None = None) -> list[Indices]:
     """Groups of indices of equal frequencies, ascending; those closer than `rtol * d`, default `8 n eps`, are equal."""
-    close = 8 * max(1, len(d)) * _checks.EPS if rtol is None else relative_tolerance(rtol)
+    close = 8 * max(1, len(d)) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     order = np.argsort(d, kind="stable")
     gaps = np.diff(d[order])
     return np.split(order, np.flatnonzero(gaps > close * d[order][1:]) + 1) if len(d) else []
@@ -228,8 +226,3 @@ def norm_of(M: NDArray[Any], axis: int | None = None) -> Any:
     unit = np.abs(M).max(axis=axis, initial=0.0, keepdims=True)
     unit = np.where((unit > 0) & np.isfinite(unit), unit, 1.0)
     return np.linalg.norm(M / unit, axis=axis) * np.squeeze(unit, axis=axis)
-
-
-def symplectic_inverse(S: Array) -> Array:
-    """`S^{-1} = J^T S^T J` of a symplectic matrix, exactly."""
-    return apply_form(apply_form(S).T)

@@ -66,6 +66,11 @@ def apply_form(M: Array) -> Array:
     return np.concatenate([M[n:], 0.0 - M[:n]])
 
 
+def symplectic_inverse(S: Array) -> Array:
+    """`S^{-1} = J^T S^T J` of a symplectic matrix, exactly."""
+    return apply_form(apply_form(S).T)
+
+
 def is_symplectic(S: ArrayLike, *, rtol: float | None = None) -> bool:
     """Tell whether `S^T J S = J`, relative to the size of `S`.
 
