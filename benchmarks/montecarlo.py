@@ -31,9 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _options(arguments)
     trial, configurations, report = STUDIES[options.study]
     chosen = [configurations[k - 1] for k in options.config] if options.config else configurations
-    print(f"{options.study}: {_environment(options.workers)}", flush=True)
+    print(f"{options.study}: {environment(options.workers)}", flush=True)
     document: dict[str, Any] = {
-        "study": options.study, "environment": _environment(options.workers), "configurations": []
+        "study": options.study, "environment": environment(options.workers), "configurations": []
     }  # fmt: skip
     for config in chosen:
         seeds = range(options.first_seed, options.first_seed + options.seeds)
@@ -61,7 +61,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def _environment(workers: int) -> str:
+def environment(workers: int) -> str:
+    """Versions, cores, processes and threads: what the times below depend on."""
     packages = ", ".join(f"{package.__name__} {package.__version__}" for package in (np, scipy, control))
     threads = ", ".join(f"{name}={os.environ[name]}" for name in THREADS)
     return (

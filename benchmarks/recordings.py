@@ -64,21 +64,31 @@ def random_recording(config: Configuration, rng: np.random.Generator) -> Recordi
     The powers of the modes at the output lie within a factor of `POWER_RATIO`, free and forced motion together; the
     free motion is of the size of the forced one.
     """
-    d = spaced_frequencies(config.n, config.bins * 2 * np.pi / config.samples, rng)
+    d = spaced_frequencies(config.n, config.bins * 2 * np.pi / config.samples, (BAND[0] * np.pi, BAND[1] * np.pi), rng)
     u = rng.standard_normal(config.samples)
-    direction = rng.standard_normal(config.n) + 1j * rng.standard_normal(config.n)
-    power = POWER_RATIO ** rng.uniform(-1.0, 0.0, config.n)
-    kappa, amplitude = np.empty(config.n), np.empty(config.n, complex)
-    t = np.arange(float(config.samples))
-    for l in range(config.n):
-        mode = phc.ph(phc.modes(d[l], 1.0 / d[l]))
-        forced = phc.forced_response(mode, t, u, return_states=False).outputs
-        start = np.sqrt(np.mean(forced**2)) * direction[l]
-        motion = forced + (start * np.exp(-1j * d[l] * t)).real
+    r, state = balanced_modes(d, u, rng)
+    return record(d, r, state, u, config.snr, rng)
+
+
+def balanced_modes(
+    d: Array, u: Array, rng: np.random.Generator, h: float = 1.0, method: str = "exact", moving: bool = True
+) -> tuple[Array, Array]:
+    """Weights (n,) and initial state (2n,) with which each mode moves the output by a power of `1/POWER_RATIO .. 1`."""
+    n = len(d)
+    power = POWER_RATIO ** rng.uniform(-1.0, 0.0, n)
+    direction = rng.standard_normal((n, 2))
+    kappa, state = np.empty(n), np.zeros((n, 2))
+    for l in range(n):
+        mode = (d[l : l + 1], 1 / d[l : l + 1])
+        motion = simulate(*mode, np.zeros(2), u, h, method)
+        if moving:
+            # a state of length 1 moves the output by sqrt(d)
+            start = direction[l] * np.sqrt(np.mean(motion**2) / d[l])
+            motion = simulate(*mode, start, u, h, method)
+            state[l] = start
         kappa[l] = np.sqrt(power[l] / np.mean(motion**2))
-        amplitude[l] = kappa[l] * start
-    x = amplitude / np.sqrt(d * kappa)
-    return record(d, kappa / d, np.concatenate([x.real, x.imag]), u, config.snr, rng)
+        state[l] *= np.sqrt(kappa[l])
+    return kappa / d, state.T.ravel()
 
 
 def record(
@@ -98,9 +108,9 @@ def simulate(d: Array, r: Array, state: Array, u: Array, h: float = 1.0, method:
     return np.asarray(phc.forced_response(plant, t, u, state, method=method, return_states=False).outputs)
 
 
-def spaced_frequencies(n: int, gap: float, rng: np.random.Generator) -> Array:
-    """Random frequencies in the band, ascending: two of them `gap` apart, the others at least as far; step 1."""
-    low, high = BAND[0] * np.pi, BAND[1] * np.pi
+def spaced_frequencies(n: int, gap: float, band: tuple[float, float], rng: np.random.Generator) -> Array:
+    """Random frequencies in a band, ascending: two of them `gap` apart, the others at least as far."""
+    low, high = band
     if high - low < (n - 1) * gap:
         raise ValueError(f"{n} modes at distances of {gap:.3g} do not fit between {low:.3g} and {high:.3g}")
     # what is left of the band when all gaps are taken out; the closest pair are neighbours without any more between
