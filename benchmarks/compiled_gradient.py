@@ -8,9 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+try:
+    from numba import njit
+except ImportError:
+
+    def njit(function):
+        """Leave a function as it is: without numba these are the same steps, slow."""
+        return function
+
 
 Array = NDArray[np.float64]
 
@@ -36,7 +44,7 @@ def descend(
     return Descent(losses[:count], best, count <= epochs)
 
 
-@numba.njit(cache=False)
+@njit
 def _descend(u, y, h, theta, n, natural, adam, rate, epochs):
     losses, best, least = np.empty(epochs + 1), theta.copy(), np.inf
     mean, square = np.zeros(len(theta)), np.zeros(len(theta))
@@ -61,7 +69,7 @@ def _descend(u, y, h, theta, n, natural, adam, rate, epochs):
     return losses, best, epochs + 1
 
 
-@numba.njit(cache=False)
+@njit
 def _loss_and_gradient(u, y, h, theta, n, natural):
     """Mean squared error and its derivative; the recursions of all resonators run side by side."""
     d = theta[:n]
@@ -108,7 +116,7 @@ def _loss_and_gradient(u, y, h, theta, n, natural):
     return total / len(u), 2 * gradient / len(u)
 
 
-@numba.njit(cache=False)
+@njit
 def _rows(d):
     """Even powers of the operator applied to the last position of the chain, as combinations of all positions."""
     n = len(d)

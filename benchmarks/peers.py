@@ -138,9 +138,9 @@ def attempt(method: Method, setting: Any, case: Case, seed: int) -> dict[str, An
     with np.errstate(over="ignore", invalid="ignore"):
         error = float(np.linalg.norm(model.response(new) - answer) / np.linalg.norm(answer))
     return {
-        "seed": seed, "setting": setting, "close": bool((off <= close).all()), "efficient": bool((off <= efficient).all()),
+        "seed": seed, "setting": setting, "failure": failure, "seconds": seconds, "steps": model.steps,
+        "close": bool((off <= close).all()), "efficient": bool((off <= efficient).all()),
         "frequency_error": _finite(np.sqrt(np.mean((off / recording.d) ** 2))), "error": _finite(error),
-        "seconds": seconds, "steps": model.steps, "failure": failure,
     }  # fmt: skip
 
 
@@ -162,9 +162,11 @@ def table(case: Case, rows: dict[str, list[dict[str, Any]] | None]) -> list[str]
         ]
         ours = ours or medians
         close, efficient = (f"{sum(trial[key] for trial in trials)}/{len(trials)}" for key in ("close", "efficient"))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.divide(medians, ours)
         cells = [
-            f"{value:{width}.3g}   {value / reference:6.3g}"
-            for value, reference, width in zip(medians, ours, (14, 12, 8), strict=True)
+            f"{value:{width}.3g}   {ratio:6.3g}"
+            for value, ratio, width in zip(medians, ratios, (14, 12, 8), strict=True)
         ]
         lines.append(f"  {name:42s} {close:>8s}  {efficient:>9s}   " + "   ".join(cells))
         cut = sum(trial["steps"] < EPOCHS for trial in trials)
