@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from .. import _checks
 from ..exceptions import StructureError
 from ..files import _is_time as is_time_label
@@ -16,7 +14,7 @@ _SHOWN = 30  # labels of columns listed in a message
 
 def is_data_frame(data: Any) -> bool:
     """Whether an object has the two things that are used of a data frame."""
-    return not isinstance(data, np.ndarray) and hasattr(data, "columns") and hasattr(type(data), "__getitem__")
+    return hasattr(data, "columns") and hasattr(type(data), "__getitem__")
 
 
 def record_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -> Record:

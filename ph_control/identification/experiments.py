@@ -109,19 +109,12 @@ def _is_object(data: Any) -> bool:
 
 
 def _is_signal(value: Any) -> bool:
-    sized = hasattr(type(value), "__len__") and not isinstance(value, str | bytes | dict)
-    return sized and getattr(value, "ndim", 1) > 0
+    return hasattr(type(value), "__len__") and getattr(value, "ndim", 1) > 0
 
 
 def _is_pair(data: Any) -> bool:
-    """Whether this is a tuple of two signals, one of which may be None; a tuple of two numbers is none."""
-    return (
-        isinstance(data, tuple)
-        and len(data) == 2
-        and not any(map(_is_object, data))
-        and any(map(_is_signal, data))
-        and all(one is None or _is_signal(one) for one in data)
-    )
+    """Whether this is a tuple of two signals, any of which may be None; a tuple of two numbers is no pair."""
+    return isinstance(data, tuple) and len(data) == 2 and all(one is None or _is_signal(one) for one in data)
 
 
 def _are_several(data: Any) -> bool:

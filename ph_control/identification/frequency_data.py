@@ -126,5 +126,5 @@ def checked_weights(weights: Any, count: int) -> Array:
         raise StructureError(
             f"weights are not positive: entry {k} is {array[k]:.6g}; mark points to leave out by a response of NaN"
         )
-    refuse_out_of_range("weights", array)
+    refuse_out_of_range("the largest weight", array)
     return array
