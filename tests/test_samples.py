@@ -260,13 +260,32 @@ def test_two_weights_of_which_only_the_sum_is_known_follow_their_distribution(sp
         assert abs(np.corrcoef(column[:-1], column[1:])[0, 1]) < 4 / np.sqrt(len(x))
 
 
-def test_weights_whose_sum_is_known_exactly_keep_it_and_fill_the_segment():
-    total = 1e-4
+@pytest.mark.parametrize("total", [1e-4, 1e-9, 1e-15])
+def test_weights_whose_sum_is_known_exactly_keep_it_and_fill_the_segment(total):
     x = draw([0.3 * total, 0.7 * total], [[1, -1], [-1, 1]], 4000, 2, nonnegative=[True, True])
     assert np.all(x >= 0)
-    # the draws are formed from numbers of the size of a standard deviation, 1
-    assert np.abs(x.sum(axis=1) - total).max() < 32 * EPS
+    assert np.abs(x.sum(axis=1) - total).max() < 32 * EPS * total
     assert kstest(x[:, 0] / total, "uniform").pvalue > UNLIKELY
+
+
+def test_rounding_takes_no_draw_across_its_bound():
+    """Weights of three modes of which the sum and one difference are known, in units in which all is rounded."""
+    n, units = 3, np.array([1.0, 1 / 3, 0.1])
+    line = np.array([1.0, -2.0, 1.0]) * units
+    mean = np.array([1e-7, 0.0, 1e-7]) * units
+    for name in ("nonnegative", "positive"):
+        centre = mean if name == "nonnegative" else mean + 1e-9 * units
+        x = draw(centre, np.outer(line, line), 2000, 0, **{name: np.ones(n, bool)})
+        assert np.all(x >= 0 if name == "nonnegative" else x > 0)
+
+
+@pytest.mark.parametrize("low, high", [(9.0, np.inf), (-np.inf, -9.0), (30.0, 30.05), (-0.5, 2.0), (-40.0, -1.0)])
+def test_a_move_of_the_sampler_is_a_normal_number_on_an_interval_in_the_tails_too(low, high):
+    rng, centre = np.random.default_rng(0), 1.5
+    moves = module._normal_between(
+        np.full(4000, low + centre), np.full(4000, high + centre), np.full(4000, centre), rng
+    )
+    assert kstest(moves, truncnorm(low, high, loc=centre).cdf).pvalue > UNLIKELY
 
 
 def test_twenty_weak_weights_are_each_half_a_normal_distribution():

@@ -158,8 +158,7 @@ def _factor(covariance: Array, size: int) -> tuple[NDArray[np.bool_], Array, Arr
     inner = covariance[np.ix_(free, free)]
     _checks.finite("covariance", inner)
     scale = np.sqrt(np.abs(variance[free]))
-    # divided one after the other: the product of two scales may leave the range of doubles
-    correlation = inner / scale[:, None] / scale
+    correlation = inner / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     asymmetry, smallest = np.abs(correlation - correlation.T).max(initial=0.0), values.min(initial=0.0)
     least = -len(values) * _ROUNDING
