@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 import ph_control as phc
 from ph_control.identification.excitation import examine_fit, excitation
 from ph_control.identification.excited_band import excited_band
-from ph_control.identification.information import Information
+from ph_control.identification.experiment import Experiment
+from ph_control.identification.information import Information, information_at
 from ph_control.identification.regressors import Hold
 from ph_control.identification.remedy import multisine
 from ph_control.identification.solver import Problem
@@ -176,8 +177,8 @@ def test_the_end_of_a_fit_is_judged_with_its_own_sensitivities(from_rest):
     u, h = white(300), 0.1
     d, r, x0 = np.array([3.0, 1.0]), np.array([0.2, 1.0]), np.array([0.5, 1 + 1j]) * (not from_rest)
     y = output_of(d, r, x0, u, h)
-    end = Problem(u, y, np.ones(300, bool), Hold(h), from_rest).project(d)
-    found = examine_fit(end, 0.1)
+    end = Problem((Experiment(u, y, np.ones(300, bool), Hold(h), from_rest),)).project(d)
+    found = examine_fit(end, information_at(end, np.argsort(d)), 0.1)
     same = excitation((u, y), (d, r), dt=h, noise_std=0.1, initial_state="zero" if from_rest else "estimate")
     assert np.allclose(found.r, same.r, rtol=1e-9) and np.array_equal(found.d, [1.0, 3.0])
     for key in found.stderr:

@@ -5,9 +5,10 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import ph_control as phc
-from ph_control.identification.regressors import Hold
+from ph_control.identification.experiment import Experiment
+from ph_control.identification.regressors import Hold, regressors
+from ph_control.identification.search import TimeSearch
 from ph_control.identification.solver import Problem, refine
-from ph_control.identification.start import Screen
 
 
 def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method="exact", from_rest=False):
@@ -20,7 +21,14 @@ def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method
     ]
     y = sum(parts[:-1], 0.0) + sign * parts[-1]
     y = y + noise * np.std(y) * rng.standard_normal(samples)
-    return Problem(u, y, np.ones(samples, bool), Hold(h, method), from_rest)
+    return Problem((Experiment(u, y, np.ones(samples, bool), Hold(h, method), from_rest),))
+
+
+def dense(problem, d):
+    """Columns of the linear problem over the whole record, residues first."""
+    (one,) = problem.experiments
+    columns = regressors(d, one.u, one.hold).columns()
+    return columns[:, : len(d)] if one.from_rest else columns
 
 
 @pytest.mark.parametrize("from_rest", [False, True])
@@ -29,34 +37,42 @@ def test_inner_problem_is_solved_as_a_bounded_least_squares_solver_does(sign, fr
     problem = problem_of([1.0, 2.5, 6.0], [1.0, 0.5, 0.3], sign=sign, from_rest=from_rest)
     d = np.array([1.01, 2.49, 6.0])
     found = problem.project(d)
-    columns = found.regressors.columns()[:, : 3 if from_rest else 9]
+    columns = dense(problem, d)
     lower = np.where(np.arange(columns.shape[1]) < 3, 0.0, -np.inf)
-    expected = lsq_linear(columns, problem.y, (lower, np.inf), tol=1e-14)
+    expected = lsq_linear(columns, problem.experiments[0].y, (lower, np.inf), tol=1e-14)
     assert np.isclose(found.loss, 2 * expected.cost, rtol=1e-9)
-    assert (found.coefficients[:3] >= 0).all()
-    assert (found.coefficients[2] == 0) == (sign < 0)
+    assert np.allclose(np.concatenate([found.kappa, found.own[0]]), expected.x, rtol=1e-6, atol=1e-9)
+    assert (found.kappa >= 0).all() and (found.kappa[2] == 0) == (sign < 0)
 
 
 @pytest.mark.parametrize("from_rest", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("method", ["exact", "midpoint", "euler"])
-def test_jacobian_is_the_derivative_of_the_residual(method, sign, from_rest):
+def test_gradient_is_the_derivative_of_the_loss(method, sign, from_rest):
     problem = problem_of([0.4, 1.1, 2.0], [1.0, 0.5, 0.3], sign=sign, method=method, h=0.05, from_rest=from_rest)
     d = np.array([0.42, 1.09, 2.03])
-    J = problem.project(d).jacobian()
-    step = 1e-6
+    gradient, step = problem.project(d).gradient, 1e-6
     for l in range(3):
         shift = step * np.eye(3)[l]
-        difference = (problem.project(d + shift).residual - problem.project(d - shift).residual) / (2 * step)
-        assert np.abs(J[:, l] - difference).max() <= 1e-6 * np.abs(J).max()
+        difference = (problem.project(d + shift).loss - problem.project(d - shift).loss) / (4 * step)
+        assert abs(gradient[l] - difference) <= 1e-6 * np.abs(gradient).max()
 
 
-def test_jacobian_without_the_turning_of_the_projector_would_be_noticed():
+def test_jacobian_has_the_gram_matrix_of_the_dense_one():
     problem = problem_of([0.4, 1.1], [1.0, 0.5], noise=0.5)
-    at = problem.project(np.array([0.45, 1.0]))
-    basis = at._solution[1]
-    short = -(at.sensitivity - basis @ (basis.T @ at.sensitivity))
-    assert np.abs(at.jacobian() - short).max() > 1e-3 * np.abs(short).max()
+    d = np.array([0.41, 1.08])
+    at = problem.project(d)
+    (one,) = problem.experiments
+    found = regressors(d, one.u, one.hold)
+    slopes, own = found.slopes(), at.own[0]
+    by_d = slopes[:, :2] * at.kappa + slopes[:, 2:4] * own[:2] + slopes[:, 4:] * own[2:]
+    J = np.concatenate([by_d, found.columns()], axis=1)
+    reduced, known = at.jacobian()
+    assert known.all() and len(reduced) < 20
+    assert np.allclose(reduced.T @ reduced, J.T @ J, rtol=1e-10, atol=1e-10 * np.abs(J.T @ J).max())
+    inside = found.columns()
+    left = by_d - inside @ np.linalg.lstsq(inside, by_d, rcond=None)[0]
+    assert np.allclose(at.gram, left.T @ left, rtol=1e-8)
 
 
 def test_refinement_reaches_a_stationary_point():
@@ -64,29 +80,30 @@ def test_refinement_reaches_a_stationary_point():
     found = refine(problem, np.array([1.02, 2.47]), rtol=1e-14)
     assert found.converged
     at = found.projection
-    gradient = at.jacobian().T @ at.residual
-    assert np.abs(gradient).max() <= 1e-7 * np.linalg.norm(at.jacobian(), axis=0).max() * np.sqrt(at.loss)
+    assert np.abs(at.gradient).max() <= 1e-7 * np.sqrt(np.diag(at.gram).max() * at.loss)
 
 
 def test_refinement_of_no_modes_is_the_record_itself():
     problem = problem_of([1.0], [1.0])
     found = refine(problem, np.zeros(0), rtol=1e-9)
-    assert found.converged and found.projection.loss == pytest.approx(problem.y @ problem.y)
+    y = problem.experiments[0].y
+    assert found.converged and found.projection.loss == pytest.approx(y @ y)
 
 
 def test_missing_samples_do_not_count():
-    full = problem_of([1.0, 2.5], [1.0, 0.5])
+    (full,) = problem_of([1.0, 2.5], [1.0, 0.5]).experiments
     observed = full.observed.copy()
     observed[[3, 50, 51, 200]] = False
     y = np.where(observed, full.y, np.nan)
-    gappy = Problem(full.u, y, observed, full.hold).project(np.array([1.0, 2.5]))
-    columns = gappy.regressors.columns()[observed]
+    gappy = Problem((Experiment(full.u, y, observed, full.hold),))
+    columns = dense(gappy, np.array([1.0, 2.5]))[observed]
     expected = np.linalg.lstsq(columns, y[observed], rcond=None)[1][0]
-    assert gappy.loss == pytest.approx(expected, rel=1e-12)
+    assert gappy.project(np.array([1.0, 2.5])).loss == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("samples", [2000, 20_000])
 @pytest.mark.parametrize("method, h", [("exact", 0.1), ("midpoint", 0.1), ("euler", 0.005)])
 @pytest.mark.parametrize("d", [0.2, 1.37, 9.1])
-def test_strongest_mode_is_found_within_a_bin(method, h, d):
-    problem = problem_of([d], [1.0], samples=2000, h=h, method=method, noise=0.1)
-    assert abs(Screen(problem).strongest(problem.y) - d) <= problem.bin
+def test_strongest_mode_is_found_within_a_bin(method, h, d, samples):
+    problem = problem_of([d], [1.0], samples=samples, h=h * 2000 / samples, method=method, noise=0.1)
+    assert abs(TimeSearch(problem).step(np.zeros(0), 1e-4).candidates[0] - d) <= problem.bin

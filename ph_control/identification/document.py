@@ -12,22 +12,35 @@ from ..exceptions import StructureError
 from ..files import Codec, register, system_from_dict, system_to_dict
 from ..propagation import INTERSAMPLE, METHODS
 from .data import Record
+from .forward import Start
+from .frequency_data import FrequencyRecord
+from .information import Information
+from .prediction import FittedExperiment
+from .regressors import QUANTITIES
 from .result import OrderRow, PEMResult
+
+REPRESENTATIONS = ("observable", "controllable")
 
 _NUMBERS = ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "whiteness")
 
 
 def _to_dict(result: PEMResult) -> dict[str, Any]:
-    record, table = result.record, result.order_table
+    table, starts, information = result.order_table, result.starts, result.identifiability
     return {
         "system": system_to_dict(result.system),
-        "initial_state": result.initial_state,
-        "free_amplitudes": result.free_amplitudes,
+        "experiments": {str(k): _experiment_to_dict(one) for k, one in enumerate(result.experiments, start=1)},
         "covariance": result.covariance,
+        "offset_stderr": result.offset_stderr,
         **{name: getattr(result, name) for name in _NUMBERS},
         "active": list(result.active),
         "unseen": list(result.unseen),
-        "rank_deficiency": result.rank_deficiency,
+        "identifiability": {
+            "names": list(information.names),
+            "lengths": information.lengths,
+            "singular_values": information.singular_values,
+            "vectors": information.vectors,
+            "tolerance": information.tolerance,
+        },
         "order_table": {
             "order": [row.order for row in table],
             "loss": [row.loss for row in table],
@@ -35,48 +48,84 @@ def _to_dict(result: PEMResult) -> dict[str, Any]:
             "bic": [row.bic for row in table],
             "d": np.concatenate([np.zeros(0), *[row.d for row in table]]),
         },
+        "starts": {
+            "kind": [start.kind for start in starts],
+            "loss": [start.loss for start in starts],
+            "order": [len(start.d) for start in starts],
+            "d": np.concatenate([np.zeros(0), *[start.d for start in starts]]),
+        },
         "success": result.success,
         "verdict": result.verdict,
         "message": result.message,
         "n_iterations": result.n_iterations,
         "method": result.method,
         "intersample": result.intersample,
-        "record": {
-            "time": record.time,
-            "dt": record.dt,
-            "input": record.u,
-            "output": record.y,
-            "input_label": record.input_label,
-            "output_label": record.output_label,
-        },
-        "predicted": result.predicted,
+        "quantity": result.quantity,
+        "representation": result.representation,
+    }
+
+
+def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
+    record = one.record
+    if isinstance(record, Record):
+        data: dict[str, Any] = {"time": record.time, "dt": record.dt, "input": record.u, "output": record.y}
+        data["driven"] = record.driven
+    else:
+        data = {"omega": record.omega, "response": record.response, "weights": record.weights, "title": record.title}
+    return {
+        "record": data | {"input_label": record.input_label, "output_label": record.output_label},
+        "initial_state": one.initial_state,
+        "free_amplitudes": one.free_amplitudes,
+        "offset": one.offset,
+        "predicted": one.predicted,
     }
 
 
 def _from_dict(fields: Fields) -> PEMResult:
     system = system_from_dict(fields.nested("system"))
     n = system.n
-    record = _record(fields.nested("record"))
-    predicted = fields.array("predicted", (record.samples,))
+    experiments = _experiments(fields.nested("experiments"), n)
+    size = 2 * n + sum(len(one.initial_state) for one in experiments)
     return PEMResult(
         system=system,
-        initial_state=fields.array("initial_state", (2 * n,)),
-        free_amplitudes=fields.complex_array("free_amplitudes", (n,)),
-        covariance=fields.array("covariance", (4 * n, 4 * n), finite=False),
+        experiments=experiments,
+        covariance=fields.array("covariance", (size, size), finite=False),
+        offset_stderr=fields.array("offset_stderr", (len(experiments),), finite=False),
         **{name: fields.number(name) for name in _NUMBERS},
         active=_modes(fields, "active", n),
         unseen=_modes(fields, "unseen", n),
-        rank_deficiency=fields.integer("rank_deficiency"),
+        identifiability=_information(fields.nested("identifiability")),
         order_table=_order_table(fields.nested("order_table")),
+        starts=_starts(fields.nested("starts")),
         success=fields.flag("success"),
         verdict=fields.text("verdict"),
         message=fields.text("message"),
         n_iterations=fields.integer("n_iterations"),
         method=_one_of(fields, "method", METHODS),
         intersample=_one_of(fields, "intersample", INTERSAMPLE),
-        record=record,
-        predicted=predicted,
-        residuals=record.y - predicted,
+        quantity=_one_of(fields, "quantity", QUANTITIES),
+        representation=_one_of(fields, "representation", REPRESENTATIONS),
+    )
+
+
+def _experiments(fields: Fields, n: int) -> tuple[FittedExperiment, ...]:
+    found: list[FittedExperiment] = []
+    while str(len(found) + 1) in fields or not found:
+        found.append(_experiment(fields.nested(str(len(found) + 1)), n))
+    return tuple(found)
+
+
+def _experiment(fields: Fields, n: int) -> FittedExperiment:
+    inner = fields.nested("record")
+    record = _record(inner) if "time" in inner else _response(inner)
+    in_time = isinstance(record, Record)
+    take = fields.array if in_time else fields.complex_array
+    return FittedExperiment(
+        record,
+        fields.array("initial_state", (2 * n if in_time else 0,)),
+        fields.complex_array("free_amplitudes", (n if in_time else 0,)),
+        fields.number("offset"),
+        take("predicted", (record.samples,)),
     )
 
 
@@ -89,7 +138,40 @@ def _record(fields: Fields) -> Record:
         fields.array("output", (len(time),), finite=False),
         fields.text("input_label"),
         fields.text("output_label"),
+        fields.flag("driven"),
     )
+
+
+def _response(fields: Fields) -> FrequencyRecord:
+    omega = fields.array("omega", (None,))
+    return FrequencyRecord(
+        omega,
+        fields.complex_array("response", (len(omega),), finite=False),
+        fields.array("weights", (len(omega),)),
+        fields.text("input_label"),
+        fields.text("output_label"),
+        fields.text("title"),
+    )
+
+
+def _information(fields: Fields) -> Information:
+    names = tuple(fields.texts("names"))
+    size = len(names)
+    return Information(
+        names,
+        fields.array("lengths", (size,)),
+        fields.array("singular_values", (size,)),
+        fields.array("vectors", (size, size)),
+        fields.number("tolerance"),
+    )
+
+
+def _starts(fields: Fields) -> tuple[Start, ...]:
+    kinds = fields.texts("kind")
+    loss = fields.array("loss", (len(kinds),))
+    orders = _whole(fields.array("order", (len(kinds),)), "order")
+    d = np.split(fields.array("d", (int(orders.sum()),)), np.cumsum(orders)[:-1])
+    return tuple(Start(*one) for one in zip(kinds, loss.tolist(), d, strict=True)) if kinds else ()
 
 
 def _order_table(fields: Fields) -> tuple[OrderRow, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,12 @@ from ..systems import modes
 from .data import Record, as_record
 from .excitation_report import Excitation
 from .excited_band import ExcitedBand, excited_band
-from .information import Combination, Information, information_of, model_information
+from .experiment import Experiment
+from .information import Combination, Information, model_information
 from .regressors import Hold, regressors
 from .remedy import input_remedy
 from .scan import Scan, representative, scan
-from .solver import Problem, Projection
+from .solver import Projection
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -120,7 +121,7 @@ def excitation(
 
 
 def examine(
-    problem: Problem,
+    problem: Experiment,
     d: Array,
     r: Array,
     amplitudes: ComplexArray,
@@ -160,16 +161,17 @@ def examine(
     return replace(found, remedies=_remedies(found, problem, amplitudes))
 
 
-def examine_fit(at: Projection, noise_std: float = np.nan) -> Excitation:
-    """Judge a record at the end of a fit, with the sensitivities that the fit has."""
-    n = len(at.d)
+def examine_fit(at: Projection, information: Information, noise_std: float = np.nan) -> Excitation:
+    """Judge a record at the end of a fit, with the information that the fit has."""
     rank = np.argsort(at.d)
-    kappa, alpha, beta = (part[rank] for part in np.split(at.coefficients, 3))
-    d, amplitudes = at.d[rank], alpha + 1j * beta
-    jacobian = at.full_jacobian()[0]
-    sorting = np.concatenate([rank + k * n for k in range(jacobian.shape[1] // n)])
-    information = information_of(at.problem, jacobian[:, sorting], d, kappa / d, amplitudes)
-    return examine(at.problem, d, kappa / d, amplitudes, noise_std=noise_std, information=information)
+    (record,) = at.problem.experiments
+    (own,) = at.own
+    n = len(rank)
+    amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
+    d, kappa = at.d[rank], at.kappa[rank]
+    return examine(
+        cast(Experiment, record), d, kappa / d, amplitudes[rank], noise_std=noise_std, information=information
+    )
 
 
 def _positive(name: str, value: Any) -> float:
@@ -180,11 +182,11 @@ def _positive(name: str, value: Any) -> float:
     return float(number)
 
 
-def _problem(record: Record, hold: Hold, from_rest: bool) -> Problem:
+def _problem(record: Record, hold: Hold, from_rest: bool) -> Experiment:
     """The data of a fit; without outputs, all of them are to be measured."""
     measured = bool(record.observed.any())
     observed = record.observed if measured else np.ones(record.samples, bool)
-    return Problem(record.u, record.y if measured else np.zeros(record.samples), observed, hold, from_rest)
+    return Experiment(record.u, record.y if measured else np.zeros(record.samples), observed, hold, from_rest)
 
 
 def _model(order: Any, method: str, intersample: str) -> ModalForm:
@@ -207,7 +209,7 @@ def _model(order: Any, method: str, intersample: str) -> ModalForm:
     return model
 
 
-def _check_phases(problem: Problem, d: Array) -> None:
+def _check_phases(problem: Experiment, d: Array) -> None:
     """Refuse modes that turn absurdly fast, or that an integration rule lets grow out of the range of doubles."""
     hold = problem.hold
     if d.max() * hold.h > _FASTEST:
@@ -223,7 +225,7 @@ def _check_phases(problem: Problem, d: Array) -> None:
         )
 
 
-def _free_motion(problem: Problem, model: ModalForm) -> tuple[ComplexArray, float]:
+def _free_motion(problem: Experiment, model: ModalForm) -> tuple[ComplexArray, float]:
     """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
     n = model.n
     columns = problem.seen(regressors(model.d, problem.u, problem.hold).columns())
@@ -236,7 +238,7 @@ def _free_motion(problem: Problem, model: ModalForm) -> tuple[ComplexArray, floa
     return found[:n] + 1j * found[n:], float(np.sqrt(left @ left / spare)) if spare > 0 else np.nan
 
 
-def _of_order(problem: Problem, n: int, noise: float) -> Excitation:
+def _of_order(problem: Experiment, n: int, noise: float) -> Excitation:
     """Judge a record for n modes of equal residue, wherever they lie."""
     band = excited_band(problem.u, problem.hold.h)
     d = representative(n, problem, band)
@@ -257,7 +259,7 @@ def _unresolved(apparent: Array, bin_width: float) -> tuple[tuple[int, int], ...
 
 
 def _artefacts(
-    problem: Problem, d: Array, r: Array, amplitudes: ComplexArray, information: Information
+    problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray, information: Information
 ) -> tuple[Combination, ...]:
     """Combinations that Euler's rule shows and an exact hold does not."""
     if problem.hold.method != "euler":
@@ -273,7 +275,7 @@ def _driven_zeros(d: Array, r: Array, band: ExcitedBand) -> tuple[float, ...]:
     return tuple(line for line in band.lines if (np.abs(zeros - line) < _AT_ZERO * band.bin).any())
 
 
-def _remedies(found: Excitation, problem: Problem, amplitudes: ComplexArray) -> tuple[str, ...]:
+def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) -> tuple[str, ...]:
     """What to change, each as an instruction, in the order in which to do it."""
     instructions = []
     if found.above_nyquist:

@@ -16,9 +16,10 @@ from scipy.linalg import qr
 
 from .. import _checks
 from .._checks import EPS
-from ..propagation import unit_states
-from .regressors import regressors
-from .solver import Problem
+from .experiment import Experiment
+from .regressors import SHORT, Kernel, in_groups, regressors
+from .solver import Projection, eliminate
+from .triangle import reduced
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -228,7 +229,7 @@ class Information:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the range of doubles is refused
-def model_information(problem: Problem, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+def model_information(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information of `(d, r, x(0))` at a model, for unit noise; `x(0)` only where it is estimated.
 
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
@@ -243,7 +244,7 @@ def model_information(problem: Problem, d: Array, r: Array, amplitudes: ComplexA
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def information_of(problem: Problem, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+def information_of(problem: Experiment, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information at a model from the sensitivities to `(d, kappa, Re x(0), Im x(0))`, or from the R of their QR."""
     n, samples, h = len(d), len(problem.u), problem.hold.h
     J = in_weights(jacobian, d, r)
@@ -255,13 +256,42 @@ def information_of(problem: Problem, jacobian: Array, d: Array, r: Array, amplit
     )
 
 
-def _state_sizes(problem: Problem, d: Array) -> tuple[Array, Array]:
+def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
+    """Information at the end of a fit, modes sorted by `rank`.
+
+    Of one record all parameters; of several, or of a response, `d` and `r` with all else unknown.
+    """
+    n = len(at.d)
+    jacobian, _ = at.jacobian()
+    d, kappa = at.d[rank], at.kappa[rank]
+    one = at.problem.experiments[0]
+    if len(at.problem.experiments) == 1 and isinstance(one, Experiment) and one.driven and not one.offset:
+        sorting = (np.arange(jacobian.shape[1] // max(n, 1))[:, None] * n + rank).ravel()
+        own = at.own[0]
+        amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
+        return information_of(one, jacobian[:, sorting], d, kappa / d, amplitudes[rank])
+    # the own unknowns first: what is left of the factor below them no longer depends on them
+    order = np.concatenate([np.arange(2 * n, jacobian.shape[1]), rank, n + rank])
+    count = jacobian.shape[1] - 2 * n
+    left = eliminate(reduced(np.asfortranarray(jacobian[:, order])), count, at.problem.samples).below if count else None
+    shown = jacobian[:, order] if left is None else left
+    names = parameter_names(n, True)
+    if not at.problem.driven:
+        return Information.of(shown[:, :n], names[:n], rows=at.problem.samples)
+    return Information.of(in_weights(shown, d, kappa / d), names, rows=at.problem.samples)
+
+
+def _state_sizes(problem: Experiment, d: Array) -> tuple[Array, Array]:
     """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
-    step = problem.hold.step(d)
-    driven = problem.hold.h * np.linalg.norm(problem.seen(unit_states(step, problem.u).T), axis=0)
-    if step.b1.any():
+    kernel = Kernel(d, problem.hold)
+    groups = in_groups(problem.u)
+    states, _, _ = kernel.states(groups, kernel.turns(len(groups)), kernel.start(problem.u), False)
+    weight = np.abs(kernel.weight)
+    size = np.sqrt(SHORT) * np.linalg.norm(states, axis=1)
+    driven = size * problem.hold.h / np.where(weight > 0, weight, 1.0)
+    if problem.hold.intersample == "foh":
         driven += problem.hold.h * np.linalg.norm(problem.u)
-    return driven, np.full(len(d), np.sqrt(len(problem.target)))
+    return driven, np.full(len(d), np.sqrt(problem.samples))
 
 
 def in_weights(jacobian: Array, d: Array, r: Array) -> Array:

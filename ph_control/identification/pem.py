@@ -1,32 +1,37 @@
-"""Prediction-error fitting: the public call, the forward path over orders, the verdict."""
+"""Prediction-error fitting: the public call, and the way from data to a result."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..exceptions import IdentifiabilityWarning, IdentificationError, StructureError
+from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from ..propagation import INTERSAMPLE, METHODS
-from ..systems import PortHamiltonian
-from .data import Record, as_record
-from .regressors import Hold
-from .result import OrderRow, PEMResult, ljung_box, state_from_amplitudes
-from .solver import Problem, Projection, refine
-from .start import Screen
-from .uncertainty import covariance_of, in_user_parameters
-from .validation import fit_percent
-from .verdict import Verdict
+from ..systems import modes
+from .conclusion import Fit, conclude
+from .data import Record
+from .document import REPRESENTATIONS
+from .experiment import Experiment
+from .experiments import as_experiments
+from .forward import Start, grow, reseat, restart, stop_of
+from .frequency_data import FrequencyRecord
+from .frequency_rows import FrequencyRows
+from .regressors import QUANTITIES, Hold
+from .response_search import ResponseSearch
+from .result import OrderRow, PEMResult
+from .search import Report, Search, Step, TimeSearch
+from .selection import CRITERIA, criteria, held_out_losses, significant
+from .solver import Problem, refine
 
 Array = NDArray[np.float64]
 
-_PATIENCE = 3  # orders without a better BIC before the forward path ends
+_POLISH = 1e-15  # relative decrease of the loss at which the last refinement ends
 
 
 @dataclass(frozen=True)
@@ -43,59 +48,92 @@ def pem(
     data: Any,
     order: int | str = "auto",
     *,
-    dt: float | None = None,
+    dt: Any = None,
     method: str = "exact",
     intersample: str = "zoh",
     initial_state: str = "estimate",
+    offset: bool = False,
+    quantity: str = "velocity",
+    representation: str = "observable",
+    initial_guess: Any = None,
+    weights: Any = None,
+    criterion: str = "bic",
     max_order: int = 20,
+    workers: Any = 1,
+    rng: Any = None,
     callback: Callable[[Progress], Any] | None = None,
 ) -> PEMResult:
-    """Fit a lossless model to a recording, by prediction-error minimisation.
+    """Fit a lossless model to recordings, by prediction-error minimisation.
 
-    Finds `d`, `r >= 0` and the initial state that minimise the squared output error of a port-Hamiltonian model.
+    Finds `d`, `r >= 0` and the initial states that minimise the squared output error of a port-Hamiltonian model.
     With white output noise this is the maximum-likelihood estimate.  No starting guess is needed.
 
     Parameters
     ----------
-    data : control.TimeResponseData, or pair (u, y) of array_like, shape (T,) each
-        One input and one output on a uniform grid; NaN outputs are missing samples.  Not modified.
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
+        One input and one output on a uniform grid, or a frequency response; several experiments in a list, each with
+        its own length, step and initial state.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
+        modified.
     order : int or 'auto'
-        Number of modes n; 'auto' takes the one with the smallest BIC.
-    dt : float, optional
+        Number of modes n; 'auto' takes the one that `criterion` prefers.
+    dt : float, or sequence of float, one for each experiment, optional
         Time between samples; needed with arrays.
     method : {'exact', 'midpoint', 'euler'}
         How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator.
     intersample : {'zoh', 'foh'}
         Input between samples: held, or linear.
     initial_state : {'estimate', 'zero'}
-        Whether the record may start in motion.
+        Whether the records may start in motion.
+    offset : bool
+        Whether a constant is added to the output of each record, and estimated.
+    quantity : {'velocity', 'displacement', 'acceleration'}
+        What was measured of the port.
+    representation : {'observable', 'controllable'}
+        Whether a mode without weight may still move at the output, as in the observable form, or not, as in every state
+        of the controllable one.
+    initial_guess : pair (d, r), ModalForm, or system of this package, optional
+        Model to start from, in place of the search; with a given order, modes are added to it if it has fewer.
+    weights : array_like, shape (K,), or list of these, optional
+        What the squared error at each frequency of a response counts.
+    criterion : {'bic', 'aicc', 'aic', 'holdout'}
+        What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
     max_order : int
         Largest order tried by 'auto'.
+    workers : int or map-like callable
+        Processes for further starts, -1 for all; the result does not depend on it.
+    rng : numpy.random.Generator or int, optional
+        Seeds of further starts; always the same by default.
     callback : callable, optional
         Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
+        If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
 
     Returns
     -------
     PEMResult
-        Model, uncertainty, quality and a verdict; see `PEMResult.summary`.
+        Model, standard errors, order table, residuals and a verdict.
 
     Raises
     ------
     StructureError
         If the data or options are not of this form.
     IdentificationError
-        If the record cannot carry the order, has no signal, or its input shows nothing.
+        If the record is too short for a mode, or its signals cannot show one.
 
     Warns
     -----
     IdentifiabilityWarning
-        If some combination of weights and initial states leaves no trace in the output.
+        If the input leaves combinations of parameters undetermined.
 
     Notes
     -----
-    Given `d` the prediction is linear in the rest: variable projection with the exact Jacobian.  The loss has many
-    minima in `d`, about `2 pi / (T dt)` wide, so modes are added one by one, each where a local fit around the bins of
-    the Fourier transform explains most of what is left, and all are refined jointly.  O(T n^2) an iteration.
+    Given the frequencies, the residues `kappa = r d >= 0` and what belongs to each experiment solve a linear problem;
+    only `d` is refined (variable projection, Levenberg-Marquardt).  The loss has many minima in `d`, each about
+    `2 pi / (T dt)` wide, so modes are added one by one, each where a local fit around the bins of the Fourier transform
+    explains most of what is left, and all are refined jointly.  Where what is left still shows more than noise would,
+    modes are seated anew and a few other paths are tried.  O(T n^2) an iteration; memory does not grow with T n.
+
+    A mode that is not significant among all the places where noise could have shown one is dropped from an automatic
+    choice.  Parts of one record given as two experiments have two initial states to estimate.
 
     Examples
     --------
@@ -108,223 +146,204 @@ def pem(
     >>> result.d.round(3)
     array([0.5, 2. ])
     """
-    _checks.choice("method", method, METHODS)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
-    _checks.choice("initial_state", initial_state, ("estimate", "zero"))
-    record = as_record(data, dt)
-    problem = Problem(
-        record.u, record.y, record.observed, Hold(record.dt, method, intersample), initial_state == "zero"
-    )
-    largest = _check_order(problem, order, max_order)
-    _check_signals(problem, record)
-    screen = Screen(problem)
-    path = _forward_path(problem, screen, largest, order == "auto", callback)
-    place = int(np.argmin([stage.row.bic for stage in path])) if order == "auto" else len(path) - 1
-    chosen = path[place] = _reseat(problem, screen, path[place])
-    asked = chosen.row.order if order == "auto" else largest
-    at_limit = order == "auto" and chosen.row.order == max_order
-    return _result(problem, record, chosen, path, asked, at_limit, order != "auto")
+    for name, value, allowed in (
+        ("method", method, METHODS),
+        ("intersample", intersample, INTERSAMPLE),
+        ("initial_state", initial_state, ("estimate", "zero")),
+        ("quantity", quantity, QUANTITIES),
+        ("representation", representation, REPRESENTATIONS),
+        ("criterion", criterion, CRITERIA),
+    ):
+        _checks.choice(name, value, allowed)
+    _check_workers(workers)
+    records = as_experiments(data, dt, weights=weights)
+
+    def rows(record: Record | FrequencyRecord) -> Experiment | FrequencyRows:
+        if isinstance(record, FrequencyRecord):
+            return FrequencyRows(record, quantity)
+        hold = Hold(record.dt, method, intersample)
+        from_rest = initial_state == "zero" and record.driven
+        return Experiment(record.u, record.y, record.observed, hold, from_rest, offset, quantity, record.driven)
+
+    problem = Problem(tuple(rows(record) for record in records), structured=representation == "controllable")
+    guess = _guess(initial_guess, problem)
+    largest = _check_order(problem, order, max_order, guess)
+    _check_signals(problem, records)
+    found = _found(problem, order, largest, guess, criterion, workers, rng, callback)
+    at_limit = order == "auto" and len(found.d) == max_order
+    fit = Fit(records, problem, found, int(largest) if order != "auto" else len(found.d), order != "auto", at_limit)
+    return conclude(fit, method, intersample, quantity, representation)
+
+
+def _found(
+    problem: Problem, order: Any, largest: int, guess: Array, criterion: str, workers: Any, rng: Any, callback: Any
+) -> Found:
+    """Search, selection, and the last refinement."""
+    search: Search = TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
+    # what the criteria do not feel is left to the last polish
+    rtol, floor = min(1e-4, 0.1 / problem.samples), rounding_floor(problem)
+    automatic = order == "auto"
+
+    def report(order: int) -> Report | None:
+        if callback is None:
+            return None
+        return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
+
+    first = search.step(guess, rtol, report(len(guess)))
+    path = grow(
+        search, first, largest, rtol=rtol, floor=floor, report=report,
+        together=not automatic and search.affords_batches,
+        stop=stop_of(lambda step: criteria(problem, step.loss, len(step.d)).by_name(criterion)) if automatic else None,
+    )  # fmt: skip
+    interrupted = path[-1].interrupted
+    values = [criteria(problem, step.loss, len(step.d)).by_name(criterion) for step in path]
+    if automatic and criterion == "holdout" and not interrupted:
+        values = held_out_losses(problem, path)
+    place = int(np.argmin(values)) if automatic else len(path) - 1
+    starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
+    if not interrupted:
+        path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng)
+        starts += more
+    end = refine(problem, path[place].d, rtol=_POLISH, progress=report(len(path[place].d)))
+    if automatic and not interrupted:
+        end = significant(problem, end, lambda d: refine(problem, d, rtol=_POLISH))
+    rows = tuple(_row(problem, step) for step in path)
+    iterations = sum(step.iterations for step in path) + end.iterations
+    return Found(end, rows, tuple(starts), iterations, interrupted or end.interrupted, floor)
+
+
+def _second_thoughts(
+    search: Search, path: list[Step], place: int, largest: int, automatic: bool, rtol: float, floor: float,
+    workers: Any, rng: Any,
+) -> tuple[Step, list[Start]]:  # fmt: skip
+    """A better minimum where the first is doubtful, and what was tried."""
+    step, starts = path[place], []
+    better = reseat(search, step, rtol, floor)
+    if better is not step:
+        starts.append(_start("re-seated", better, search.problem.samples))
+        step = better
+    from_nothing = not len(path[0].d)
+    if not automatic and from_nothing and len(step.d) == largest and step.loss > floor and search.unconvinced(step):
+        others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
+        starts += [_start("random", other, search.problem.samples) for other in others]
+        best = min(others, key=lambda other: other.loss)
+        if len(best.d) == largest and best.loss < (1 - 1e-6) * step.loss:
+            step = replace(best, iterations=step.iterations + best.iterations)
+    return step, starts
 
 
 @dataclass(frozen=True)
-class _Stage:
-    """One order of the forward path."""
+class Found:
+    """The minimum that the search ended in, and how it came there."""
 
-    d: Array
-    row: OrderRow
+    end: Any
+    rows: tuple[OrderRow, ...]
+    starts: tuple[Start, ...]
     iterations: int
-    converged: bool
+    interrupted: bool
+    floor: float
+
+    @property
+    def d(self) -> Array:
+        """Frequencies, shape (n,), in the order found."""
+        return np.asarray(self.end.projection.d)
 
 
-def _check_order(problem: Problem, order: int | str, max_order: int) -> int:
+def _start(kind: str, step: Step, samples: int) -> Start:
+    return Start(kind, step.loss / samples, _checks.readonly(np.sort(step.d)))
+
+
+def _row(problem: Problem, step: Step) -> OrderRow:
+    found = criteria(problem, step.loss, len(step.d))
+    d = _checks.readonly(np.sort(step.d))
+    return OrderRow(len(d), step.loss / problem.samples, found.aic, found.bic, d)
+
+
+def rounding_floor(problem: Problem) -> float:
+    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
+    largest = max(one.largest for one in problem.experiments)
+    return float(problem.samples * (_checks.EPS * problem.samples * largest) ** 2)
+
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def _check_workers(workers: Any) -> None:
+    whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
+    if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
+        raise StructureError(f"workers is {workers!r}; it must be a number of processes, -1 for all, or a map")
+
+
+def _guess(initial_guess: Any, problem: Problem) -> Array:
+    """Frequencies to start from."""
+    if initial_guess is None:
+        return np.zeros(0)
+    if isinstance(initial_guess, tuple | list) and len(initial_guess) == 2:
+        model = modes(*initial_guess)
+    elif isinstance(own := getattr(initial_guess, "modes", None), ModalForm):
+        model = own
+    elif isinstance(initial_guess, ModalForm):
+        model = initial_guess
+    else:
+        raise StructureError(
+            f"initial_guess is a {type(initial_guess).__name__}; pass a pair (d, r), a ModalForm or a system"
+        )
+    if model.nports != 1 or not len(model.d):
+        raise StructureError(
+            f"initial_guess has {model.nports} ports and {len(model.d)} oscillating modes; needed one port and a mode"
+        )
+    if model.d.max() > problem.ceiling:
+        raise StructureError(
+            f"initial_guess has a mode at {model.d.max():.6g} rad/time; what the data can show ends at "
+            f"{problem.ceiling:.6g}"
+        )
+    return np.array(model.d)
+
+
+def _check_order(problem: Problem, order: int | str, max_order: int, guess: Array) -> int:
     """Largest order to try."""
-    observed = len(problem.target)
-    unknowns = problem.unknowns
-    carried = max(0, (observed - 1) // unknowns)
+    own = problem.unknowns(0)
+    per_mode = problem.unknowns(1) - own
+    carried = max(0, (problem.samples - 1 - own) // per_mode)
     for name, value in (("order", order), ("max_order", max_order)):
         whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
         if not (whole or (name == "order" and value == "auto")):
             allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
             raise StructureError(f"{name} is {value!r}; it must be {allowed}")
+    what = "observed output samples" if isinstance(problem.experiments[0], Experiment) else "real and imaginary parts"
     if carried == 0:
         raise IdentificationError(
-            f"the record has {observed} observed output samples; one mode alone has {unknowns} unknowns, so "
-            f"at least {unknowns + 1} are needed"
+            f"the record has {problem.samples} {what}; one mode alone has {per_mode + own} unknowns, so "
+            f"at least {per_mode + own + 1} are needed"
         )
     if order == "auto":
+        if len(guess) > min(max_order, carried):
+            raise StructureError(
+                f"initial_guess has {len(guess)} modes, more than the {min(max_order, carried)} that 'auto' may take"
+            )
         return int(min(max_order, carried))
     if int(order) > carried:
         raise IdentificationError(
-            f"order {order} has {unknowns * int(order)} unknowns, more than the {observed} observed samples can carry; "
-            f"the largest order for this record is {carried}"
+            f"order {order} has {per_mode * int(order) + own} unknowns, more than the {problem.samples} {what} can "
+            f"carry; the largest order for this record is {carried}"
         )
+    if len(guess) > int(order):
+        raise StructureError(f"initial_guess has {len(guess)} modes, more than the {order} of the order")
     return int(order)
 
 
-def _check_signals(problem: Problem, record: Record) -> None:
-    if not problem.target.any():
+def _check_signals(problem: Problem, records: tuple[Record, ...] | tuple[FrequencyRecord, ...]) -> None:
+    if not any(one.largest for one in problem.experiments):
         raise IdentificationError("the output is zero throughout the record; there is nothing to model")
-    if np.all(record.u == record.u[0]) and not (problem.from_rest and record.u[0] != 0):
+    in_time = [one for one in problem.experiments if isinstance(one, Experiment) and one.driven]
+    constant = [float(one.u[0]) for one in in_time if np.all(one.u == one.u[0])]
+    at_rest = any(one.from_rest and one.u[0] != 0 for one in in_time)
+    if in_time and len(constant) == len(in_time) and not at_rest:
         raise IdentificationError(
-            f"the input is constant ({record.u[0]:g}) throughout the record: a lossless model answers it like a free "
-            "motion, so no weight r can be told from the initial state; record with an input that varies, or pass "
-            "initial_state='zero' if a step was applied to a plant at rest"
+            f"the input is constant ({constant[0]:g}) throughout the record: a lossless model answers it like a free "
+            "motion, so no weight r can be told from the initial state; record with an input that varies, pass "
+            "initial_state='zero' if a step was applied to a plant at rest, or (None, y) if a free motion is meant"
         )
-
-
-def _forward_path(
-    problem: Problem, screen: Screen, largest: int, automatic: bool, callback: Callable[[Progress], Any] | None
-) -> list[_Stage]:
-    """Add one mode at a time and refine all; with `automatic`, stop when BIC has ceased to improve."""
-    current = problem.project(np.zeros(0))
-    path = [_stage(problem, current, 0, True)]
-    floor = _rounding_floor(problem)
-    # what the BIC does not feel is left to the last polish
-    stop = min(1e-4, 0.1 / len(problem.target))
-    for order in range(1, largest + 1):
-        if current.loss <= floor:
-            break
-        start = np.append(current.d, screen.strongest(_full_residual(problem, current)))
-
-        def report(iteration: int, loss: float, order: int = order) -> None:
-            if callback is not None:
-                callback(Progress(order, largest, iteration, loss / len(problem.target)))
-
-        refined = refine(problem, start, rtol=stop, progress=report)
-        current = refined.projection
-        path.append(_stage(problem, current, refined.iterations, refined.converged))
-        best = min(range(len(path)), key=lambda k: path[k].row.bic)
-        if automatic and order - best >= _PATIENCE:
-            break
-    return path
-
-
-def _full_residual(problem: Problem, projection: Projection) -> Array:
-    residual = np.zeros(len(problem.y))
-    residual[problem.observed] = projection.residual
-    return residual
-
-
-def _reseat(problem: Problem, screen: Screen, stage: _Stage) -> _Stage:
-    """Move modes whose weight is held at 0 to where they explain more, if there is such a place.
-
-    A mode taken early, when others were still missing, may have ended in a wrong basin; the constraint shows it.
-    """
-    best = refine(problem, stage.d, rtol=1e-15)
-    iterations = stage.iterations + best.iterations
-    tried: set[float] = set()
-    while held := [float(d) for d in best.projection.d[~best.projection.free[: len(stage.d)]] if float(d) not in tried]:
-        tried.add(held[0])
-        others = problem.project(best.projection.d[best.projection.d != held[0]])
-        start = np.append(others.d, screen.strongest(_full_residual(problem, others)))
-        trial = refine(problem, start, rtol=1e-9)
-        iterations += trial.iterations
-        if len(start) == len(stage.d) and trial.projection.loss < (1 - 1e-6) * best.projection.loss:
-            best, tried = trial, set()
-    return _stage(problem, best.projection, iterations, best.converged)
-
-
-def _rounding_floor(problem: Problem) -> float:
-    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
-    samples = len(problem.target)
-    return float(samples * (_checks.EPS * samples * np.max(np.abs(problem.target))) ** 2)
-
-
-def _stage(problem: Problem, projection: Projection, iterations: int, converged: bool) -> _Stage:
-    n = len(projection.d)
-    _, aic, bic = _criteria(problem, projection.loss, n)
-    row = OrderRow(n, projection.loss / len(problem.target), aic, bic, np.sort(projection.d))
-    return _Stage(projection.d, row, iterations, converged)
-
-
-def _criteria(problem: Problem, loss: float, n: int) -> tuple[float, float, float]:
-    """Gaussian log-likelihood at the best noise variance, AIC and BIC; the noise variance counts as a parameter."""
-    samples = len(problem.target)
-    parameters = problem.unknowns * n + 1
-    variance = max(loss / samples, np.finfo(float).tiny)
-    loglik = -0.5 * samples * (np.log(2 * np.pi * variance) + 1)
-    return loglik, 2 * parameters - 2 * loglik, parameters * np.log(samples) - 2 * loglik
-
-
-def _result(
-    problem: Problem, record: Record, chosen: _Stage, path: list[_Stage], order: int, at_limit: bool, order_given: bool
-) -> PEMResult:
-    """Sort the modes, convert to `(d, r, initial state)`, and judge."""
-    best = refine(problem, chosen.d, rtol=1e-15)
-    at = best.projection
-    n = len(at.d)
-    rank = np.argsort(at.d)
-    d, coefficients = at.d[rank], at.coefficients
-    kappa, alpha, beta = (coefficients[k * n : (k + 1) * n][rank] for k in range(3))
-    free = at.full_jacobian()[1][n : 2 * n][rank]
-    covariance, variance = covariance_of(at, rank)
-    pads = _placeholders(d, order - n)
-    modes = ModalForm(
-        np.concatenate([d, pads]),
-        np.sqrt(np.concatenate([kappa / d, 0 * pads])).astype(complex)[:, None],
-        np.zeros((0, 1)),
-    )
-    amplitudes = np.concatenate([alpha + 1j * beta, 0j * pads])
-    predicted = at.regressors.columns() @ coefficients
-    residuals = record.y - predicted
-    loglik, aic, bic = _criteria(problem, at.loss, n)
-    noiseless = at.loss <= _rounding_floor(problem)
-    verdict = Verdict(
-        n=n,
-        order=order,
-        spare=len(problem.target) - problem.unknowns * n,
-        fit_percent=fit_percent(problem.target, at.residual),
-        active=tuple(int(l) for l in np.flatnonzero(~free)),
-        deficiency=at.rank_deficiency,
-        whiteness=1.0 if noiseless else ljung_box(residuals, min(20, len(problem.target) // 5)),
-        converged=best.converged,
-        noiseless=noiseless,
-        at_limit=at_limit,
-        order_given=order_given,
-        from_rest=problem.from_rest,
-        silent=not kappa.any(),
-        reversed_sign=at.asks_for_negative_residues_only,
-        drifting=tuple(int(l) for l in np.flatnonzero(d < problem.bin * (1 - 1e-6)) if not free[l]),
-    )
-    if verdict.deficiency:
-        warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
-    return PEMResult(
-        system=_named_system(modes, record),
-        initial_state=state_from_amplitudes(modes, amplitudes),
-        free_amplitudes=amplitudes,
-        covariance=in_user_parameters(covariance, modes, amplitudes, free, n),
-        noise_variance=variance,
-        loss=at.loss / len(problem.target),
-        loglik=loglik,
-        aic=aic,
-        bic=bic,
-        fit_percent=verdict.fit_percent,
-        active=verdict.active,
-        unseen=tuple(range(n, order)),
-        rank_deficiency=verdict.deficiency,
-        whiteness=verdict.whiteness,
-        order_table=tuple(stage.row for stage in path),
-        success=best.converged,
-        verdict=verdict.headline,
-        message=verdict.message(),
-        n_iterations=best.iterations + sum(stage.iterations for stage in path),
-        method=problem.hold.method,
-        intersample=problem.hold.intersample,
-        record=record,
-        predicted=predicted,
-        residuals=residuals,
-    )
-
-
-def _named_system(modes: ModalForm, record: Record) -> PortHamiltonian:
-    """System with the labels of the record; python-control takes no dots in names."""
-    labels = (record.input_label.replace(".", "_"), record.output_label.replace(".", "_"))
-    return PortHamiltonian._from_modes(modes, inputs=[labels[0]], outputs=[labels[1]])
-
-
-def _placeholders(d: Array, count: int) -> Array:
-    """Frequencies for modes that the record does not show: distinct, above those it does."""
-    return d.max(initial=0.0) * (2.0 + np.arange(float(count)))
 
 
 prediction_error_fit = pem

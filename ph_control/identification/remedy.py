@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .excited_band import ExcitedBand
+from .experiment import Experiment
 from .information import listed, model_information
-from .solver import Problem
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -23,7 +23,7 @@ _FEWEST_LINES = 16  # of a multisine
 
 
 def input_remedy(
-    problem: Problem,
+    problem: Experiment,
     d: Array,
     r: Array,
     amplitudes: ComplexArray,
@@ -88,14 +88,14 @@ def multisine(samples: int, dt: float, low: float, high: float) -> Array:
     return np.asarray(waves.sum(axis=0) * np.sqrt(2.0 / _FEWEST_LINES))
 
 
-def _band_of(problem: Problem, d: Array) -> tuple[float, float] | None:
+def _band_of(problem: Experiment, d: Array) -> tuple[float, float] | None:
     """Band around all modes, below the largest frequency that the samples carry."""
     low, high = _MARGIN[0] * float(d.min()), _MARGIN[1] * float(d.max())
     high = min(high, 0.95 * np.pi / problem.hold.h)
     return (low, high) if low < high else None
 
 
-def _observed(problem: Problem, samples: int) -> NDArray[np.bool_]:
+def _observed(problem: Experiment, samples: int) -> NDArray[np.bool_]:
     return problem.observed if samples == len(problem.u) else np.ones(samples, bool)
 
 
@@ -106,7 +106,7 @@ def _amplitude(u: Array) -> float:
 
 
 def _lines_to_add(
-    problem: Problem, d: Array, band: ExcitedBand, size: float, fewest: int, shows_all: Callable[[Array], bool]
+    problem: Experiment, d: Array, band: ExcitedBand, size: float, fewest: int, shows_all: Callable[[Array], bool]
 ) -> list[str]:
     """Fewest frequencies, of those of the modes, that cure the input when added; empty if they do not."""
     centres = np.array([0.5 * (low + high) for low, high in band.intervals])

@@ -11,18 +11,21 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
 
 from .. import _checks
 from ..exceptions import StructureError
 from ..files import save
 from ..modal import ModalForm
-from ..plots import fit_plot
-from ..response import forced_response
+from ..plots import bode_plot, fit_plot
 from ..systems import PortHamiltonian
 from .data import Record, as_record
+from .forward import Start
+from .frequency_data import FrequencyRecord
+from .information import Information
+from .prediction import FittedExperiment, estimated_state, observed_system, response_on, step_after
 from .regressors import Hold
-from .solver import Problem
+from .report import summary_of
+from .samples import ModeSamples, draw, normal_interval
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -46,36 +49,38 @@ class PEMResult:
     Attributes
     ----------
     system : PortHamiltonian
-        The identified model, in Williamson coordinates; a `control.StateSpace`.
-    initial_state : ndarray, shape (2n,)
-        State of `system` at the first sample.
-    free_amplitudes : ndarray, shape (n,), complex
-        Free motion of each mode at the output, `Re(amplitude * lambda^k)`.  It agrees with `initial_state`, except for
-        modes whose weight is held at 0: no state of a port-Hamiltonian system shows them at its output.
-    covariance : ndarray, shape (4n, 4n)
-        Of `(d, r, initial_state)`; rows and columns of weights held at 0 are NaN.
+        The identified model, in Williamson coordinates; a `control.StateSpace` from the input to the velocity of the
+        port.
+    experiments : tuple of FittedExperiment
+        What the fit says of each experiment: data, initial state, offset, prediction and residuals.
+    covariance : ndarray, shape (N, N)
+        Of `(d, r, initial state of each record)`, N = 2n + 2n for each record in time; rows and columns of weights held
+        at 0, and of what was not estimated, are NaN.
     stderr : mapping
-        Standard errors under the keys 'd', 'r', 'initial_state'.
+        Standard errors under the keys 'd', 'r', 'initial_state' (in one row for each record if there are several), and
+        'offset', one for each record.
     noise_variance : float
-        Estimated variance of the output noise.
+        Estimated variance of the output noise; of a frequency response, of its real and imaginary parts at unit weight.
     loss : float
         Mean squared residual over the observed samples.
     loglik, aic, bic : float
         Gaussian log-likelihood and the criteria made of it.
     fit_percent : float
-        `100 (1 - |y - yhat| / |y - mean(y)|)`.
+        `100 (1 - |y - yhat| / |y - mean(y)|)`, all experiments together.
     active : tuple of int
         Modes whose weight `r` is held at 0 by the constraint `r >= 0`.
     unseen : tuple of int
         Modes that were asked for but have no trace in the record; their `r` is 0 and their `d` a placeholder.
-    rank_deficiency : int
-        Number of combinations of weights and initial states that the record does not show at all.
+    identifiability : Information
+        What the data tell of each parameter: rank, blind combinations, condition.
     whiteness : float
         p-value of the Ljung-Box test on the residuals; small means that something is left unexplained.
     order_table : tuple of OrderRow
         The forward path: loss and criteria for each order tried.
+    starts : tuple of Start
+        The ways in which the minimum was looked for, and the loss each of them ended with.
     success : bool
-        Whether the refinement converged.
+        Whether the refinement converged, uninterrupted.
     verdict : str
         The verdict, in a few words.
     message : str
@@ -84,16 +89,16 @@ class PEMResult:
         Iterations of the refinement, all orders together.
     method, intersample : str
         How the model meets the samples.
-    record : Record
-        The data.
-    predicted, residuals : ndarray, shape (T,)
-        Predicted output and what it leaves; NaN residuals where the output is missing.
+    quantity : str
+        What was measured of the port.
+    representation : str
+        Whether modes without weight may move: 'observable', or not: 'controllable'.
     """
 
     system: PortHamiltonian
-    initial_state: Array
-    free_amplitudes: ComplexArray
+    experiments: tuple[FittedExperiment, ...]
     covariance: Array
+    offset_stderr: Array
     noise_variance: float
     loss: float
     loglik: float
@@ -102,27 +107,32 @@ class PEMResult:
     fit_percent: float
     active: tuple[int, ...]
     unseen: tuple[int, ...]
-    rank_deficiency: int
+    identifiability: Information
     whiteness: float
     order_table: tuple[OrderRow, ...]
+    starts: tuple[Start, ...]
     success: bool
     verdict: str
     message: str
     n_iterations: int
     method: str
     intersample: str
-    record: Record
-    predicted: Array
-    residuals: Array
+    quantity: str
+    representation: str
     stderr: Mapping[str, Array] = field(init=False)
 
     def __post_init__(self) -> None:
         n = len(self.d)
         deviation = np.sqrt(np.diag(self.covariance))
-        parts = {"d": deviation[:n], "r": deviation[n : 2 * n], "initial_state": deviation[2 * n :]}
+        states = deviation[2 * n :]
+        parts = {
+            "d": deviation[:n],
+            "r": deviation[n : 2 * n],
+            "initial_state": states.reshape(-1, 2 * n) if len(states) > 2 * n else states,
+            "offset": self.offset_stderr,
+        }
         object.__setattr__(self, "stderr", MappingProxyType(parts))
-        locked = (self.initial_state, self.free_amplitudes, self.covariance, self.predicted, self.residuals)
-        for array in (*locked, *parts.values()):
+        for array in (self.covariance, *parts.values()):
             _checks.readonly(array)
 
     @property
@@ -146,6 +156,157 @@ class PEMResult:
         return self.system.n
 
     @property
+    def rank_deficiency(self) -> int:
+        """Number of combinations of parameters that the data do not show at all."""
+        return self.identifiability.deficiency
+
+    @property
+    def observed_system(self) -> Any:
+        """Linear system from the input to the quantity that was measured; `system` itself if that is the velocity."""
+        return observed_system(self.system, self.quantity)
+
+    # --- experiments -----------------------------------------------------------------------------------------------
+
+    def _only(self, name: str) -> FittedExperiment:
+        if len(self.experiments) > 1:
+            raise StructureError(
+                f"this fit has {len(self.experiments)} experiments; use experiments[k].{name} for one of them"
+            )
+        return self.experiments[0]
+
+    @property
+    def record(self) -> Any:
+        """The data, of a fit to one experiment."""
+        return self._only("record").record
+
+    @property
+    def initial_state(self) -> Array:
+        """State of `system` at the first sample, shape (2n,), of a fit to one experiment."""
+        return self._only("initial_state").initial_state
+
+    @property
+    def initial_states(self) -> tuple[Array, ...]:
+        """State of `system` at the first sample of each record."""
+        return tuple(one.initial_state for one in self.experiments)
+
+    @property
+    def free_amplitudes(self) -> ComplexArray:
+        """Free motion of each mode at the output, shape (n,), of a fit to one experiment."""
+        return self._only("free_amplitudes").free_amplitudes
+
+    @property
+    def offsets(self) -> Array:
+        """Constant added to the output in each experiment; 0 where none was estimated."""
+        return np.array([one.offset for one in self.experiments])
+
+    @property
+    def predicted(self) -> NDArray[Any]:
+        """Predicted outputs, all experiments one after the other; shape (T,) for one."""
+        return _checks.readonly(np.concatenate([one.predicted for one in self.experiments]))
+
+    @property
+    def residuals(self) -> NDArray[Any]:
+        """What the prediction leaves, all experiments one after the other; NaN where the output is missing."""
+        return _checks.readonly(np.concatenate([one.residuals for one in self.experiments]))
+
+    # --- uncertainty -----------------------------------------------------------------------------------------------
+
+    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Array]:
+        """Confidence intervals of the parameters.
+
+        Parameters
+        ----------
+        level : float
+            Probability of each interval, between 0 and 1.
+
+        Returns
+        -------
+        mapping
+            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`; NaN for what is held.
+
+        Raises
+        ------
+        StructureError
+            If the level is not between 0 and 1.
+
+        Notes
+        -----
+        From the normal distribution; weights and frequencies are cut off at 0.  Frequencies are right to the square of
+        their error over the Fourier spacing, weights to that over their size.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs + 0.1 * rng.standard_normal(500)
+        >>> (low, high), = phc.pem((u, y), 1, dt=0.1).confidence_interval()["d"]
+        >>> bool(low < 1.0 < high)
+        True
+        """
+        states = np.array(self.initial_states).reshape(np.shape(self.stderr["initial_state"]))
+        values = {"d": self.d, "r": self.r, "initial_state": states, "offset": self.offsets}
+        lower = {"d": 0.0, "r": 0.0, "initial_state": -np.inf, "offset": -np.inf}
+        found = {
+            name: _checks.readonly(normal_interval(value, self.stderr[name], level, lower=lower[name]))
+            for name, value in values.items()
+        }
+        return MappingProxyType(found)
+
+    def sample(self, k: int, rng: Any = None) -> ModeSamples:
+        """Models drawn from the distribution of the estimate, for bands and for designs that must hold for all.
+
+        Parameters
+        ----------
+        k : int
+            Number of models.
+        rng : numpy.random.Generator or int, optional
+            Random numbers, or a seed of them; fresh ones by default.
+
+        Returns
+        -------
+        ModeSamples
+            Frequencies, weights and initial states of each, and the bands of their responses.
+
+        Raises
+        ------
+        StructureError
+            If `k` or `rng` is not of this form.
+
+        Notes
+        -----
+        From the normal distribution with `covariance`, restricted to `r >= 0` and `d > 0`; what is held stays.
+        O(n^3 + k n^2).
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs + 0.1 * rng.standard_normal(500)
+        >>> models = phc.pem((u, y), 1, dt=0.1).sample(200, rng=1)
+        >>> models.magnitude_band([0.5, 2.0]).shape
+        (2, 2)
+        """
+        n = self.order
+        states = np.concatenate([np.zeros(0), *[one.initial_state for one in self.experiments]])
+        mean = np.concatenate([self.d, self.r, states])
+        place = np.arange(len(mean))
+        found = draw(mean, self.covariance, k, rng, nonnegative=(place >= n) & (place < 2 * n), positive=place < n)
+        return ModeSamples(found[:, :n], found[:, n : 2 * n], found[:, 2 * n :])
+
+    # --- prediction ------------------------------------------------------------------------------------------------
+
+    def _hold(self, dt: float) -> Hold:
+        return Hold(dt, self.method, self.intersample)
+
+    def _record_in_time(self, what: str) -> Record:
+        record = self._only("record").record
+        if not isinstance(record, Record):
+            raise StructureError(f"this fit is to a frequency response, which has no {what}")
+        return record
+
+    @property
     def final_state(self) -> Array:
         """State one step after the last sample: where a record that goes on starts, shape (2n,).
 
@@ -160,14 +321,12 @@ class PEMResult:
         return self._state_after(0.0)
 
     def _state_after(self, next_input: float) -> Array:
-        t = self.record.dt * np.arange(self.record.samples + 1)
-        response = forced_response(
-            self.system, t, np.append(self.record.u, next_input), self.initial_state,
-            method=self.method, intersample=self.intersample,
-        )  # fmt: skip
-        return np.asarray(response.x[:, -1])
+        record = self._record_in_time("end")
+        return step_after(self.system, record, self.initial_state, self._hold(record.dt), next_input)
 
-    def predict(self, data: Any, *, initial_state: ArrayLike | str | None = None) -> ct.TimeResponseData:
+    def predict(
+        self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None
+    ) -> ct.TimeResponseData:
         """Output of the model on another record.
 
         Parameters
@@ -177,7 +336,9 @@ class PEMResult:
         initial_state : array_like, shape (2n,), or {'estimate', 'fitted', 'final', 'zero'}, optional
             State at the first sample.  'estimate' fits it to the outputs of `data`, 'fitted' takes the one of this
             result, 'final' goes on where the fitted record ended.  Default: 'estimate' if `data` has outputs, else
-            'fitted'.
+            'fitted', or 'zero' after a fit to a frequency response.
+        dt : float, optional
+            Time between samples, for arrays; by default that of the record that was fitted.
 
         Returns
         -------
@@ -188,6 +349,11 @@ class PEMResult:
         ------
         StructureError
             If the data do not fit the model, or outputs are needed and absent.
+
+        Notes
+        -----
+        The output is the quantity that was measured; an offset belongs to its record, and is estimated along with the
+        state, kept from the fitted record, or 0.  O(T n).
 
         Examples
         --------
@@ -203,31 +369,34 @@ class PEMResult:
         """
         if not isinstance(data, ct.TimeResponseData | Record) and not (isinstance(data, tuple) and len(data) == 2):
             data = (data, None)
-        record = as_record(data, self.record.dt, output_needed=False)
+        first = self.experiments[0].record
+        fitted_dt = first.dt if isinstance(first, Record) else None
+        record = as_record(data, fitted_dt if dt is None else dt, output_needed=False)
+        hold = self._hold(record.dt)
         if initial_state is None:
-            initial_state = "estimate" if record.observed.any() else "fitted"
+            fallback = "fitted" if isinstance(first, Record) else "zero"
+            initial_state = "estimate" if record.observed.any() else fallback
         if isinstance(initial_state, str):
-            state = self._named_state(record, initial_state)
+            state, offset = self._named_state(record, initial_state, hold)
         else:
-            state = _checks.real_array("initial_state", initial_state)
-        return forced_response(
-            self.system, record.time, record.u, state, method=self.method, intersample=self.intersample
-        )
+            state, offset = _checks.real_array("initial_state", initial_state), 0.0
+        return response_on(self.system, record, state, hold, self.quantity, offset)
 
-    def _named_state(self, record: Record, name: str) -> Array:
+    def _named_state(self, record: Record, name: str, hold: Hold) -> tuple[Array, float]:
         _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
-        if name == "final":
-            return self._state_after(record.u[0])
-        if name == "fitted":
-            return self.initial_state
         if name == "zero":
-            return np.zeros(2 * self.order)
+            return np.zeros(2 * self.order), 0.0
+        if name == "final":
+            return self._state_after(record.u[0]), float(self.offsets[0])
+        if name == "fitted":
+            self._record_in_time("initial state")
+            return self.initial_state, float(self.offsets[0])
         if not record.observed.any():
             raise StructureError(
                 "the record has no outputs to estimate the initial state from; pass initial_state='zero', 'fitted', "
                 "'final' or a state"
             )
-        return estimate_initial_state(self.system, record, Hold(record.dt, self.method, self.intersample))
+        return estimated_state(self.system, record, hold, self.quantity, bool(np.isfinite(self.offset_stderr).any()))
 
     def summary(self) -> str:
         """Report for people: model, uncertainty, quality, verdict.
@@ -249,34 +418,15 @@ class PEMResult:
         ...
           The record is reproduced to rounding.
         """
-        lines = [
-            f"Port-Hamiltonian model of {self.record.output_label!r} from {self.record.input_label!r}: "
-            f"{self.order} mode{'s' * (self.order != 1)}",
-            f"  verdict         {self.verdict}",
-            f"  record          {self.record.samples} samples, step {self.record.dt:g}"
-            + (f", {missing} outputs missing" if (missing := int((~self.record.observed).sum())) else ""),
-            f"  discretisation  {self.method}"
-            + (f", {self.intersample} input" if self.method != "euler" else " (not lossless: its energy grows)"),
-            f"  fit             {self.fit_percent:.2f} %",
-            f"  noise           standard deviation {np.sqrt(self.noise_variance):.4g}",
-            f"  BIC             {self.bic:.6g}   (AIC {self.aic:.6g}, log-likelihood {self.loglik:.6g})",
-            "",
-            "   mode        d [rad/time]     +-          cycles/time    r               +-          note",
-        ]
-        for l in range(self.order):
-            note = "not in the record" if l in self.unseen else "constraint active" if l in self.active else ""
-            lines.append(
-                f"  {l + 1:5d}  {self.d[l]:18.10g}  {_error(self.stderr['d'][l])}  {self.d[l] / 2 / np.pi:15.8g}"
-                f"  {self.r[l]:14.7g}  {_error(self.stderr['r'][l])}  {note}".rstrip()
-            )
-        lines += ["", *_wrap(self.message)]
-        return "\n".join(lines)
+        return summary_of(self)
 
-    def plot(self, **kwargs: Any) -> Any:
-        """Picture of measured and predicted output with the residual below.
+    def plot(self, experiment: int = 0, **kwargs: Any) -> Any:
+        """Picture of measured and predicted output with the residual below; of a response, over frequency.
 
         Parameters
         ----------
+        experiment : int
+            Which of several experiments, counted from 0.
         **kwargs
             Passed to the plotting function: labels and units.
 
@@ -292,12 +442,15 @@ class PEMResult:
         >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
+        one = self.experiments[experiment]
+        if isinstance(one.record, FrequencyRecord):
+            return bode_plot(self.observed_system, data=one.record.as_response(), **kwargs)
         # a label such as "velocity [m/s]" carries its unit
-        name, bracket, unit = self.record.output_label.partition(" [")
+        name, bracket, unit = one.record.output_label.partition(" [")
         kwargs.setdefault("output_label", name)
         if bracket:
             kwargs.setdefault("output_unit", unit.removesuffix("]"))
-        return fit_plot(self.record.time, self.record.y, self.predicted, fit_percent=self.fit_percent, **kwargs)
+        return fit_plot(one.record.time, one.record.y, one.predicted, fit_percent=one.fit_percent, **kwargs)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the result as JSON; `load` gives it back.
@@ -326,51 +479,3 @@ class PEMResult:
         1
         """
         save(self, path, overwrite=overwrite)
-
-
-def estimate_initial_state(system: PortHamiltonian, record: Record, hold: Hold) -> Array:
-    """State at the first sample that fits the outputs best, by least squares; shape (2n,)."""
-    modes = system.modes
-    zero = forced_response(
-        system, record.time, record.u, method=hold.method, intersample=hold.intersample, return_states=False
-    )
-    problem = Problem(np.zeros(record.samples), record.y - np.reshape(zero.y, -1), record.observed, hold)
-    live = np.flatnonzero(modes.r > 0)
-    regress = problem.project(modes.d[live]).regressors
-    columns = np.concatenate([regress.cosine, regress.sine], axis=1)[record.observed]
-    amplitudes = np.zeros(len(modes.d), complex)
-    found = np.linalg.lstsq(columns, problem.target, rcond=None)[0]
-    amplitudes[live] = found[: len(live)] + 1j * found[len(live) :]
-    return state_from_amplitudes(modes, amplitudes)
-
-
-def state_from_amplitudes(modes: ModalForm, amplitudes: ComplexArray) -> Array:
-    """State in Williamson coordinates from the free motion of each mode at the output; 0 where `r` is 0."""
-    gain = modes.d * modes.nu[:, 0].conj()
-    x = np.where(gain == 0, 0.0, amplitudes / np.where(gain == 0, 1.0, gain))
-    return np.concatenate([x.real, x.imag])
-
-
-def ljung_box(residuals: Array, lags: int) -> float:
-    """p-value of the Ljung-Box test that the residuals (T,) are white; NaN residuals count as 0."""
-    e = np.where(np.isnan(residuals), 0.0, residuals)
-    power = float(e @ e)
-    samples = len(e)
-    if power == 0 or lags < 1:
-        return 1.0
-    rho = np.array([float(e[k:] @ e[:-k]) for k in range(1, lags + 1)]) / power
-    statistic = samples * (samples + 2) * float(np.sum(rho**2 / (samples - np.arange(1, lags + 1))))
-    return float(chi2.sf(statistic, lags))
-
-
-def _error(value: float) -> str:
-    return f"{'-':>8}" if np.isnan(value) else f"{value:8.2g}"
-
-
-def _wrap(text: str, width: int = 98) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        if len(lines[-1]) + len(word) + 1 > width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return ["  " + line for line in lines]

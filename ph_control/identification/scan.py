@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .excited_band import ExcitedBand
+from .experiment import Experiment
 from .information import model_information
-from .solver import Problem
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Scan:
         return ", ".join(bands) + " rad/time"
 
 
-def scan(problem: Problem, n: int, band: ExcitedBand) -> Scan:
+def scan(problem: Experiment, n: int, band: ExcitedBand) -> Scan:
     """Information of a group of n modes at each of a grid of frequencies."""
     top = ceiling(problem)
     count = int(np.clip(_AFFORDABLE / (n * len(problem.u)), *_PLACES))
@@ -74,13 +74,13 @@ def scan(problem: Problem, n: int, band: ExcitedBand) -> Scan:
     return Scan(grid, deficiency, error / best if np.isfinite(best) else error)
 
 
-def ceiling(problem: Problem) -> float:
+def ceiling(problem: Experiment) -> float:
     """Largest frequency that is tried: a little below what the samples carry."""
     phase = min(0.98 * np.pi, problem.largest_phase)
     return float(problem.hold.frequency_of(np.array([phase]))[0])
 
 
-def group(n: int, centre: float, problem: Problem) -> Array:
+def group(n: int, centre: float, problem: Experiment) -> Array:
     """Frequencies of n modes about a centre, `SPACING` bins apart, moved into what the record carries."""
     top = ceiling(problem)
     spacing = min(SPACING * problem.bin, top / (n + 1))
@@ -89,7 +89,7 @@ def group(n: int, centre: float, problem: Problem) -> Array:
     return np.asarray(first + spacing * np.arange(n))
 
 
-def representative(n: int, problem: Problem, band: ExcitedBand) -> Array:
+def representative(n: int, problem: Experiment, band: ExcitedBand) -> Array:
     """Frequencies of n modes spread over the widest excited band, or grouped where it is narrow."""
     top = ceiling(problem)
     if not band.intervals:

@@ -1,14 +1,17 @@
 """Variable projection: residues and initial states eliminated, frequencies by Levenberg-Marquardt.
 
 For given frequencies the best `kappa >= 0` and initial states solve a linear problem (`Projection`); what is left
-is a small non-linear problem in the frequencies alone, with its exact Jacobian (Golub and Pereyra).
+is a small non-linear problem in the frequencies alone (Golub and Pereyra, with the Jacobian of Kaufman).
+
+Of the rows only triangular factors are kept, made block by block, so that memory does not grow with the record:
+orthogonal transformations eliminate what belongs to one experiment, then the factors of all are put under one another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +19,8 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from .._checks import EPS
-from .regressors import Hold, Regressors, regressors
+from .experiment import Rows
+from .triangle import reduced, triangle
 
 Array = NDArray[np.float64]
 
@@ -25,158 +29,276 @@ Progress = Callable[[int, float], None]  # iteration, loss
 
 @dataclass(frozen=True)
 class Problem:
-    """The data of one fit: input, output, where the output was observed, and the hold."""
+    """The experiments of one fit, and what the fit may do.
 
-    u: Array
-    y: Array
-    observed: NDArray[np.bool_]
-    hold: Hold
-    from_rest: bool = False
+    `signed` lets residues take either sign; `structured` takes the free motion from modes without weight, which no
+    state of a port-Hamiltonian system shows at its port.
+    """
+
+    experiments: tuple[Rows, ...]
+    signed: bool = False
+    structured: bool = False
 
     @cached_property
-    def target(self) -> Array:
-        """Observed outputs."""
-        return self.y[self.observed]
+    def samples(self) -> int:
+        """Number of real equations."""
+        return sum(one.samples for one in self.experiments)
 
-    def seen(self, rows: Array) -> Array:
-        """Rows at which the output was observed."""
-        return rows if len(self.target) == len(rows) else rows[self.observed]
+    @cached_property
+    def driven(self) -> bool:
+        """Whether any experiment shows the residues."""
+        return any(one.driven for one in self.experiments)
 
-    @property
+    @cached_property
     def bin(self) -> float:
-        """Spacing of the discrete Fourier frequencies, rad per unit time: the width of a basin of the loss."""
-        return 2 * np.pi / (len(self.u) * self.hold.h)
+        """Width of a basin of the loss, by the longest experiment."""
+        return min(one.bin for one in self.experiments)
 
-    @property
-    def unknowns(self) -> int:
-        """Parameters of one mode: `d`, `kappa`, and the initial state where it is estimated."""
-        return 2 if self.from_rest else 4
+    @cached_property
+    def ceiling(self) -> float:
+        """Largest frequency that is searched."""
+        return max(one.ceiling for one in self.experiments)
 
-    @property
-    def largest_phase(self) -> float:
-        """Largest phase per step that is searched."""
-        return self.hold.largest_phase(len(self.u)) * (1 - 1e-9)
+    def unknowns(self, n: int) -> int:
+        """Parameters of n modes: frequencies, residues, and what belongs to each experiment."""
+        return (1 + self.driven) * n + sum(one.own_unknowns(n) for one in self.experiments)
 
     def project(self, d: Array) -> Projection:
         """Best residues and initial states for frequencies `d`."""
-        return Projection(self, d, regressors(d, self.u, self.hold))
+        return Projection(self, d)
 
 
 @dataclass(frozen=True)
+class _Eliminated:
+    """An experiment whose own unknowns are eliminated: `own = solve @ (rest_of_rows - ...)`.
+
+    `above` (k, p) are the rows that the own unknowns fit exactly, `inverse` (s, k) turns them into these unknowns,
+    `below` what is left for the shared columns, the last column being the output.
+    """
+
+    inverse: Array
+    above: Array
+    below: Array
+    deficiency: int
+
+
 class Projection:
-    """The linear problem at one set of frequencies, solved; shapes for n modes and T observed samples."""
+    """The linear problem at one set of frequencies (n,), solved."""
 
-    problem: Problem
-    d: Array
-    regressors: Regressors
+    def __init__(self, problem: Problem, d: Array) -> None:
+        self.problem, self.d = problem, d
+        self._evaluations = [one.at(d) for one in problem.experiments]
 
-    @cached_property
-    def _columns(self) -> Array:
-        columns = self.problem.seen(self.regressors.columns())
-        return columns[:, : len(self.d)] if self.problem.from_rest else columns
+    # --- first pass: residues, initial states, loss ---------------------------------------------------------------
 
     @cached_property
-    def _slopes(self) -> Array:
-        slopes = self.problem.seen(self.regressors.slopes())
-        return slopes[:, : len(self.d)] if self.problem.from_rest else slopes
+    def _factors(self) -> list[Array]:
+        """Triangular factor of `[own, shared, output]` of each experiment."""
+        return [
+            triangle(evaluation.blocks, rows.samples)
+            for evaluation, rows in zip(self._evaluations, self.problem.experiments, strict=True)
+        ]
 
     @cached_property
-    def _factors(self) -> tuple[Array, Array, Array]:
-        """`Q`, `R` of the columns scaled to unit length, and the lengths."""
-        lengths = np.linalg.norm(self._columns, axis=0)
-        lengths = np.where(lengths > 0, lengths, 1.0)
-        Q, R = np.linalg.qr(self._columns / lengths)
-        return Q, R, lengths
+    def _lengths(self) -> Array:
+        """Norm of each shared column over all experiments."""
+        n = len(self.d)
+        squares = np.zeros(n)
+        for factor, rows in zip(self._factors, self.problem.experiments, strict=True):
+            if rows.driven:
+                squares += np.sum(factor[:, -n - 1 : -1] ** 2, axis=0)
+        return np.where(squares > 0, np.sqrt(squares), 1.0)
+
+    def _own(self, place: int) -> int:
+        return self.problem.experiments[place].own_unknowns(len(self.d))
+
+    def _without_held(self, factor: Array, place: int, held: NDArray[np.bool_]) -> Array:
+        """Factor whose own columns of held modes are 0, where the structure asks for it."""
+        n, own = len(self.d), self._own(place)
+        if not (self.problem.structured and held.any() and own >= 2 * n):
+            return factor
+        factor = factor.copy()
+        factor[:, np.flatnonzero(np.concatenate([held, held]))] = 0.0
+        return reduced(factor)
+
+    def _eliminated(self, factors: Sequence[Array], held: NDArray[np.bool_]) -> list[_Eliminated]:
+        return [
+            eliminate(self._without_held(factor, k, held), self._own(k), self.problem.samples)
+            for k, factor in enumerate(factors)
+        ]
+
+    @cached_property
+    def _solution(self) -> tuple[Array, NDArray[np.bool_], list[_Eliminated], int]:
+        """Residues, which of them are free, the eliminated experiments, and the rank that the residues lack."""
+        n = len(self.d)
+        held = np.zeros(n, bool)
+        while True:
+            parts = self._eliminated(self._factors, held)
+            if not self.problem.driven:
+                return np.zeros(n), ~held, parts, 0
+            stacked = np.concatenate(
+                [p.below if rows.driven else _widened(p.below, n) for p, rows in self._pairs(parts)]
+            )
+            scaled = stacked[:, :-1] / self._lengths
+            kappa, free, deficiency = _residues(scaled, stacked[:, -1], held, self.problem)
+            if not self.problem.structured or np.array_equal(free, ~held):
+                return kappa / self._lengths, free, parts, deficiency
+            held = ~free
+
+    def _pairs(self, parts: list[_Eliminated]) -> Iterable[tuple[_Eliminated, Rows]]:
+        return zip(parts, self.problem.experiments, strict=True)
 
     @property
-    def asks_for_negative_residues_only(self) -> bool:
-        """Whether all residues would be negative, were they free to be."""
-        Q, R, _ = self._factors
-        return bool(np.all(_least_squares(R, Q.T @ self.problem.target)[0][: len(self.d)] < 0))
+    def kappa(self) -> Array:
+        """Residues, shape (n,); 0 where no experiment shows them."""
+        return self._solution[0]
 
-    @cached_property
+    @property
     def free(self) -> NDArray[np.bool_]:
-        """Which coefficients are not held at 0 by `kappa >= 0`."""
-        Q, R, _ = self._factors
-        n = len(self.d)
-        free = np.ones(R.shape[1], bool)
-        rhs = Q.T @ self.problem.target
-        if np.all(_least_squares(R, rhs)[0][:n] >= 0):
-            return free
-        # eliminate the unconstrained columns, then non-negative least squares on the rest
-        Q_states, _ = np.linalg.qr(R[:, n:])
-        inside = R[:, :n] - Q_states @ (Q_states.T @ R[:, :n])
-        kappa, _ = nnls(inside, rhs - Q_states @ (Q_states.T @ rhs), maxiter=30 * max(1, n))
-        free[:n] = kappa > 0
-        return free
+        """Which residues are not held at 0 by `kappa >= 0`, shape (n,)."""
+        return self._solution[1]
 
     @cached_property
-    def _solution(self) -> tuple[Array, Array, Array]:
-        """Coefficients in original units, orthonormal basis of the free columns, and their pseudo-inverse."""
-        Q, R, lengths = self._factors
-        coefficients = np.zeros(R.shape[1])
-        U, sigma, Vt = np.linalg.svd(R[:, self.free], full_matrices=False)
-        kept = sigma > max(self._columns.shape) * EPS * sigma.max(initial=0.0)
-        basis = Q @ U[:, kept]
-        inverse = (Vt[kept].T / sigma[kept]) / lengths[self.free, None]
-        coefficients[self.free] = inverse @ (basis.T @ self.problem.target)
-        return coefficients, basis, inverse
+    def own(self) -> list[Array]:
+        """What belongs to each experiment: free motion `(alpha, beta)` of each mode, then the offset."""
+        found = []
+        for part, rows in self._pairs(self._solution[2]):
+            rhs = part.above[:, -1] - (part.above[:, :-1] @ self.kappa if rows.driven else 0.0)
+            found.append(part.inverse @ rhs)
+        return found
 
     @property
-    def coefficients(self) -> Array:
-        """`(kappa, alpha, beta)`, shape (3n,)."""
-        n = len(self.d)
-        found = self._solution[0]
-        full = found if not self.problem.from_rest else np.concatenate([found, np.zeros(2 * n)])
-        # a rank-deficient problem can leave a residue at minus rounding
-        return np.concatenate([np.maximum(full[:n], 0.0), full[n:]])
-
-    @property
-    def rank_deficiency(self) -> int:
+    def deficiency(self) -> int:
         """How many combinations of residues and initial states the data do not show at all."""
-        sigma = np.linalg.svd(self._factors[1], compute_uv=False)
-        return int(np.sum(sigma <= max(self._columns.shape) * EPS * sigma.max(initial=0.0)))
-
-    @cached_property
-    def residual(self) -> Array:
-        """Output minus prediction at the observed samples, shape (T,)."""
-        return self.problem.target - self._columns @ self.coefficients[: self._columns.shape[1]]
+        return self._solution[3] + sum(part.deficiency for part in self._solution[2])
 
     @cached_property
     def loss(self) -> float:
         """Sum of squared residuals."""
-        return float(self.residual @ self.residual)
+        total = 0.0
+        for part, rows in self._pairs(self._solution[2]):
+            left = part.below[:, -1] - (part.below[:, :-1] @ self.kappa if rows.driven else 0.0)
+            total += float(left @ left)
+        return total
+
+    # --- second pass: sensitivity to the frequencies ---------------------------------------------------------------
 
     @cached_property
-    def sensitivity(self) -> Array:
-        """Derivative of the prediction by each frequency, coefficients fixed, shape (T, n)."""
+    def _sensitive_factors(self) -> list[Array]:
+        """Triangular factor of `[own, shared, by frequency, output]` of each experiment."""
+        return [
+            triangle(partial(evaluation.sensitive_blocks, self.kappa, own), rows.samples)
+            for evaluation, own, rows in zip(self._evaluations, self.own, self.problem.experiments, strict=True)
+        ]
+
+    @cached_property
+    def _reduced(self) -> tuple[Array, Array]:
+        """Jacobian by the frequencies with everything else moving along, and the residual, both in a few rows."""
         n = len(self.d)
-        weighted = self._slopes * self.coefficients[: self._columns.shape[1]]
-        blocks = weighted.shape[1] // n if n else 0
-        return np.asarray(weighted.reshape(len(weighted), blocks, n).sum(axis=1))
+        rows = []
+        for part, one in self._pairs(self._eliminated(self._sensitive_factors, ~self.free)):
+            rows.append(part.below if one.driven else _widened(part.below, n))
+        stacked = np.concatenate(rows)
+        shared = stacked[:, :n][:, self.free] / self._lengths[self.free]
+        rest = stacked[:, n:]
+        if shared.size and self.problem.driven:
+            U, sigma, _ = np.linalg.svd(shared, full_matrices=False)
+            basis = U[:, sigma > _tolerance(self.problem.samples, n) * max(1.0, sigma.max(initial=0.0))]
+            rest = rest - basis @ (basis.T @ rest)
+        return -rest[:, :n], rest[:, n]
 
-    def jacobian(self) -> Array:
-        """Exact derivative of the residual by the frequencies, the eliminated coefficients moving along."""
+    @cached_property
+    def gradient(self) -> Array:
+        """Half the gradient of the loss by the frequencies, shape (n,)."""
+        jacobian, residual = self._reduced
+        return np.asarray(jacobian.T @ residual)
+
+    @cached_property
+    def gram(self) -> Array:
+        """`J^T J` of the residuals by the frequencies, shape (n, n)."""
+        return np.asarray(self._reduced[0].T @ self._reduced[0])
+
+    def jacobian(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Derivatives of the prediction by `(d, kappa, own of each experiment)` and which of these are free.
+
+        Orthogonally reduced to a few rows, so that only its Gram matrix is that of the rows of the data.
+        """
         n = len(self.d)
-        _, basis, inverse = self._solution
-        direct = self.sensitivity - basis @ (basis.T @ self.sensitivity)
-        # second term of Golub and Pereyra: how the projector turns
-        inner = (self._slopes.T @ self.residual).reshape(-1, n)
-        turning = np.zeros((self._slopes.shape[1], n))
-        for block, row in enumerate(inner):
-            turning[block * n + np.arange(n), np.arange(n)] = row
-        return -(direct + basis @ (inverse.T @ turning[self.free]))
+        counts = [self._own(k) for k in range(len(self.problem.experiments))]
+        ends = np.cumsum([2 * n, *counts])
+        rows, known = [], [np.ones(n, bool), self.free & self.problem.driven]
+        for k, (factor, one) in enumerate(zip(self._sensitive_factors, self.problem.experiments, strict=True)):
+            s, f = counts[k], n if one.driven else 0
+            part = np.zeros((len(factor), int(ends[-1])))
+            part[:, ends[k] : ends[k + 1]] = factor[:, :s]
+            part[:, n : n + f] = factor[:, s : s + f]
+            part[:, :n] = factor[:, s + f : s + f + n]
+            rows.append(part)
+            moving = self.free if self.problem.structured else np.ones(n, bool)
+            known.append(np.concatenate([moving, moving, np.ones(s - 2 * n, bool)]) if s >= 2 * n else np.ones(s, bool))
+        return np.concatenate(rows), np.concatenate(known)
 
-    def full_jacobian(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Derivative of the prediction by `(d, kappa, alpha, beta)` and which of these are free."""
-        free = np.concatenate([np.ones(len(self.d), bool), self.free])
-        return np.concatenate([self.sensitivity, self._columns], axis=1), free
+    def asks_for_negative_residues_only(self) -> bool:
+        """Whether all residues would be negative, were they free to be."""
+        signed = Projection(replace(self.problem, signed=True), self.d)
+        return bool(self.problem.driven and np.all(signed.kappa < 0))
+
+    def predicted(self) -> list[Array]:
+        """Output of the model at all instants of each experiment."""
+        return [
+            rows.predict(self.d, self.kappa, own) for rows, own in zip(self.problem.experiments, self.own, strict=True)
+        ]
 
 
-def _least_squares(R: Array, rhs: Array) -> tuple[Array, int]:
-    U, sigma, Vt = np.linalg.svd(R, full_matrices=False)
-    kept = sigma > len(R) * EPS * sigma.max(initial=0.0)
-    return Vt[kept].T @ ((U[:, kept].T @ rhs) / sigma[kept]), int(kept.sum())
+def _tolerance(samples: int, columns: int) -> float:
+    return max(samples, columns) * EPS
+
+
+def _widened(below: Array, n: int) -> Array:
+    """Rows of an experiment without residues, with zeros in their place."""
+    return np.concatenate([np.zeros((len(below), n)), below], axis=1)
+
+
+def eliminate(factor: Array, own: int, samples: int) -> _Eliminated:
+    """Eliminate the first `own` columns of a triangular factor; directions that these do not reach stay below."""
+    if own == 0:
+        return _Eliminated(np.zeros((0, 0)), factor[:0], factor, 0)
+    corner = factor[:own, :own]
+    lengths = np.linalg.norm(corner, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    U, sigma, Vt = np.linalg.svd(corner / lengths)
+    kept = sigma > _tolerance(samples, own) * sigma.max(initial=0.0)
+    above = U.T @ factor[:own, own:]
+    inverse = (Vt[kept].T / sigma[kept]) / lengths[:, None]
+    below = np.concatenate([above[~kept], factor[own:, own:]])
+    return _Eliminated(inverse, above[kept], below, int(np.sum(~kept)))
+
+
+def _residues(
+    columns: Array, rhs: Array, held: NDArray[np.bool_], problem: Problem
+) -> tuple[Array, NDArray[np.bool_], int]:
+    """Least squares with `kappa >= 0` for columns of length at most 1; which are free; how many directions are lost."""
+    tolerance = _tolerance(problem.samples, columns.shape[1])
+    kappa, deficiency = _least_squares(columns, rhs, ~held, tolerance)
+    if problem.signed or np.all(kappa >= 0):
+        return kappa, ~held, deficiency
+    shown = np.where(held, 0.0, columns)
+    found, _ = nnls(shown, rhs, maxiter=30 * max(1, len(held)))
+    free = found > 0
+    kappa, deficiency = _least_squares(columns, rhs, free, tolerance)
+    # a rank-deficient problem can leave a residue at minus rounding
+    return np.maximum(kappa, 0.0), free, deficiency
+
+
+def _least_squares(columns: Array, rhs: Array, free: NDArray[np.bool_], tolerance: float) -> tuple[Array, int]:
+    """Smallest solution with the columns that are free, and the rank that these lack."""
+    solution = np.zeros(columns.shape[1])
+    if not free.any():
+        return solution, 0
+    U, sigma, Vt = np.linalg.svd(columns[:, free], full_matrices=False)
+    kept = sigma > tolerance * max(1.0, sigma.max(initial=0.0))
+    solution[free] = Vt[kept].T @ ((U[:, kept].T @ rhs) / sigma[kept])
+    return solution, int(np.sum(~kept))
 
 
 @dataclass(frozen=True)
@@ -186,6 +308,7 @@ class Refinement:
     projection: Projection
     iterations: int
     converged: bool
+    interrupted: bool = False
 
 
 def refine(
@@ -199,41 +322,51 @@ def refine(
     current = problem.project(d)
     if len(d) == 0:
         return Refinement(current, 0, True)
-    damping, growth = 1e-3, 2.0
-    iterations, converged = 0, False
-    ceiling = problem.hold.frequency_of(np.array([problem.largest_phase]))[0]
-    gradient, gram = _normal_equations(current)
-    while not converged and iterations < max_iterations:
-        iterations += 1
-        scale = np.maximum(np.diag(gram), EPS * np.diag(gram).max(initial=0.0))
-        if not scale.any():
-            converged = True
-            break
-        step = _damped_step(gram, scale, damping, gradient)
-        step *= min(1.0, problem.bin / np.abs(step).max())
-        promised = float(-(gradient @ step) - 0.5 * step @ gram @ step)
-        if promised <= 0.5 * rtol * current.loss or np.all(np.abs(step) <= 2 * EPS * current.d):
-            converged = True
-            # the last step costs one evaluation and may still help
-        trial_d = np.clip(current.d + step, 1e-3 * problem.bin, ceiling)
-        trial = problem.project(trial_d)
-        ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
-        if trial.loss < current.loss:
-            current = trial
-            gradient, gram = _normal_equations(current)
-            damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
-            growth = 2.0
-        else:
-            damping, growth = damping * growth, 2 * growth
-            converged = converged or damping > 1e16
-        if progress is not None:
-            progress(iterations, current.loss)
-    return Refinement(current, iterations, converged)
+    state = _Descent(current)
+    try:
+        while not state.converged and state.iterations < max_iterations:
+            _descend(problem, state, rtol)
+            if progress is not None:
+                progress(state.iterations, state.current.loss)
+    except (KeyboardInterrupt, StopIteration):
+        return Refinement(state.current, state.iterations, False, interrupted=True)
+    return Refinement(state.current, state.iterations, state.converged)
 
 
-def _normal_equations(at: Projection) -> tuple[Array, Array]:
-    J = at.jacobian()
-    return J.T @ at.residual, J.T @ J
+@dataclass
+class _Descent:
+    """Where a refinement stands."""
+
+    current: Projection
+    damping: float = 1e-3
+    growth: float = 2.0
+    iterations: int = 0
+    converged: bool = False
+
+
+def _descend(problem: Problem, state: _Descent, rtol: float) -> None:
+    """One iteration of Levenberg and Marquardt, damped as Nielsen does."""
+    current = state.current
+    state.iterations += 1
+    scale = np.maximum(np.diag(current.gram), EPS * np.diag(current.gram).max(initial=0.0))
+    if not scale.any():
+        state.converged = True
+        return
+    step = _damped_step(current.gram, scale, state.damping, current.gradient)
+    step *= min(1.0, problem.bin / np.abs(step).max())
+    promised = float(-(current.gradient @ step) - 0.5 * step @ current.gram @ step)
+    if promised <= 0.5 * rtol * current.loss or np.all(np.abs(step) <= 2 * EPS * current.d):
+        state.converged = True
+        # the last step costs one evaluation and may still help
+    trial = problem.project(np.clip(current.d + step, 1e-3 * problem.bin, problem.ceiling))
+    ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
+    if trial.loss < current.loss:
+        state.current = trial
+        state.damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
+        state.growth = 2.0
+    else:
+        state.damping, state.growth = state.damping * state.growth, 2 * state.growth
+        state.converged = state.converged or state.damping > 1e16
 
 
 def _damped_step(gram: Array, scale: Array, damping: float, gradient: Array) -> Array:

@@ -1,118 +1,161 @@
 """Where to start: forward selection of modes with local fits in the frequency domain.
 
-The transform of a finite record obeys, exactly and for every mode,
-
-    X_m = (kappa b U_m + z_m tau) / (z_m - lambda),      z_m = exp(2 pi i m / T),   tau = x_0 - x_T,
-
-so around each Fourier bin one mode is three unknowns (`kappa`, complex `tau`) in a linear problem over a few
-bins.  The frequency whose mode explains most of the residual is taken, all modes are refined jointly, repeat.
+Around each bin of the transform one mode is three unknowns in a linear problem over a few bins.  The frequencies whose
+mode explains most there are compared over all the bins in which anything of the residual lies; the best joins.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .regressors import regressors
-from .solver import Problem
+from .spectrum import Bins, Spectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Batch = tuple[NDArray[np.intp], ComplexArray, tuple[Array, Array]]
 
 _WINDOW = 12  # bins around a candidate
 _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
-_BATCH = 1 << 14
-_KEPT_BATCHES = 8  # of about 14 MB each
-_FULL_CANDIDATES = (8, 64)  # fewest and most that are compared over the whole record
-_FULL_SAMPLES = 400_000  # times candidates: what that comparison may cost
+_BATCH = 1 << 13  # candidates worked on at a time
+_EVERYWHERE = 1 << 15  # samples up to which every bin has candidates; above, those where the residual peaks
+_PEAKS = 400  # bins that have candidates then
+_COMPARED = 40  # candidates compared over all bins of all of them
 _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
-def _constrained_energy(rhs: Array, inverse: Array, inverse_without: Array) -> Array:
-    """Energy that least squares explain, for each candidate, without the first column where its weight is negative."""
-    kappa = np.einsum("ci,ci->c", inverse[:, 0], rhs)
-    full = np.einsum("ci,cij,cj->c", rhs, inverse, rhs)
-    without = np.einsum("ci,cij,cj->c", rhs[:, 1:], inverse_without, rhs[:, 1:])
-    return np.where(kappa >= 0, full, without)
+@dataclass(frozen=True)
+class _Columns:
+    """Real columns of candidates over some bins, `kappa` first, shape (candidates, rows, 3), and their Gram matrices.
+
+    All is scaled so that squares add up to squares in time.
+    """
+
+    bins: Bins
+    rows: Array
+    scale: float
+
+    @cached_property
+    def gram(self) -> Array:
+        return np.asarray(self.rows.transpose(0, 2, 1) @ self.rows)
+
+    @cached_property
+    def free_inverse(self) -> Array:
+        """Inverse Gram matrix of the columns of the free motion."""
+        gram = self.gram[:, 1:, 1:]
+        trace = np.trace(gram, axis1=1, axis2=2)
+        ridge = np.where(trace > 0, _RIDGE * trace, 1.0)
+        return np.asarray(np.linalg.inv(gram + ridge[:, None, None] * np.eye(2)))
 
 
 class Screen:
-    """All candidates of one problem; asked again for each new residual.
+    """All candidates of some experiments; asked again for each new residual."""
 
-    What does not depend on the residual (the columns and inverse Gram matrices) is kept between questions where it fits
-    in memory.
-    """
+    def __init__(self, spectra: list[Spectrum], signed: bool = False) -> None:
+        self.spectra, self.signed = spectra, signed
+        self._finest = min(spectra, key=lambda one: one.experiment.bin)
+        self._everywhere = self._finest.length <= _EVERYWHERE
+        self._kept: dict[tuple[int, int], _Columns] = {}
 
-    def __init__(self, problem: Problem) -> None:
-        samples = len(problem.u)
-        self.problem = problem
-        self.half = samples // 2
-        self.U = np.fft.rfft(problem.u)
-        places = (np.arange(self.half + 1)[:, None] + _OFFSETS).ravel()
-        phase = 2 * np.pi * places / samples
-        usable = (places > 0) & (phase < problem.largest_phase)
-        self.places, self.phase = places[usable], phase[usable]
-        self.starts = range(0, len(self.places), _BATCH)
-        self.kept: dict[int, Batch] = {}
+    def __getstate__(self) -> dict[str, Any]:
+        """What is kept to save work does not travel to other processes."""
+        return {**self.__dict__, "_kept": {}}
 
-    def strongest(self, residual: Array) -> float:
-        """Natural frequency of the mode that explains most of a residual (T,), missing samples being 0."""
-        E = np.fft.rfft(residual)
-        gains = np.concatenate([self._explained(E, start) for start in self.starts])
-        peaks = self._peaks(gains)
-        d = self.problem.hold.frequency_of(self.phase[peaks])
-        return float(d[np.argmax(self._explained_in_full(residual, d))])
+    @cached_property
+    def _all(self) -> Array:
+        """Candidates in every bin of the longest experiment."""
+        return self._candidates(np.arange(self._finest.length // 2 + 1))
 
-    def _peaks(self, gains: Array) -> NDArray[np.intp]:
-        """Best candidates, no two of them neighbours: as many as a look at the whole record can afford."""
-        padded = np.concatenate([[-np.inf], gains, [-np.inf]])
-        peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
-        count = int(np.clip(_FULL_SAMPLES / len(self.problem.u), *_FULL_CANDIDATES))
-        return peaks[np.argsort(gains[peaks])[::-1][:count]]
+    def _candidates(self, bins: Bins) -> Array:
+        one = self._finest
+        places = (bins[:, None] + _OFFSETS).ravel()
+        largest = one.experiment.largest_phase * one.length / (2 * np.pi)
+        return np.asarray(one.frequency(places[(places > 0) & (places < largest)]))
 
-    def _explained_in_full(self, residual: Array, d: Array) -> Array:
-        """Energy of the residual that each mode alone explains over the whole record, `kappa >= 0`.
+    def ranked(self, residuals: list[ComplexArray]) -> tuple[Array, Array]:
+        """Candidate frequencies by what they explain of the residuals' transforms, the best first, and how much."""
+        d = self._all if self._everywhere else self._candidates(self._peaking(residuals))
+        gains = np.concatenate(
+            [self._near(d[first : first + _BATCH], first, residuals) for first in range(0, len(d), _BATCH)]
+        )
+        peaks = _peaks(gains)[:_COMPARED]
+        d = d[peaks]
+        explained = self._over_all(d, residuals)
+        order = np.argsort(-explained, kind="stable")
+        return d[order], explained[order]
 
-        A line of the input looks like a mode within its window; only the record as a whole tells them apart.
+    def _peaking(self, residuals: list[ComplexArray]) -> Bins:
+        """Bins of the longest experiment about which the residual has most energy."""
+        place = self.spectra.index(self._finest)
+        power = np.abs(residuals[place]) ** 2
+        smooth = np.convolve(power, np.ones(3), mode="same")
+        peaks = _peaks(smooth)[:_PEAKS]
+        return np.unique(peaks[:, None] + np.arange(-1, 2))
+
+    def _near(self, d: Array, first: int, residuals: list[ComplexArray]) -> Array:
+        """Energy that each candidate explains in the bins about it."""
+        parts = []
+        for k, spectrum in enumerate(self.spectra):
+            columns = self._kept.get((k, first)) if self._everywhere else None
+            if columns is None:
+                columns = _about(spectrum, d)
+                if self._everywhere:
+                    self._kept[k, first] = columns
+            parts.append((columns, residuals[k][columns.bins]))
+        return self._explained(parts)
+
+    def _over_all(self, d: Array, residuals: list[ComplexArray]) -> Array:
+        """Energy that each candidate explains in the bins about all of them.
+
+        A line of the input looks like a mode within its window; only many bins together tell them apart.
         """
-        found = regressors(d, self.problem.u, self.problem.hold)
-        parts = [found.forced] if self.problem.from_rest else [found.forced, found.cosine, found.sine]
-        # candidate, column, sample
-        columns = np.stack([part.T for part in parts], axis=1)
-        if not self.problem.observed.all():
-            columns = columns[:, :, self.problem.observed]
-        columns /= np.where((lengths := np.linalg.norm(columns, axis=2)) > 0, lengths, 1.0)[:, :, None]
-        gram = columns @ columns.transpose(0, 2, 1) + _RIDGE * np.eye(len(parts))
-        rhs = columns @ residual[self.problem.observed]
-        return _constrained_energy(rhs, np.linalg.inv(gram), np.linalg.inv(gram[:, 1:, 1:]))
+        parts = []
+        for spectrum, residual in zip(self.spectra, residuals, strict=True):
+            bins = np.unique(_window(spectrum, d))[None, :]
+            parts.append((_columns(spectrum, d, bins), residual[bins]))
+        return self._explained(parts)
 
-    def _explained(self, E: ComplexArray, start: int) -> Array:
-        """Energy of the residual that one mode at each candidate explains within its window, `kappa >= 0`."""
-        if start in self.kept:
-            bins, columns, inverses = self.kept[start]
-        else:
-            bins, columns, inverses = self._columns(slice(start, start + _BATCH))
-            if len(self.starts) <= _KEPT_BATCHES:
-                self.kept[start] = bins, columns, inverses
-        rhs = np.einsum("cwi,cw->ci", columns, E[bins]).real
-        return _constrained_energy(rhs, *inverses)
+    def _explained(self, parts: list[tuple[_Columns, ComplexArray]]) -> Array:
+        """Energy that least squares explain for each candidate, `kappa >= 0` being shared by the experiments."""
+        total, pull, stiffness = 0.0, 0.0, 0.0
+        for columns, residual in parts:
+            target = columns.scale * np.concatenate([residual.real, residual.imag], axis=1)
+            rhs = np.matmul(target[:, None, :], columns.rows)[:, 0, :]
+            free = columns.free_inverse
+            solved = np.einsum("cij,cj->ci", free, rhs[:, 1:])
+            total = total + np.einsum("ci,ci->c", rhs[:, 1:], solved)
+            across = columns.gram[:, 0, 1:]
+            pull = pull + rhs[:, 0] - np.einsum("ci,ci->c", across, solved)
+            direct = columns.gram[:, 0, 0]
+            stiffness = stiffness + direct - np.einsum("ci,cij,cj->c", across, free, across) + _RIDGE * direct
+        force = np.asarray(pull) if self.signed else np.maximum(pull, 0.0)
+        return np.asarray(total + force**2 / np.where(stiffness == 0, 1.0, stiffness))
 
-    def _columns(self, part: slice) -> Batch:
-        """Bins of each window, conjugate columns for `kappa`, `Re tau`, `Im tau` there, inverse Gram matrices."""
-        places, phase = self.places[part], self.phase[part]
-        width = min(_WINDOW, self.half)
-        first = np.clip(np.rint(places).astype(int) - width // 2, 0, self.half - width)
-        bins = first[:, None] + np.arange(width + 1)
-        step = self.problem.hold.step(self.problem.hold.frequency_of(phase))
-        z = np.exp(2j * np.pi * bins / len(self.problem.u))
-        lam, U = step.multiplier[:, None], self.U[bins]
-        right, left = 0.5 / (z - lam), 0.5 / (z - lam.conj())
-        forced = U * ((step.b0 + step.b1 * z) * right + (step.b0.conj() + step.b1.conj() * z) * left)
-        columns = np.stack([forced, z * (right + left), 1j * z * (right - left)], axis=2)
-        lengths = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1))
-        columns = columns / np.where(lengths > 0, lengths, 1.0)[:, None, :]
-        # real and imaginary parts side by side: the unknowns are real
-        real = np.concatenate([columns.real, columns.imag], axis=1)
-        gram = real.transpose(0, 2, 1) @ real + _RIDGE * np.eye(3)
-        return bins, columns.conj(), (np.linalg.inv(gram), np.linalg.inv(gram[:, 1:, 1:]))
+
+def _peaks(values: Array) -> Bins:
+    """Places of the local maxima, the highest first."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+    return peaks[np.argsort(-values[peaks], kind="stable")]
+
+
+def _window(spectrum: Spectrum, d: Array) -> Bins:
+    """Bins about each frequency, shape (candidates, bins)."""
+    width = min(_WINDOW, spectrum.length // 2)
+    centres = np.rint(spectrum.place(d)).astype(int)
+    first = np.clip(centres - width // 2, 0, spectrum.length // 2 - width)
+    return np.asarray(first[:, None] + np.arange(width + 1))
+
+
+def _about(spectrum: Spectrum, d: Array) -> _Columns:
+    return _columns(spectrum, d, _window(spectrum, d))
+
+
+def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _Columns:
+    forced, (plus, minus) = spectrum.columns(d, bins)[0]
+    columns = np.stack([forced, plus + minus, 1j * (plus - minus)], axis=2)
+    scale = float(np.sqrt(2.0 / spectrum.length))
+    return _Columns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)

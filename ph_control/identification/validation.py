@@ -16,6 +16,7 @@ from ..exceptions import StructureError
 from ..propagation import INTERSAMPLE, METHODS
 from ..validation_plots import comparison_plot, percent
 from .data import Record, as_record
+from .prediction import fit_percent, unit_norm
 from .regressors import Hold
 from .result import PEMResult
 from .simulation import simulate_on
@@ -245,23 +246,6 @@ def _name(model: Any) -> str:
         return f"{kind} ({n} mode{'s' * (n != 1)})"
     states = getattr(system, "nstates", None)
     return f"{kind} ({states} states)" if isinstance(model, ct.StateSpace) else kind
-
-
-def fit_percent(y: Array, error: Array) -> float:
-    """`100 (1 - |error| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
-    # in units of the largest, so that squares stay in the range of doubles
-    unit = float(np.max(np.abs(y)))
-    centred = y / unit - np.mean(y / unit)
-    size = float(np.linalg.norm(centred))
-    if size <= _checks.EPS * np.sqrt(len(y)):
-        size = float(np.linalg.norm(y / unit))
-    return 100.0 * (1.0 - unit_norm(error, unit) / size)
-
-
-def unit_norm(error: Array, unit: float) -> float:
-    """Norm in a unit, also of numbers whose squares leave the range of doubles."""
-    largest = float(np.max(np.abs(error)))
-    return float(np.linalg.norm(error / largest)) * (largest / unit) if largest else 0.0
 
 
 def _rms(error: Array) -> float:

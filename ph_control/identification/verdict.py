@@ -19,7 +19,8 @@ class Verdict:
     spare: int
     fit_percent: float
     active: tuple[int, ...]
-    deficiency: int
+    blind: str
+    remark: str
     whiteness: float
     converged: bool
     noiseless: bool
@@ -28,6 +29,8 @@ class Verdict:
     silent: bool
     reversed_sign: bool
     drifting: tuple[int, ...]
+    interrupted: bool
+    driven: bool
 
     @property
     def _coloured(self) -> bool:
@@ -38,32 +41,31 @@ class Verdict:
         """Verdict in a line."""
         if self.n == 0:
             return "nothing to model"
-        if self.silent:
+        if self.silent and self.driven:
             return "NOT a model: it does not respond to the input"
         poor = self.fit_percent < _GOOD_FIT or self.at_limit or 2 * len(self.active) >= self.n
         if (self.active or self._coloured) and poor:
             return "NOT described by a collocated lossless model"
-        if self.active or self._coloured or self.deficiency or not self.converged:
+        if self.active or self._coloured or self.blind or not self.converged:
             return "doubtful, see below"
         return "too few samples to judge" if self.spare < _FEW and not self.noiseless else "consistent with the record"
-
-    @property
-    def blind(self) -> str:
-        """Sentence about what the record does not show."""
-        return (
-            f"{self.deficiency} combination{'s' * (self.deficiency != 1)} of weights r and initial states "
-            "leave no trace in this record, so r is not determined; use an input with more frequencies"
-        )
 
     def message(self) -> str:
         """All sentences."""
         parts = []
-        if self.silent and self.n:
+        if not self.driven and self.n:
+            parts.append(
+                "Without an input the weights r leave no trace: they are 1 by convention, and only frequencies and "
+                "initial states are learned."
+            )
+        if self.silent and self.driven and self.n:
             parts.append(
                 "All weights are zero: the model does not respond to the input, and what fits is free motion only."
                 + (" The residues asked for are all negative: check the polarity of the sensor." * self.reversed_sign)
             )
-        if not self.converged:
+        if self.interrupted:
+            parts.append("The fit was interrupted; the numbers above are the best found until then.")
+        elif not self.converged:
             parts.append("The refinement did not converge; the numbers above are the best found.")
         if self.n == 0:
             return "Nothing to model: no mode improves the BIC. " + " ".join(parts)
@@ -84,14 +86,14 @@ class Verdict:
                 f"Mode{'s' * (len(self.drifting) > 1)} {listed} would complete less than a period in the record: an "
                 "offset or a drift, rather; subtract the mean or the trend first."
             )
-        if self.active and not self.deficiency:
+        if self.active and not self.blind:
             listed = ", ".join(str(l + 1) for l in self.active)
             parts.append(
                 f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: there the "
                 "record asks for a residue that no lossless model with input and output at the same port has."
             )
-        if self.deficiency:
-            parts.append(self.blind[0].upper() + self.blind[1:] + ".")
+        if self.blind or self.remark:
+            parts.append(self.blind or self.remark)
         if self._coloured:
             p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
             parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
@@ -110,7 +112,7 @@ class Verdict:
                 f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
                 "its quality cannot be judged."
             )
-        if not parts:
+        if len(parts) == (not self.driven and self.n > 0):
             parts.append(
                 "The record is reproduced to rounding."
                 if self.noiseless

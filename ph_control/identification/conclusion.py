@@ -1,0 +1,176 @@
+"""From a minimum to a result: modes sorted, parameters and their errors in the user's terms, and a judgement."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..exceptions import IdentifiabilityWarning
+from ..modal import ModalForm
+from ..systems import PortHamiltonian
+from .data import Record
+from .excitation import examine_fit
+from .experiment import Experiment
+from .frequency_data import FrequencyRecord
+from .information import Information, information_at
+from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
+from .result import PEMResult
+from .selection import criteria
+from .solver import Problem, Projection
+from .uncertainty import uncertainty
+from .verdict import Verdict
+from .whiteness import ljung_box
+
+Array = NDArray[np.float64]
+Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
+
+_LAGS = 20
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Data, problem and minimum; the order that was asked for."""
+
+    records: Records
+    problem: Problem
+    found: Any
+    order: int
+    order_given: bool
+    at_limit: bool
+
+
+def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> PEMResult:
+    """Make the result of a fit, and warn of what the data do not show."""
+    problem, found = fit.problem, fit.found
+    at: Projection = found.end.projection
+    n, rank = len(at.d), np.argsort(at.d)
+    modes = _modes(at, rank, fit.order)
+    experiments = _experiments(fit.records, at, rank, modes, quantity)
+    estimated = uncertainty(at, rank, fit.order, quantity)
+    kept = [one.record.observed for one in experiments]
+    measured = np.concatenate([one.measured[k] for one, k in zip(experiments, kept, strict=True)])
+    residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
+    noiseless = at.loss <= found.floor
+    held = ~at.free[rank]
+    information = information_at(at, rank)
+    figures = criteria(problem, at.loss, n)
+    finding = _finding(at, information, estimated.variance) if n else ""
+    verdict = Verdict(
+        n=n,
+        order=fit.order,
+        spare=problem.samples - problem.unknowns(n),
+        fit_percent=fit_percent(measured, residuals),
+        active=tuple(int(l) for l in np.flatnonzero(held)) if problem.driven else (),
+        blind=finding if n and information.deficiency else "",
+        remark=finding if n and not information.deficiency else "",
+        whiteness=1.0 if noiseless else _whiteness(experiments),
+        converged=found.end.converged,
+        noiseless=noiseless,
+        at_limit=fit.at_limit,
+        order_given=fit.order_given,
+        from_rest=any(isinstance(one, Experiment) and one.from_rest for one in problem.experiments),
+        silent=not at.kappa.any(),
+        reversed_sign=n > 0 and not at.kappa.any() and at.asks_for_negative_residues_only(),
+        drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
+        interrupted=found.interrupted,
+        driven=problem.driven,
+    )
+    if verdict.blind:
+        warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
+    return PEMResult(
+        system=_named_system(modes, fit.records[0]),
+        experiments=experiments,
+        covariance=estimated.covariance,
+        offset_stderr=estimated.offsets,
+        noise_variance=estimated.variance,
+        loss=at.loss / problem.samples,
+        loglik=figures.loglik,
+        aic=figures.aic,
+        bic=figures.bic,
+        fit_percent=verdict.fit_percent,
+        active=verdict.active,
+        unseen=tuple(range(n, fit.order)),
+        identifiability=information,
+        whiteness=verdict.whiteness,
+        order_table=found.rows,
+        starts=found.starts,
+        success=found.end.converged and not found.interrupted,
+        verdict=verdict.headline,
+        message=verdict.message(),
+        n_iterations=found.iterations,
+        method=method,
+        intersample=intersample,
+        quantity=quantity,
+        representation=representation,
+    )
+
+
+def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:
+    """Modal form, with placeholders for modes that the data do not show; r = 1 where no input shows it."""
+    d = at.d[rank]
+    r = at.kappa[rank] / d if at.problem.driven else np.ones(len(d))
+    # distinct, above those that the data show
+    pads = d.max(initial=0.0) * (2.0 + np.arange(float(order - len(d))))
+    return ModalForm(
+        np.concatenate([d, pads]), np.sqrt(np.concatenate([r, 0 * pads])).astype(complex)[:, None], np.zeros((0, 1))
+    )
+
+
+def _experiments(
+    records: Records, at: Projection, rank: NDArray[np.intp], modes: ModalForm, quantity: str
+) -> tuple[FittedExperiment, ...]:
+    n = len(at.d)
+    found: list[FittedExperiment] = []
+    every: tuple[Record | FrequencyRecord, ...] = records
+    for record, rows, own in zip(every, at.problem.experiments, at.own, strict=True):
+        predicted = rows.predict(at.d, at.kappa, own)
+        if isinstance(record, FrequencyRecord):
+            found.append(FittedExperiment(record, np.zeros(0), np.zeros(0, complex), 0.0, predicted))
+            continue
+        amplitudes = np.zeros(modes.n, complex)
+        if len(own) >= 2 * n:
+            amplitudes[:n] = own[:n][rank] + 1j * own[n : 2 * n][rank]
+        state = state_from_amplitudes(modes, amplitudes, quantity)
+        offset = float(own[-1]) if len(own) % 2 else 0.0
+        found.append(FittedExperiment(record, state, amplitudes, offset, predicted))
+    return tuple(found)
+
+
+def _whiteness(experiments: tuple[FittedExperiment, ...]) -> float:
+    """Of the residuals in time; neighbouring points of a response follow one another as samples do."""
+    parts = []
+    for one in experiments:
+        if isinstance(one.record, Record):
+            parts.append(one.residuals)
+        else:
+            weighted = one.residuals * np.sqrt(one.record.weights)
+            parts += [weighted.real, weighted.imag]
+    return ljung_box(parts, _LAGS)
+
+
+def _finding(at: Projection, information: Information, variance: float) -> str:
+    """What the data do not show, in sentences."""
+    if len(at.problem.experiments) == 1 and isinstance(at.problem.experiments[0], Experiment):
+        one = at.problem.experiments[0]
+        if one.driven and one.quantity == "velocity" and not one.offset and at.free.any():
+            if not information.ails and one.hold.method != "euler":
+                return ""
+            finding = examine_fit(at, information, noise_std=float(np.sqrt(variance)))
+            return finding.message if finding.blind or finding.artefacts else ""
+    if not information.deficiency or not at.problem.driven:
+        return ""
+    named = ", ".join(information.blind_parameters)
+    return (
+        f"{information.deficiency} combination{'s' * (information.deficiency != 1)} of the parameters {named} "
+        "leave no trace in these data, so they are not determined; use an input with more frequencies."
+    )
+
+
+def _named_system(modes: ModalForm, record: Record | FrequencyRecord) -> PortHamiltonian:
+    """System with the labels of the record; python-control takes no dots in names."""
+    labels = (record.input_label.replace(".", "_"), record.output_label.replace(".", "_"))
+    return PortHamiltonian._from_modes(modes, inputs=[labels[0]], outputs=[labels[1]])

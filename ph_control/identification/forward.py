@@ -1,0 +1,148 @@
+"""From nothing to a minimum of the loss: modes added in turn, doubtful ones seated anew, other paths tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .search import Report, Search, Step
+
+Array = NDArray[np.float64]
+
+_PATIENCE = 3  # orders without a better criterion before the path ends
+_TOGETHER = 0.1  # of the strongest candidate's gain: others that join at the same step
+_APART = 8.0  # basins between modes that join together
+_BETTER = 1e-6  # relative decrease of the loss that counts
+_DIVERGENT = 5  # candidates among which a random path chooses
+_RESTARTS = 4  # random paths where the first answer is doubtful
+
+
+@dataclass(frozen=True)
+class Start:
+    """One of the ways in which a minimum was looked for.
+
+    Attributes
+    ----------
+    kind : str
+        'guess', 'forward', 're-seated' or 'random'.
+    loss : float
+        Mean squared residual it ended with.
+    d : ndarray
+        Natural frequencies, ascending, rad per unit time.
+    """
+
+    kind: str
+    loss: float
+    d: Array
+
+
+def grow(
+    search: Search,
+    step: Step,
+    largest: int,
+    *,
+    rtol: float,
+    floor: float,
+    together: bool = False,
+    stop: Callable[[list[Step]], bool] | None = None,
+    pick: Callable[[Step], int] | None = None,
+    report: Callable[[int], Report | None] = lambda order: None,
+) -> list[Step]:
+    """Add modes until there are `largest`, the loss is at its floor, or `stop` says so; all steps from the first on."""
+    path = [step]
+    while len(step.d) < largest and step.loss > floor and len(step.candidates):
+        if pick is not None:
+            fresh = step.candidates[[pick(step)]]
+        else:
+            fresh = _batch(search, step, largest - len(step.d)) if together else step.candidates[:1]
+        try:
+            step = search.step(np.concatenate([step.d, fresh]), rtol, report(len(step.d) + len(fresh)))
+        except (KeyboardInterrupt, StopIteration):
+            return [*path, replace(step, interrupted=True)] if len(step.d) else path
+        path.append(step)
+        if step.interrupted or (stop is not None and stop(path)):
+            break
+    return path
+
+
+def _batch(search: Search, step: Step, most: int) -> Array:
+    """Candidates that may join at once: nearly as strong as the strongest, and far from one another."""
+    chosen: list[float] = []
+    for d, gain in zip(step.candidates.tolist(), step.gains.tolist(), strict=True):
+        if len(chosen) == most or gain < _TOGETHER * step.gains[0]:
+            break
+        if all(abs(d - other) >= _APART * search.problem.bin for other in chosen):
+            chosen.append(d)
+    return np.array(chosen)
+
+
+def stop_of(criterion: Callable[[Step], float]) -> Callable[[list[Step]], bool]:
+    """End of a path whose criterion has not improved for some orders."""
+
+    def stop(path: list[Step]) -> bool:
+        values = [criterion(step) for step in path]
+        return len(path) - 1 - int(np.argmin(values)) >= _PATIENCE
+
+    return stop
+
+
+def reseat(search: Search, step: Step, rtol: float, floor: float) -> Step:
+    """Move modes one by one to where they explain more, if there is such a place.
+
+    A mode taken early, when others were still missing, may have ended in a wrong basin.
+    """
+    tried: set[float] = set()
+    while step.loss > floor and not step.interrupted and (step.held.any() or search.unconvinced(step)):
+        places = [k for k in np.argsort(step.weights, kind="stable") if float(step.d[k]) not in tried]
+        if not places:
+            break
+        tried.add(float(step.d[places[0]]))
+        others = search.step(np.delete(step.d, places[0]), rtol)
+        if not len(others.candidates):
+            break
+        trial = search.step(np.append(others.d, others.candidates[0]), rtol)
+        if trial.loss < (1 - _BETTER) * step.loss:
+            step, tried = replace(trial, iterations=step.iterations + trial.iterations), set()
+    return step
+
+
+def restart(
+    search: Search, empty: Step, order: int, *, rtol: float, floor: float, rng: Any, workers: Any
+) -> list[Step]:
+    """Ends of a few paths that choose at random among the best candidates, each with a seed of its own."""
+    seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(_RESTARTS)
+    run = partial(_random_path, search, empty, order, rtol, floor)
+    return list(mapped(run, seeds, workers))
+
+
+def _entropy(rng: Any) -> int:
+    return int(np.random.default_rng(rng).integers(2**63))
+
+
+def _random_path(
+    search: Search, empty: Step, order: int, rtol: float, floor: float, seed: np.random.SeedSequence
+) -> Step:
+    rng = np.random.default_rng(seed)
+
+    def pick(step: Step) -> int:
+        gains = np.maximum(step.gains[:_DIVERGENT], 0.0)
+        return int(rng.choice(len(gains), p=gains / gains.sum())) if gains.any() else 0
+
+    return grow(search, empty, order, rtol=rtol, floor=floor, pick=pick)[-1]
+
+
+def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any) -> Any:
+    """Results in the order of the items, by a number of processes or a map-like callable."""
+    if callable(workers):
+        return workers(function, items)
+    if workers == 1 or len(items) < 2:
+        return map(function, items)
+    import multiprocessing
+
+    with multiprocessing.Pool(None if workers == -1 else workers) as pool:
+        return pool.map(function, items)

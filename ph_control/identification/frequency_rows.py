@@ -1,0 +1,112 @@
+"""A measured frequency response as rows of the linear problem: `G(i w) = sum_l kappa_l i w / (d_l^2 - w^2)`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import EPS
+from .frequency_data import FrequencyRecord
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class FrequencyRows:
+    """A frequency response: real and imaginary part of each point that was measured, in the scale of its weight."""
+
+    record: FrequencyRecord
+    quantity: str = "velocity"
+
+    @cached_property
+    def omega(self) -> Array:
+        """Frequencies that were measured, rad per unit time."""
+        return self.record.omega[self.record.observed]
+
+    @cached_property
+    def scale(self) -> Array:
+        """Factor of the residual at each of them."""
+        return np.asarray(np.sqrt(self.record.weights[self.record.observed]))
+
+    @property
+    def samples(self) -> int:
+        """Real and imaginary parts."""
+        return 2 * len(self.omega)
+
+    @property
+    def driven(self) -> bool:
+        """A response shows the residues."""
+        return True
+
+    @cached_property
+    def bin(self) -> float:
+        """Typical distance of the frequencies: a mode does not pass from one side of a point to the other."""
+        steps = np.diff(self.omega)
+        return float(np.median(steps[steps > 0])) if (steps > 0).any() else float(self.omega[0])
+
+    @property
+    def ceiling(self) -> float:
+        """Largest frequency that is searched."""
+        return float(self.omega[-1])
+
+    def own_unknowns(self, n: int) -> int:
+        """None: there is no free motion in a response."""
+        return 0
+
+    def at(self, d: Array) -> FrequencyEvaluation:
+        """The rows at frequencies `d`."""
+        return FrequencyEvaluation(self, d)
+
+    @cached_property
+    def largest(self) -> float:
+        """Largest response, in the scale of its weight."""
+        response = self.record.response[self.record.observed]
+        return float(np.max(np.abs(response) * self.scale, initial=0.0))
+
+    def predict(self, d: Array, kappa: Array, own: Array) -> ComplexArray:
+        """Response of a model at all frequencies of the record, measured or not, shape (K,)."""
+        columns, _ = modal_columns(d, self.record.omega, self.quantity)
+        return np.asarray(kappa @ columns)
+
+
+class FrequencyEvaluation:
+    """The rows of a response at some frequencies; O(K n)."""
+
+    def __init__(self, rows: FrequencyRows, d: Array) -> None:
+        self._rows = rows
+        self._columns, self._slopes = modal_columns(d, rows.omega, rows.quantity)
+
+    def blocks(self) -> Iterator[Array]:
+        """All rows in one block."""
+        yield self._joined(np.zeros((0, len(self._rows.omega))))
+
+    def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
+        """The same with the derivatives by the frequencies."""
+        yield self._joined(kappa[:, None] * self._slopes)
+
+    def _joined(self, more: ComplexArray | Array) -> Array:
+        record = self._rows.record
+        target = record.response[record.observed][None]
+        rows = np.concatenate([self._columns, more, target]) * self._rows.scale
+        return np.concatenate([rows.real, rows.imag], axis=1)
+
+
+def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
+    """Response of modes of unit residue at frequencies, and its derivative by `d`, each (n, K).
+
+    Velocity `i w / (d^2 - w^2)`, divided by `i w` for displacement and times it for acceleration.  On a pole they are
+    very large rather than infinite.
+    """
+    gap = (d[:, None] - omega) * (d[:, None] + omega)
+    gap = np.where(gap == 0, EPS * np.maximum(d[:, None], omega) ** 2, gap)
+    factor: ComplexArray = {
+        "velocity": 1j * omega,
+        "displacement": np.ones(len(omega), complex),
+        "acceleration": -(omega**2) + 0j,
+    }[quantity]
+    return factor / gap, -2 * d[:, None] * factor / gap**2

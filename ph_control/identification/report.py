@@ -1,0 +1,77 @@
+"""What a result looks like on paper."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .data import Record
+
+_SHOWN = 6  # experiments listed one by one
+
+
+def summary_of(result: Any) -> str:
+    """Report of a fit for people, at most 100 characters wide."""
+    first = result.experiments[0].record
+    missing = sum(int((~one.record.observed).sum()) for one in result.experiments)
+    lines = [
+        f"Port-Hamiltonian model of {first.output_label!r} from {first.input_label!r}: "
+        f"{result.order} mode{'s' * (result.order != 1)}",
+        f"  verdict         {result.verdict}",
+        *_data_lines(result, missing),
+        f"  fit             {result.fit_percent:.2f} %",
+        f"  noise           standard deviation {np.sqrt(result.noise_variance):.4g}",
+        f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})",
+        "",
+        "   mode        d [rad/time]     +-          cycles/time    r               +-          note",
+    ]
+    for l in range(result.order):
+        note = "not in the record" if l in result.unseen else "constraint active" if l in result.active else ""
+        lines.append(
+            f"  {l + 1:5d}  {result.d[l]:18.10g}  {_error(result.stderr['d'][l])}  {result.d[l] / 2 / np.pi:15.8g}"
+            f"  {result.r[l]:14.7g}  {_error(result.stderr['r'][l])}  {note}".rstrip()
+        )
+    return "\n".join([*lines, "", *_wrap(result.message)])
+
+
+def _data_lines(result: Any, missing: int) -> list[str]:
+    """What was measured, and how the model meets it."""
+    records = [one.record for one in result.experiments]
+    tail = f", {missing} outputs missing" * bool(missing)
+    sensor = [f"  measured        {result.quantity} of the port"] * (result.quantity != "velocity")
+    if not isinstance(records[0], Record):
+        points = sum(record.samples for record in records)
+        return [f"  response        {points} frequencies{tail}", *sensor]
+    if len(records) == 1:
+        lines = [f"  record          {records[0].samples} samples, step {records[0].dt:g}{tail}"]
+    else:
+        samples = sum(record.samples for record in records)
+        lines = [f"  experiments     {len(records)}, {samples} samples{tail}"]
+        for k, one in enumerate(result.experiments[:_SHOWN], start=1):
+            step = f"{one.record.samples} samples, step {one.record.dt:g}, fit {one.fit_percent:.2f} %"
+            lines.append(f"    {k:4d}          {step}")
+    method = result.method + (
+        f", {result.intersample} input" if result.method != "euler" else " (not lossless: its energy grows)"
+    )
+    lines += [f"  discretisation  {method}", *sensor]
+    if np.isfinite(result.offset_stderr).any():
+        shown = ", ".join(
+            f"{value:.6g} +- {error:.2g}"
+            for value, error in zip(result.offsets[:_SHOWN], result.offset_stderr[:_SHOWN], strict=True)
+        )
+        lines.append(f"  offset          {shown}")
+    return lines
+
+
+def _error(value: float) -> str:
+    return f"{'-':>8}" if np.isnan(value) else f"{value:8.2g}"
+
+
+def _wrap(text: str, width: int = 98) -> list[str]:
+    lines = [""]
+    for word in text.split():
+        if len(lines[-1]) + len(word) + 1 > width:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return ["  " + line for line in lines]

@@ -1,0 +1,138 @@
+"""The search for modes: one at a time, each where it explains most of what is left, all refined together.
+
+Short records are refined in time at every step.  Of long ones the bins about the modes are enough until the end, so
+that a step costs little more than a look at the transform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from .experiment import Experiment
+from .solver import Problem, Projection, refine
+from .spectrum import Spectrum, Window
+from .start import Screen
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Report = Callable[[int, float], None]  # iteration, loss
+
+_IN_TIME = 4096  # samples up to which every step is refined in time
+_BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
+_HALF_WIDTH = 12  # bins on either side of a mode
+
+
+@dataclass(frozen=True)
+class Step:
+    """Some modes, refined: what they leave as a sum of squares, and the candidates for one more.
+
+    `candidates` are natural frequencies by how much a mode there would explain, the most first, and `gains` how much;
+    `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them.
+    """
+
+    d: Array
+    loss: float
+    iterations: int
+    converged: bool
+    candidates: Array
+    gains: Array
+    held: NDArray[np.bool_]
+    weights: Array
+    interrupted: bool = False
+
+
+class Search(Protocol):
+    """How modes are added to a problem."""
+
+    problem: Problem
+
+    @property
+    def affords_batches(self) -> bool:
+        """Whether several modes may join at once."""
+
+    def unconvinced(self, step: Step) -> bool:
+        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+
+    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
+        """Refine modes from a start and look for more."""
+
+
+class TimeSearch:
+    """Search in records of time."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self._experiments = [one for one in problem.experiments if isinstance(one, Experiment)]
+        self._spectra = [Spectrum.of(one) for one in self._experiments]
+        self._screen = Screen(self._spectra, problem.signed)
+        self._windowed = max(len(one.u) for one in self._experiments) > _IN_TIME and all(
+            one.complete for one in self._experiments
+        )
+
+    @property
+    def affords_batches(self) -> bool:
+        """Whether several modes may join at once: where records are long enough to tell them apart."""
+        return self._windowed
+
+    def unconvinced(self, step: Step) -> bool:
+        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+        return more_than_noise(self.problem, step)
+
+    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
+        """Refine modes from a start and look for more."""
+        return (self._in_bins if self._windowed else self._in_time)(d, rtol, report)
+
+    def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:
+        end = refine(self.problem, d, rtol=rtol, progress=report)
+        at = end.projection
+        left = [
+            np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0))
+            for one, predicted in zip(self._experiments, at.predicted(), strict=True)
+        ]
+        ranked = self._screen.ranked(left)
+        return Step(at.d, at.loss, end.iterations, end.converged, *ranked, ~at.free, mode_energies(at), end.interrupted)
+
+    def _in_bins(self, d: Array, rtol: float, report: Report | None) -> Step:
+        windows = [Window.about(one, d, _HALF_WIDTH) for one in self._spectra]
+        if not len(d):
+            left = [one.Y for one in self._spectra]
+            iterations, converged, interrupted, held, weights = 0, True, False, np.zeros(0, bool), d
+        else:
+            end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, progress=report)
+            at, iterations, converged, interrupted = end.projection, end.iterations, end.converged, end.interrupted
+            d, held, weights = at.d, ~at.free, mode_energies(at)
+            left = [one.left(d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
+        loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
+        ranked = self._screen.ranked(left)
+        return Step(d, loss, iterations, converged, *ranked, held, weights, interrupted)
+
+
+def more_than_noise(problem: Problem, step: Step) -> bool:
+    """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+    spare = problem.samples - problem.unknowns(len(step.d))
+    if not len(step.gains) or spare <= 0 or step.loss <= 0:
+        return False
+    statistic = step.gains[0] * spare / step.loss
+    return bool(chi2.sf(statistic, problem.unknowns(1)) * problem.samples < _BY_CHANCE)
+
+
+def mode_energies(at: Projection) -> Array:
+    """Output energy of each mode, roughly: of its forced and its free motion."""
+    n = len(at.d)
+    jacobian, _ = at.jacobian()
+    lengths = np.linalg.norm(jacobian, axis=0)[n:]
+    parts = np.concatenate([at.kappa, *at.own]) * lengths
+    energy = parts[:n] ** 2
+    place = n
+    for own in at.own:
+        if len(own) >= 2 * n:
+            energy = energy + parts[place : place + n] ** 2 + parts[place + n : place + 2 * n] ** 2
+        place += len(own)
+    return np.asarray(energy)

@@ -1,0 +1,138 @@
+"""Which order the data speak for: criteria, the error over what is held out, and whether a mode is more than noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from .experiment import Experiment, Rows
+from .frequency_rows import FrequencyRows
+from .search import Step
+from .solver import Problem, Projection, Refinement, refine
+
+Array = NDArray[np.float64]
+
+CRITERIA = ("bic", "aicc", "aic", "holdout")
+
+_HELD_OUT = 1 / 3  # of each record
+_BY_CHANCE = 0.01  # probability that noise alone shows such a mode anywhere
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Gaussian log-likelihood at the best noise variance, a parameter as well, and what is made of it."""
+
+    loglik: float
+    aic: float
+    aicc: float
+    bic: float
+
+    def by_name(self, name: str) -> float:
+        """Value of a criterion; the likelihood guides a search whose choice is made by what was held out."""
+        return self.bic if name == "holdout" else float(getattr(self, name))
+
+
+def criteria(problem: Problem, loss: float, n: int) -> Criteria:
+    """Criteria of n modes that leave a sum of squares."""
+    samples, parameters = problem.samples, problem.unknowns(n) + 1
+    variance = max(loss / samples, np.finfo(float).tiny)
+    loglik = -0.5 * samples * (np.log(2 * np.pi * variance) + 1)
+    aic = 2 * parameters - 2 * loglik
+    spare = samples - parameters - 1
+    aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
+    return Criteria(loglik, aic, aicc, parameters * np.log(samples) - 2 * loglik)
+
+
+def held_out_losses(problem: Problem, path: list[Step]) -> list[float]:
+    """Mean squared error over what is held out, of models refined on the rest; infinite where that is too little."""
+    parts = [_split(one) for one in problem.experiments]
+    training = replace(problem, experiments=tuple(first for first, _ in parts))
+    losses = []
+    for step in path:
+        if training.samples <= training.unknowns(len(step.d)):
+            losses.append(np.inf)
+            continue
+        at = refine(training, step.d, rtol=1e-9).projection
+        errors = [whole(at.d, at.kappa, own) for (_, whole), own in zip(parts, at.own, strict=True)]
+        losses.append(float(np.mean(np.concatenate(errors) ** 2)))
+    return losses
+
+
+def _split(one: Rows) -> tuple[Rows, Callable[[Array, Array, Array], Array]]:
+    """The part of an experiment to fit to, and the errors of a model over the rest."""
+    if isinstance(one, FrequencyRows):
+        return _thinned(one)
+    one = cast(Experiment, one)
+    cut = len(one.u) - max(1, round(_HELD_OUT * len(one.u)))
+    first = replace(one, u=one.u[:cut], y=one.y[:cut], observed=one.observed[:cut])
+    kept = one.observed[cut:]
+
+    def errors(d: Array, kappa: Array, own: Array) -> Array:
+        return (one.y - one.predict(d, kappa, own))[cut:][kept]
+
+    return first, errors
+
+
+def _thinned(one: FrequencyRows) -> tuple[Rows, Callable[[Array, Array, Array], Array]]:
+    """Every third point of a response is held out: neighbours foretell it."""
+    record = one.record
+    out = np.flatnonzero(record.observed)[1 :: round(1 / _HELD_OUT)]
+    response = record.response.copy()
+    response[out] = np.nan
+    first = replace(one, record=replace(record, response=response))
+
+    def errors(d: Array, kappa: Array, own: Array) -> Array:
+        left = ((record.response - one.predict(d, kappa, own)) * np.sqrt(record.weights))[out]
+        return np.concatenate([left.real, left.imag])
+
+    return first, errors
+
+
+def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:
+    """Drop the weakest mode, one after the other, while noise alone could well have shown it somewhere."""
+    while len(end.projection.d):
+        evidence = _evidence(end.projection)
+        weakest = int(np.argmin(evidence))
+        unknowns = problem.unknowns(1) - problem.unknowns(0)
+        if chi2.sf(evidence[weakest], unknowns) * problem.samples < _BY_CHANCE:
+            break
+        before = end.iterations
+        end = again(np.delete(end.projection.d, weakest))
+        end = replace(end, iterations=before + end.iterations)
+    return end
+
+
+def _evidence(at: Projection) -> Array:
+    """How much the loss would grow without each mode, in units of the noise variance (Wald)."""
+    n = len(at.d)
+    J, known = at.jacobian()
+    degrees = max(1, at.problem.samples - int(known.sum()))
+    variance = at.loss / degrees
+    if variance == 0:
+        return np.full(n, np.inf)
+    values = np.concatenate([np.zeros(n), at.kappa, *at.own])
+    lengths = np.linalg.norm(J, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    R = np.linalg.qr(J[:, known] / lengths[known], mode="r")
+    place = np.full(len(known), -1)
+    place[known] = np.arange(int(known.sum()))
+    inverse = np.linalg.pinv(R)
+    found = np.zeros(n)
+    for l in range(n):
+        own, start = [n + l], 2 * n
+        for part in at.own:
+            own += [start + l, start + n + l] if len(part) >= 2 * n else []
+            start += len(part)
+        live = [k for k in own if known[k]]
+        if not live:
+            continue
+        rows = inverse[place[live]]
+        scaled = values[live] * lengths[live]
+        # the covariance of these unknowns is rows @ rows.T; its inverse weighs them
+        found[l] = scaled @ np.linalg.lstsq(rows @ rows.T, scaled, rcond=None)[0] / variance
+    return found

@@ -1,0 +1,84 @@
+"""Triangular factors of tall matrices that come in blocks, so that memory does not grow with the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack, solve_triangular
+
+from .._checks import EPS
+
+Array = NDArray[np.float64]
+
+Blocks = Callable[[], Iterable[Array]]
+
+_SMALL = 1 << 15  # numbers up to which Householder reflections cost next to nothing
+_PASSES = 3
+_WELL_CONDITIONED = 0.01  # smallest diagonal of a factor of unit columns: its Gram matrix then loses four digits
+
+
+def triangle(blocks: Blocks, rows: int) -> Array:
+    """Upper triangular factor, shape (p, p), of a matrix (rows, p) whose blocks are made as arrays (p, m).
+
+    From the Gram matrix, 2 rows p^2 operations at the speed of matrix products; where that would lose digits, once more
+    with the columns orthogonalised by the factor found so far, and with reflections where even that does not help.
+    """
+    made = iter(blocks())
+    first = next(made)
+    if first.size <= _SMALL and first.shape[1] == rows:
+        return reflect([first])
+    guess: Array | None = None
+    for turn in range(_PASSES):
+        guess, trusted = _by_gram(blocks() if turn else chain([first], made), guess)
+        if trusted:
+            return guess
+    return reflect(blocks())
+
+
+def _by_gram(blocks: Iterable[Array], guess: Array | None) -> tuple[Array, bool]:
+    """Factor from the Gram matrix of the columns times the inverse of a guess; and whether to trust it."""
+    inverse = None if guess is None else solve_triangular(guess, np.eye(len(guess)), lower=False)
+    gram: Array | float = 0.0
+    for block in blocks:
+        turned = block if inverse is None else inverse.T @ block
+        gram = gram + turned @ turned.T
+    gram = np.asarray(gram)
+    lengths = np.sqrt(np.diag(gram))
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    size = len(gram)
+    scaled = gram / np.outer(lengths, lengths)
+    factor, failed = lapack.dpotrf(scaled, lower=0)
+    if failed:
+        scaled[np.diag_indices(size)] += 10 * size * EPS
+        factor, failed = lapack.dpotrf(scaled, lower=0)
+        if failed:
+            factor = np.linalg.qr(scaled, mode="r")
+            diagonal = np.diag(factor)
+            factor = factor + np.diag(np.where(np.abs(diagonal) < EPS, EPS, 0.0))
+        failed = True
+    smallest = float(np.abs(np.diag(factor)).min(initial=1.0))
+    found = np.triu(factor) * lengths
+    return (found if guess is None else found @ guess), not failed and smallest >= _WELL_CONDITIONED
+
+
+def reflect(blocks: Iterable[Array]) -> Array:
+    """The factor by Householder reflections, block by block; the blocks may be overwritten."""
+    factor: Array | None = None
+    for block in blocks:
+        joined = block if factor is None else np.concatenate([factor.T, block], axis=1)
+        factor = reduced(joined.T)
+    if factor is None:
+        raise ValueError("no rows")
+    return factor
+
+
+def reduced(rows: Array) -> Array:
+    """Upper triangular factor (p, p) of rows (m, p), fast if they are stored by columns; they may be overwritten."""
+    size = rows.shape[1]
+    factored = lapack.dgeqrf(rows, lwork=64 * max(1, size), overwrite_a=True)[0] if rows.size else rows
+    upper = np.zeros((size, size))
+    upper[: min(len(rows), size)] = np.triu(factored[:size])
+    return upper
