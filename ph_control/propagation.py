@@ -122,10 +122,12 @@ def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[Co
     half, low = 0.5 * safe, 0.5 * rest
     phi_1 = np.where(z == 0, 1.0, np.exp(half) * np.exp(low) * (np.sinh(half) + low * np.cosh(half)) / half)
     phi_2 = (phi_1 - 1.0) / safe
-    series = np.ones_like(z)
-    for k in range(17, 2, -1):
-        series = 1.0 + z / k * series
-    return phi_1, np.where(small, 0.5 * series, phi_2)
+    if small.any():
+        series, near = np.ones(int(small.sum()), complex), z[small]
+        for k in range(17, 2, -1):
+            series = 1.0 + near * (series / k)
+        phi_2[small] = 0.5 * series
+    return phi_1, np.asarray(phi_2)
 
 
 def simulate(

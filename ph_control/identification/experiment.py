@@ -135,15 +135,28 @@ class Experiment:
         return np.concatenate([weights @ block for block in everywhere.at(d).blocks()])
 
 
+@dataclass(frozen=True)
+class _Piece:
+    """Some consecutive samples of a record: its columns, and what their derivatives are made of."""
+
+    columns: Array
+    groups: Array
+    state: ComplexArray
+    slope: ComplexArray
+    free: ComplexArray
+    turning: ComplexArray
+    kept: slice | NDArray[np.bool_]
+
+
 class TimeEvaluation:
-    """The rows of a record: O(T n) time, memory for one block."""
+    """The rows of a record: O(T n) time, memory for one block; a record of one block is worked out once."""
 
     def __init__(self, experiment: Experiment, d: Array) -> None:
         self._experiment, self._kernel = experiment, Kernel(d, experiment.hold, experiment.quantity)
         width = 4 * len(d) + 2
         groups = -(-len(experiment.u) // SHORT)
         self._groups = min(groups, max(_FEWEST, _BLOCK // (width * SHORT)))
-        self._size = self._groups * SHORT
+        self._only: _Piece | None = None
 
     @cached_property
     def _turns(self) -> ComplexArray:
@@ -151,46 +164,62 @@ class TimeEvaluation:
 
     def blocks(self) -> Iterator[Array]:
         """All rows, block by block."""
-        return self._made(None)
+        for piece in self._pieces(slopes=False):
+            yield piece.columns[:, piece.kept]
 
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives of the output by the frequencies, at these residues and own unknowns."""
         n = self._kernel.n
         moving = own[:n] + 1j * own[n : 2 * n] if len(own) >= 2 * n else np.zeros(n, complex)
-        return self._made((kappa if self._experiment.driven else np.zeros(n), moving))
+        for piece in self._pieces(slopes=True):
+            by_d = self._by_frequency(piece, kappa, moving[:, None])
+            columns = piece.columns
+            yield np.concatenate([columns[:-1], by_d[:, : columns.shape[1]], columns[-1:]])[:, piece.kept]
 
-    def _made(self, at: tuple[Array, ComplexArray] | None) -> Iterator[Array]:
+    def _pieces(self, slopes: bool) -> Iterator[_Piece]:
+        one, kernel = self._experiment, self._kernel
+        if self._only is not None:
+            yield self._only
+            return
+        size = self._groups * SHORT
+        carry, alone = kernel.start(one.u), size >= len(one.u)
+        for first in range(0, len(one.u), size):
+            part = slice(first, min(first + size, len(one.u)))
+            groups = in_groups(one.u[part])
+            turns = self._turns[:, : len(groups) + 1]
+            state, slope, carry = kernel.states(groups, turns, carry, slopes or alone)
+            free, turning = kernel.free_starts(first, turns)
+            columns = self._columns(groups, state, free, one.y[part])
+            kept = slice(None) if one.complete else one.observed[part]
+            piece = _Piece(columns, groups, state, slope, free, turning, kept)
+            if alone:
+                self._only = piece
+            yield piece
+
+    def _columns(self, groups: Array, state: ComplexArray, free: ComplexArray, y: Array) -> Array:
+        """Columns of a piece, those of the samples that pad the last group left out."""
         one, kernel = self._experiment, self._kernel
         n, own = kernel.n, one.own_unknowns(kernel.n)
-        shared = n if one.driven else 0
-        sensitive = n if at is not None else 0
-        carry = kernel.start(one.u)
-        for first in range(0, len(one.u), self._size):
-            part = slice(first, min(first + self._size, len(one.u)))
-            groups = in_groups(one.u[part])
-            count = len(groups)
-            turns = self._turns[:, : count + 1]
-            block = np.empty((own + shared + sensitive + 1, count * SHORT))
-            columns = block.reshape(len(block), count, SHORT)
-            if one.driven:
-                state, slope, carry = kernel.states(groups, turns, carry, at is not None)
-                kernel.forced(groups, state, columns[own : own + n])
-            free, turning = kernel.free_starts(first, turns)
-            if not one.from_rest:
-                kernel.free(free, columns[:n])
-                kernel.free(1j * free, columns[n : 2 * n])
-            if one.offset:
-                block[own - 1] = 1.0
-            if at is not None:
-                kappa, moving = at
-                now = moving[:, None] * free
-                later = moving[:, None] * turning
-                if one.driven:
-                    output, output_slope = (weight[:, None] for weight in kernel.output)
-                    now += (kappa[:, None] * output) * state
-                    later += kappa[:, None] * (output_slope * state + output * slope)
-                place = columns[own + shared : own + shared + n]
-                kernel.moved(kappa, groups if one.driven else None, later, now, place)
-            samples = part.stop - part.start
-            block[-1, :samples] = one.y[part]
-            yield block[:, :samples] if one.complete else block[:, :samples][:, one.observed[part]]
+        block = np.empty((own + n * one.driven + 1, len(groups) * SHORT))
+        columns = block.reshape(len(block), len(groups), SHORT)
+        if one.driven:
+            kernel.forced(groups, state, columns[own : own + n])
+        if not one.from_rest:
+            kernel.free(free, columns[:n])
+            kernel.free(1j * free, columns[n : 2 * n])
+        if one.offset:
+            block[own - 1] = 1.0
+        block = block[:, : len(y)]
+        block[-1] = y
+        return block
+
+    def _by_frequency(self, piece: _Piece, kappa: Array, moving: ComplexArray) -> Array:
+        """Derivatives of the output by the frequencies over the groups of a piece."""
+        kernel = self._kernel
+        now, later = moving * piece.free, moving * piece.turning
+        if self._experiment.driven:
+            output, output_slope = (weight[:, None] for weight in kernel.output)
+            now += (kappa[:, None] * output) * piece.state
+            later += kappa[:, None] * (output_slope * piece.state + output * piece.slope)
+        groups = piece.groups if self._experiment.driven else None
+        return kernel.moved(kappa, groups, later, now).reshape(kernel.n, len(piece.groups) * SHORT)

@@ -90,7 +90,7 @@ class TimeSearch:
         return (self._in_bins if self._windowed else self._in_time)(d, rtol, report)
 
     def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:
-        end = refine(self.problem, d, rtol=rtol, progress=report)
+        end = refine(self.problem, d, rtol=rtol, last=False, progress=report)
         at = end.projection
         left = [
             np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0))
@@ -105,7 +105,7 @@ class TimeSearch:
             left = [one.Y for one in self._spectra]
             iterations, converged, interrupted, held, weights = 0, True, False, np.zeros(0, bool), d
         else:
-            end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, progress=report)
+            end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
             at, iterations, converged, interrupted = end.projection, end.iterations, end.converged, end.interrupted
             d, held, weights = at.d, ~at.free, mode_energies(at)
             left = [one.left(d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
@@ -126,9 +126,7 @@ def more_than_noise(problem: Problem, step: Step) -> bool:
 def mode_energies(at: Projection) -> Array:
     """Output energy of each mode, roughly: of its forced and its free motion."""
     n = len(at.d)
-    jacobian, _ = at.jacobian()
-    lengths = np.linalg.norm(jacobian, axis=0)[n:]
-    parts = np.concatenate([at.kappa, *at.own]) * lengths
+    parts = np.concatenate([at.kappa, *at.own]) * at.column_lengths()
     energy = parts[:n] ** 2
     place = n
     for own in at.own:

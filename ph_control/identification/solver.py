@@ -238,6 +238,16 @@ class Projection:
             known.append(np.concatenate([moving, moving, np.ones(s - 2 * n, bool)]) if s >= 2 * n else np.ones(s, bool))
         return np.concatenate(rows), np.concatenate(known)
 
+    def column_lengths(self) -> Array:
+        """Norms of the columns of the residues, and of what belongs to each experiment."""
+        n = len(self.d)
+        shared, own = np.zeros(n), []
+        for k, (factor, rows) in enumerate(zip(self._factors, self.problem.experiments, strict=True)):
+            squares = np.sum(factor[:, :-1] ** 2, axis=0)
+            own.append(np.sqrt(squares[: self._own(k)]))
+            shared += squares[self._own(k) :] if rows.driven else 0.0
+        return np.concatenate([np.sqrt(shared), *own])
+
     def asks_for_negative_residues_only(self) -> bool:
         """Whether all residues would be negative, were they free to be."""
         signed = Projection(replace(self.problem, signed=True), self.d)
@@ -312,11 +322,18 @@ class Refinement:
 
 
 def refine(
-    problem: Problem, d: Array, *, rtol: float, max_iterations: int = 60, progress: Progress | None = None
+    problem: Problem,
+    d: Array,
+    *,
+    rtol: float,
+    max_iterations: int = 60,
+    last: bool = True,
+    progress: Progress | None = None,
 ) -> Refinement:
     """Minimise the loss over the frequencies from a start within the basin of the minimum.
 
-    Stops when a full step would reduce the loss by less than `rtol` of itself, or when steps drown in rounding.
+    Stops when a full step would reduce the loss by less than `rtol` of itself, or when steps drown in rounding; that
+    step is still taken if it is to be the `last`.
     No step is longer than one Fourier bin in any frequency, so that it stays in its basin.
     """
     current = problem.project(d)
@@ -325,7 +342,7 @@ def refine(
     state = _Descent(current)
     try:
         while not state.converged and state.iterations < max_iterations:
-            _descend(problem, state, rtol)
+            _descend(problem, state, rtol, last)
             if progress is not None:
                 progress(state.iterations, state.current.loss)
     except (KeyboardInterrupt, StopIteration):
@@ -344,7 +361,7 @@ class _Descent:
     converged: bool = False
 
 
-def _descend(problem: Problem, state: _Descent, rtol: float) -> None:
+def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None:
     """One iteration of Levenberg and Marquardt, damped as Nielsen does."""
     current = state.current
     state.iterations += 1
@@ -357,7 +374,8 @@ def _descend(problem: Problem, state: _Descent, rtol: float) -> None:
     promised = float(-(current.gradient @ step) - 0.5 * step @ current.gram @ step)
     if promised <= 0.5 * rtol * current.loss or np.all(np.abs(step) <= 2 * EPS * current.d):
         state.converged = True
-        # the last step costs one evaluation and may still help
+        if not last:
+            return
     trial = problem.project(np.clip(current.d + step, 1e-3 * problem.bin, problem.ceiling))
     ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
     if trial.loss < current.loss:

@@ -23,7 +23,7 @@ _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, 
 _BATCH = 1 << 13  # candidates worked on at a time
 _EVERYWHERE = 1 << 15  # samples up to which every bin has candidates; above, those where the residual peaks
 _PEAKS = 400  # bins that have candidates then
-_COMPARED = 40  # candidates compared over all bins of all of them
+_COMPARED = 16  # candidates compared over all bins of all of them
 _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 

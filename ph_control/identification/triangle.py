@@ -65,7 +65,7 @@ def _by_gram(blocks: Iterable[Array], guess: Array | None) -> tuple[Array, bool]
 
 
 def reflect(blocks: Iterable[Array]) -> Array:
-    """The factor by Householder reflections, block by block; the blocks may be overwritten."""
+    """The factor by Householder reflections, block by block."""
     factor: Array | None = None
     for block in blocks:
         joined = block if factor is None else np.concatenate([factor.T, block], axis=1)
@@ -76,9 +76,9 @@ def reflect(blocks: Iterable[Array]) -> Array:
 
 
 def reduced(rows: Array) -> Array:
-    """Upper triangular factor (p, p) of rows (m, p), fast if they are stored by columns; they may be overwritten."""
+    """Upper triangular factor (p, p) of rows (m, p), fast if they are stored by columns."""
     size = rows.shape[1]
-    factored = lapack.dgeqrf(rows, lwork=64 * max(1, size), overwrite_a=True)[0] if rows.size else rows
+    factored = lapack.dgeqrf(rows, lwork=64 * max(1, size))[0] if rows.size else rows
     upper = np.zeros((size, size))
     upper[: min(len(rows), size)] = np.triu(factored[:size])
     return upper
