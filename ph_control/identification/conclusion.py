@@ -126,8 +126,7 @@ def _experiments(
     n = len(at.d)
     found: list[FittedExperiment] = []
     every: tuple[Record | FrequencyRecord, ...] = records
-    for record, rows, own in zip(every, at.problem.experiments, at.own, strict=True):
-        predicted = rows.predict(at.d, at.kappa, own)
+    for record, own, predicted in zip(every, at.own, at.predicted(), strict=True):
         if isinstance(record, FrequencyRecord):
             found.append(FittedExperiment(record, np.zeros(0), np.zeros(0, complex), 0.0, predicted))
             continue

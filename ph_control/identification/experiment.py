@@ -9,7 +9,7 @@ experiment, the derivatives by the frequencies where they are asked for, and the
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -48,9 +48,6 @@ class Rows(Protocol):
     def largest(self) -> float:
         """Largest output."""
 
-    def predict(self, d: Array, kappa: Array, own: Array) -> NDArray[Any]:
-        """Output of a model at all instants or frequencies, observed or not."""
-
     def own_unknowns(self, n: int) -> int:
         """Number of unknowns besides the frequencies and residues of n modes."""
 
@@ -66,6 +63,9 @@ class Evaluation(Protocol):
 
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives of the output by the frequencies, at these residues and own unknowns."""
+
+    def predict(self, kappa: Array, own: Array) -> NDArray[Any]:
+        """Output of a model at all instants or frequencies, observed or not."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +128,6 @@ class Experiment:
         """The rows at frequencies `d`."""
         return TimeEvaluation(self, d)
 
-    def predict(self, d: Array, kappa: Array, own: Array) -> Array:
-        """Output at all samples, observed or not, shape (T,)."""
-        everywhere = replace(self, y=np.zeros(len(self.u)), observed=np.ones(len(self.u), bool))
-        weights = np.concatenate([own, kappa if self.driven else [], [0.0]])
-        return np.concatenate([weights @ block for block in everywhere.at(d).blocks()])
-
 
 @dataclass(frozen=True)
 class _Piece:
@@ -175,6 +169,11 @@ class TimeEvaluation:
             by_d = self._by_frequency(piece, kappa, moving[:, None])
             columns = piece.columns
             yield np.concatenate([columns[:-1], by_d[:, : columns.shape[1]], columns[-1:]])[:, piece.kept]
+
+    def predict(self, kappa: Array, own: Array) -> Array:
+        """Output at all samples, observed or not, shape (T,)."""
+        weights = np.concatenate([own, kappa]) if self._experiment.driven else own
+        return np.concatenate([weights @ piece.columns[:-1] for piece in self._pieces(slopes=False)])
 
     def _pieces(self, slopes: bool) -> Iterator[_Piece]:
         one, kernel = self._experiment, self._kernel

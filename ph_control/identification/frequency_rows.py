@@ -68,17 +68,12 @@ class FrequencyRows:
         response = self.record.response[self.record.observed]
         return float(np.max(np.abs(response) * self.scale, initial=0.0))
 
-    def predict(self, d: Array, kappa: Array, own: Array) -> ComplexArray:
-        """Response of a model at all frequencies of the record, measured or not, shape (K,)."""
-        columns, _ = modal_columns(d, self.record.omega, self.quantity)
-        return np.asarray(kappa @ columns)
-
 
 class FrequencyEvaluation:
     """The rows of a response at some frequencies; O(K n)."""
 
     def __init__(self, rows: FrequencyRows, d: Array) -> None:
-        self._rows = rows
+        self._rows, self._d = rows, d
         self._columns, self._slopes = modal_columns(d, rows.omega, rows.quantity)
 
     def blocks(self) -> Iterator[Array]:
@@ -88,6 +83,11 @@ class FrequencyEvaluation:
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives by the frequencies."""
         yield self._joined(kappa[:, None] * self._slopes)
+
+    def predict(self, kappa: Array, own: Array) -> ComplexArray:
+        """Response of a model at all frequencies of the record, measured or not, shape (K,)."""
+        columns, _ = modal_columns(self._d, self._rows.record.omega, self._rows.quantity)
+        return np.asarray(kappa @ columns)
 
     def _joined(self, more: ComplexArray | Array) -> Array:
         record = self._rows.record

@@ -106,9 +106,8 @@ def estimated_state(
     """State at the first sample, and offset, that fit the outputs best, by least squares."""
     modes = system.modes
     live = np.flatnonzero(modes.r > 0)
-    forced = Experiment(record.u, record.y, record.observed, hold, True, False, quantity).predict(
-        modes.d[live], modes.kappa[live], np.zeros(0)
-    )
+    plant = Experiment(record.u, record.y, record.observed, hold, True, False, quantity)
+    forced = plant.at(modes.d[live]).predict(modes.kappa[live], np.zeros(0))
     free = Experiment(
         np.zeros(record.samples), record.y - forced, record.observed, hold, False, offset, quantity, False
     )
@@ -128,7 +127,7 @@ def response_on(
         amplitudes = amplitudes_from_state(modes, state, quantity)
         experiment = Experiment(record.u, np.zeros(record.samples), record.observed, hold, False, True, quantity)
         own = np.concatenate([amplitudes.real, amplitudes.imag, [offset]])
-        output = experiment.predict(modes.d, modes.kappa, own)
+        output = experiment.at(modes.d).predict(modes.kappa, own)
     else:
         output = np.reshape(found.outputs, -1) + offset
     found.y = np.reshape(output, found.y.shape)

@@ -68,19 +68,35 @@ class Hold:
         """Derivatives by `d` of the weights of `u_k` and `u_{k+1}`."""
         h = self.h
         z = imaginary(-h * d)
-        zero = np.zeros(len(d), complex)
+        zero = np.zeros_like(z)
         if self.method == "euler":
             return zero, zero
         if self.method == "midpoint":
             slope = -0.5j * h * h / (1.0 - 0.5 * z) ** 2
             return (slope, zero) if self.intersample == "zoh" else (0.5 * slope, 0.5 * slope)
-        # phi_1' = phi_1 - phi_2 and phi_2' = phi_2 - 2 phi_3, and z' = -i h
-        phi_1, phi_2 = phi_functions(z)
+        return self._exact_derivatives(z, *phi_functions(z))
+
+    def _exact_derivatives(
+        self, z: ComplexArray, phi_1: ComplexArray, phi_2: ComplexArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """`phi_1' = phi_1 - phi_2` and `phi_2' = phi_2 - 2 phi_3`, and `z' = -i h`."""
+        h = self.h
         first = -1j * h * h * (phi_1 - phi_2)
         if self.intersample == "zoh":
-            return first, zero
+            return first, np.zeros_like(z)
         second = -1j * h * h * (phi_2 - 2.0 * _phi_3(z, phi_2))
         return first - second, second
+
+    def step_and_derivatives(self, d: Array) -> tuple[Step, ComplexArray, ComplexArray]:
+        """One step of the modes, and the derivatives of its weights: `step` and `weight_derivatives` in one go."""
+        if self.method != "exact":
+            return self.step(d), *self.weight_derivatives(d)
+        z = imaginary(-self.h * d)
+        growth, phase = step_factors(d, self.h, "exact")
+        phi_1, phi_2 = phi_functions(z, imaginary(phase[1]))
+        later = (self.h * phi_2 if self.intersample == "foh" else np.zeros_like(z))[:, None]
+        now = (self.h * phi_1)[:, None] - later
+        return Step(growth, phase, now, later, np.ones((1, len(d)), complex)), *self._exact_derivatives(z, phi_1, phi_2)
 
 
 def _phi_3(z: ComplexArray, phi_2: ComplexArray) -> ComplexArray:
@@ -118,11 +134,10 @@ class Kernel:
 
     def __init__(self, d: Array, hold: Hold, quantity: str = "velocity") -> None:
         self.n = len(d)
-        self._step = hold.step(d)
+        self._step, db0, self._db1 = hold.step_and_derivatives(d)
         self._turn = hold.log_derivative(d)
         self._powers = self._step.powers(np.arange(SHORT + 1.0))
         lam, b0, b1 = self._powers[:, 1], self._step.b0[:, 0], self._step.b1[:, 0]
-        db0, self._db1 = hold.weight_derivatives(d)
         self._b1 = b1
         weight = self.weight = b0 + lam * b1
         weight_slope = db0 + lam * (self._turn * b1 + self._db1)

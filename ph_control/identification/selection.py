@@ -73,7 +73,7 @@ def _split(one: Rows) -> tuple[Rows, Callable[[Array, Array, Array], Array]]:
     kept = one.observed[cut:]
 
     def errors(d: Array, kappa: Array, own: Array) -> Array:
-        return (one.y - one.predict(d, kappa, own))[cut:][kept]
+        return (one.y - one.at(d).predict(kappa, own))[cut:][kept]
 
     return first, errors
 
@@ -87,7 +87,7 @@ def _thinned(one: FrequencyRows) -> tuple[Rows, Callable[[Array, Array, Array], 
     first = replace(one, record=replace(record, response=response))
 
     def errors(d: Array, kappa: Array, own: Array) -> Array:
-        left = ((record.response - one.predict(d, kappa, own)) * np.sqrt(record.weights))[out]
+        left = ((record.response - one.at(d).predict(kappa, own)) * np.sqrt(record.weights))[out]
         return np.concatenate([left.real, left.imag])
 
     return first, errors

@@ -12,10 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack, solve_triangular
 from scipy.optimize import nnls
 
 from .._checks import EPS
@@ -25,6 +26,8 @@ from .triangle import reduced, triangle
 Array = NDArray[np.float64]
 
 Progress = Callable[[int, float], None]  # iteration, loss
+
+_WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, above which its rank is looked at
 
 
 @dataclass(frozen=True)
@@ -253,10 +256,10 @@ class Projection:
         signed = Projection(replace(self.problem, signed=True), self.d)
         return bool(self.problem.driven and np.all(signed.kappa < 0))
 
-    def predicted(self) -> list[Array]:
+    def predicted(self) -> list[NDArray[Any]]:
         """Output of the model at all instants of each experiment."""
         return [
-            rows.predict(self.d, self.kappa, own) for rows, own in zip(self.problem.experiments, self.own, strict=True)
+            evaluation.predict(self.kappa, own) for evaluation, own in zip(self._evaluations, self.own, strict=True)
         ]
 
 
@@ -274,8 +277,11 @@ def eliminate(factor: Array, own: int, samples: int) -> _Eliminated:
     if own == 0:
         return _Eliminated(np.zeros((0, 0)), factor[:0], factor, 0)
     corner = factor[:own, :own]
-    lengths = np.linalg.norm(corner, axis=0)
+    lengths = np.sqrt(np.einsum("ij,ij->j", corner, corner))
     lengths = np.where(lengths > 0, lengths, 1.0)
+    direct, singular = lapack.dtrtri(corner / lengths)
+    if not singular and np.abs(direct).max() < _WELL_CONDITIONED:
+        return _Eliminated(direct / lengths[:, None], factor[:own, own:], factor[own:, own:], 0)
     U, sigma, Vt = np.linalg.svd(corner / lengths)
     kept = sigma > _tolerance(samples, own) * sigma.max(initial=0.0)
     above = U.T @ factor[:own, own:]

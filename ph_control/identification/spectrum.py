@@ -158,10 +158,6 @@ class Window:
         """Largest transform."""
         return float(np.max(np.abs(self.spectrum.Y[self.bins]), initial=0.0))
 
-    def predict(self, d: Array, kappa: Array, own: Array) -> ComplexArray:
-        """Transform of a model at all bins."""
-        return self.spectrum.Y - self.spectrum.left(d, kappa, own)
-
     def own_unknowns(self, n: int) -> int:
         """The ends `tau` of every mode."""
         return 2 * n
@@ -191,6 +187,11 @@ class WindowEvaluation:
         slope, (plus, minus) = self._columns[1]
         tau = (own[:n] + 1j * own[n : 2 * n])[:, None]
         yield self._joined([kappa[:, None] * slope + tau * plus + tau.conj() * minus])
+
+    def predict(self, kappa: Array, own: Array) -> ComplexArray:
+        """Transform of a model at all bins."""
+        spectrum = self._window.spectrum
+        return spectrum.Y - spectrum.left(self._d, kappa, own)
 
     def _joined(self, more: list[ComplexArray]) -> Array:
         forced, (plus, minus) = self._columns[0]
