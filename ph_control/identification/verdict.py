@@ -41,9 +41,11 @@ class Verdict:
         """Verdict in a line."""
         if self.n == 0:
             return "nothing to model"
-        if self.silent and self.driven:
+        if self.silent and self.driven and not self.blind:
             return "NOT a model: it does not respond to the input"
-        poor = self.fit_percent < _GOOD_FIT or self.at_limit or 2 * len(self.active) >= self.n
+        # weights that leave no trace may come out as 0 and say nothing
+        held = not self.blind and 2 * len(self.active) >= self.n
+        poor = self.fit_percent < _GOOD_FIT or self.at_limit or held
         if (self.active or self._coloured) and poor:
             return "NOT described by a collocated lossless model"
         if self.active or self._coloured or self.blind or not self.converged:
@@ -58,7 +60,7 @@ class Verdict:
                 "Without an input the weights r leave no trace: they are 1 by convention, and only frequencies and "
                 "initial states are learned."
             )
-        if self.silent and self.driven and self.n:
+        if self.silent and self.driven and self.n and not self.blind:
             parts.append(
                 "All weights are zero: the model does not respond to the input, and what fits is free motion only."
                 + (" The residues asked for are all negative: check the polarity of the sensor." * self.reversed_sign)
@@ -80,7 +82,7 @@ class Verdict:
                 "better yet, as they do where one damped mode is mimicked by many lossless ones; raise max_order or "
                 "doubt the model."
             )
-        if self.drifting:
+        if self.drifting and not self.blind:
             listed = ", ".join(str(l + 1) for l in self.drifting)
             parts.append(
                 f"Mode{'s' * (len(self.drifting) > 1)} {listed} would complete less than a period in the record: an "
