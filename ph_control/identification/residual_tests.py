@@ -1,79 +1,31 @@
 """Statistics of residuals: correlations with their bands, and tests that are right for short records too.
 
 Residuals of a fit are what the noise leaves beside the directions that were fitted, `e = (I - Q Q^T) noise`.  The
-moments below are those of `e` for white noise and orthonormal `Q`, over the samples that were observed.
+moments below are those of `e` for white noise and orthonormal `Q`, over the samples that were observed.  Records stand
+one after the other; a correlation never reaches from one into the next.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import chi2, f, norm
 
 from .._checks import EPS
+from .residual_data import RANK, ResidualData, factor_of, orthonormal_of_unit
+from .triangle import reduced
 
 Array = NDArray[np.float64]
 
-_RANK = 1e-8  # relative size of directions that a regression counts
 _NOISE_ORDERS = 20  # most that are tried for the noise
 _ROWS_PER_ORDER = 10
 _FEWEST = 5  # degrees of freedom below which a test says nothing
-
-
-@dataclass(frozen=True)
-class ResidualData:
-    """Residuals (T,), NaN where missing, the input, and the directions that were fitted (T, k)."""
-
-    residuals: Array
-    u: Array
-    directions: Array
-    lags: int
-
-    @cached_property
-    def seen(self) -> NDArray[np.bool_]:
-        """Where there is a residual."""
-        return ~np.isnan(self.residuals)
-
-    @cached_property
-    def e(self) -> Array:
-        """Residuals, 0 where missing."""
-        return np.where(self.seen, self.residuals, 0.0)
-
-    @cached_property
-    def count(self) -> int:
-        """Number of residuals N."""
-        return int(self.seen.sum())
-
-    @cached_property
-    def power(self) -> float:
-        """Sum of their squares."""
-        return float(self.e @ self.e)
-
-    @cached_property
-    def centred(self) -> Array:
-        """Residuals less their mean, 0 where missing."""
-        return np.where(self.seen, self.e - self.e.sum() / max(1, self.count), 0.0)
-
-    @cached_property
-    def v(self) -> Array:
-        """Input less its mean; 0 where it only rounds about that."""
-        v = self.u - self.u.mean()
-        return np.where(np.max(np.abs(v)) <= len(v) * EPS * np.max(np.abs(self.u)), 0.0, v)
-
-    @cached_property
-    def fitted(self) -> Array:
-        """Orthonormal basis of the directions over the observed samples, shape (T, p), 0 where missing."""
-        return _orthonormal(self.directions * self.seen[:, None])
-
-    @cached_property
-    def shifted_inputs(self) -> Array:
-        """Column tau + L holds the input tau samples before each residual, shape (T, 2L + 1); 0 where unknown."""
-        L, T = self.lags, len(self.v)
-        padded = np.concatenate([np.zeros(L), self.v, np.zeros(L)])
-        return np.lib.stride_tricks.sliding_window_view(padded, T)[::-1].T
+_PIECE = 2048  # samples of a few columns that fit in the cache
+_TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
 
 
 @dataclass(frozen=True)
@@ -96,6 +48,9 @@ class Correlation:
         return int(np.isfinite(self.values).sum())
 
 
+# --- whiteness -------------------------------------------------------------------------------------------------------
+
+
 def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation, float, float]:
     """Autocorrelation at lags 1 to L less its mean for white noise; the Ljung-Box statistic and its p-value.
 
@@ -103,11 +58,17 @@ def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation,
     correlation `(T - k)/(T (T + 2))`.
     """
     lags = np.arange(1, data.lags + 1)
-    pairs = np.array([np.sum(data.seen[k:] & data.seen[:-k]) for k in lags])
+    pairs = np.zeros(len(lags), int)
+    products = np.zeros(len(lags))
+    for part in data.parts:
+        seen, e = data.seen[part], data.e[part]
+        for row, k in enumerate(lags[: max(0, len(e) - 1)]):
+            pairs[row] += np.count_nonzero(seen[k:] & seen[:-k])
+            products[row] += e[k:] @ e[:-k]
     if data.power == 0:
         return Correlation(lags, np.zeros(len(lags)), np.full(len(lags), np.inf), pairs), 0.0, 1.0
-    found = np.array([data.e[k:] @ data.e[:-k] for k in lags]) / data.power
-    mean, variance = np.array([_moments(data, int(k), int(n)) for k, n in zip(lags, pairs, strict=True)]).T
+    found = products / data.power
+    mean, variance = _moments(data, lags, pairs)
     usable = (pairs > 0) & (variance > 0)
     variance = np.where(usable, variance, np.nan)
     statistic = float(np.nansum((found - mean) ** 2 / variance))
@@ -118,22 +79,70 @@ def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation,
     return Correlation(lags, values, band, pairs), statistic, p_value
 
 
-def _moments(data: ResidualData, lag: int, pairs: int) -> tuple[float, float]:
-    """Mean and variance of `e^T S e / e^T e` for white noise: moments of a ratio of quadratic forms."""
-    Q = data.fitted
-    free = data.count - Q.shape[1]
+def _moments(data: ResidualData, lags: NDArray[np.intp], pairs: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Mean and variance of `e^T S e / e^T e` for white noise: moments of a ratio of quadratic forms.
+
+    `S` is half the sum of the shifts to either side, between observed samples.
+    """
+    free = data.count - data.fitted.size
     if free < 1:
-        return 0.0, 0.0
-    # S: half the sum of the shifts to either side, between observed samples
-    SQ = np.zeros_like(Q)
-    SQ[lag:] += 0.5 * Q[:-lag]
-    SQ[:-lag] += 0.5 * Q[lag:]
-    SQ *= data.seen[:, None]
-    within = Q.T @ SQ
-    trace = -float(np.trace(within))
-    square = 0.5 * pairs - 2.0 * float(np.sum(SQ**2)) + float(np.sum(within**2))
-    mean = trace / free
+        return np.zeros(len(lags)), np.zeros(len(lags))
+    trace, within, image = np.zeros((3, len(lags)))
+    shared = data.fitted.shared.shape[1]
+    common = np.zeros((len(lags), shared, shared))
+    for part, local in zip(data.parts, data.fitted.local, strict=True):
+        Q = np.concatenate([local, data.fitted.shared[part]], axis=1)
+        if Q.shape[1]:
+            own = local.shape[1]
+            trace += _traces(Q, lags)
+            image += _images(Q, data.seen[part], lags)
+            C = _products_of_shifts(Q, lags)
+            S = 0.5 * (C + C.transpose(0, 2, 1))
+            # what several records share is squared when all have been added
+            within += np.sum(S[:, :own] ** 2, axis=(1, 2)) + np.sum(S[:, own:, :own] ** 2, axis=(1, 2))
+            common += S[:, own:, own:]
+    within += np.sum(common**2, axis=(1, 2))
+    square = 0.5 * pairs - 2.0 * image + within
+    mean = -trace / free
     return mean, (trace**2 + 2.0 * square) / (free * (free + 2)) - mean**2
+
+
+def _products_of_shifts(Q: Array, lags: NDArray[np.intp]) -> Array:
+    """Products of the columns with those so many samples later, shape (lags, p, p); by pieces that fit in the cache."""
+    found = np.zeros((len(lags), Q.shape[1], Q.shape[1]))
+    for first in range(0, len(Q), _PIECE):
+        piece = Q[first : first + _PIECE]
+        for row, k in enumerate(lags):
+            later = Q[first + k : first + k + len(piece)]
+            found[row] += piece[: len(later)].T @ later
+    return found
+
+
+def _traces(Q: Array, lags: NDArray[np.intp]) -> Array:
+    """`trace(Q^T S Q)`: the sum of the autocorrelations of the columns."""
+    found = np.zeros(len(lags))
+    size = next_fast_len(len(Q) + int(lags.max()), real=True)
+    power = sum(np.abs(rfft(column, size)) ** 2 for column in Q.T)
+    found[:] = irfft(power, size)[lags]
+    return np.where(lags < len(Q), found, 0.0)
+
+
+def _images(Q: Array, seen: NDArray[np.bool_], lags: NDArray[np.intp]) -> Array:
+    """Squared size of `S Q`: each row is half the sum of the two rows so many samples before and after it."""
+    T = len(Q)
+    lengths = np.einsum("ij,ij->i", Q, Q)
+    across = _traces(Q, 2 * lags)
+    missing = np.flatnonzero(~seen)
+    found = np.zeros(len(lags))
+    for row, k in enumerate(lags[: T - 1]):
+        around = missing[(missing >= k) & (missing < T - k)]
+        lost = np.einsum("ij,ij->", Q[around - k], Q[around + k])
+        sides = seen[k:] @ lengths[:-k] + seen[:-k] @ lengths[k:]
+        found[row] = 0.25 * (sides + 2.0 * (across[row] - lost))
+    return found
+
+
+# --- correlation with the input --------------------------------------------------------------------------------------
 
 
 def cross_correlation(data: ResidualData, confidence: float) -> Correlation:
@@ -143,50 +152,53 @@ def cross_correlation(data: ResidualData, confidence: float) -> Correlation:
     `sum_m c_e(m) c_v(m)`, `c_e` estimated with a Parzen window.
     """
     lags = np.arange(-data.lags, data.lags + 1)
-    X = data.shifted_inputs
-    inside = np.lib.stride_tricks.sliding_window_view(
-        np.pad(np.ones(len(data.v)), data.lags), len(data.v)
-    )[::-1].T  # fmt: skip
-    pairs = np.rint(data.seen.astype(float) @ inside).astype(int)
+    pairs = np.zeros(len(lags), int)
+    for part in data.parts:
+        known = np.concatenate([[0], np.cumsum(data.seen[part])])
+        T = len(known) - 1
+        pairs += known[np.clip(T + np.minimum(lags, 0), 0, T)] - known[np.clip(np.maximum(lags, 0), 0, T)]
     sizes = np.sqrt(np.sum(data.centred**2) / max(1, data.count) * np.mean(data.v**2))
     if sizes == 0:
         return Correlation(lags, np.zeros(len(lags)), np.full(len(lags), np.inf), pairs)
-    Q = _orthonormal(np.column_stack([data.seen, data.directions * data.seen[:, None]]))
-    spectrum, size = _noise_spectrum(data)
-    deviation = np.empty(len(lags))
-    for column in range(len(lags)):
-        x = X[:, column] * data.seen
-        x = x - Q @ (Q.T @ x)
-        # both sides of the spectrum: all frequencies but the ends count twice
-        power = np.abs(np.fft.rfft(x, size)) ** 2 * spectrum
-        deviation[column] = np.sqrt(max(0.0, 2 * power.sum() - power[0] - power[-1]) / size)
+    rows = max(1, _TOGETHER // len(data.v))
+    products, deviation = np.concatenate(
+        [_products(data, lags[first : first + rows]) for first in range(0, len(lags), rows)], axis=1
+    )
     usable = pairs > 0
     scale = np.where(usable, pairs, 1) * sizes
-    values = np.where(usable, data.centred @ X / scale, np.nan)
+    values = np.where(usable, products / scale, np.nan)
     return Correlation(lags, values, norm.isf(0.5 * (1 - confidence)) * deviation / scale, pairs)
 
 
-def _noise_spectrum(data: ResidualData) -> tuple[Array, int]:
-    """Spectrum of the residuals at the frequencies of a padded transform of even size, and that size."""
-    T = len(data.e)
-    reach = min(T - 1, max(data.lags, int(4 * np.sqrt(T))))
-    size = 2 * T
-    covariance = np.fft.irfft(np.abs(np.fft.rfft(data.centred, size)) ** 2, size)[: reach + 1]
-    pairs = np.fft.irfft(np.abs(np.fft.rfft(data.seen, size)) ** 2, size)[: reach + 1]
-    m = np.arange(reach + 1)
-    # averaged over the pairs there are, and tapered as a full record would be
-    covariance = np.where(pairs > 0.5, covariance / np.maximum(pairs, 1.0), 0.0) * (1 - m / T)
-    free = max(1, data.count - data.fitted.shape[1] - 1)
-    covariance *= data.count / free * _parzen(m / (reach + 1))
+def _products(data: ResidualData, lags: NDArray[np.intp]) -> Array:
+    """Sums of residuals times shifted inputs, and their standard deviations, shape (2, len(lags))."""
+    basis = data.fitted_and_means
+    inputs = [data.shifted_inputs(part, lags) * data.seen[part] for part in data.parts]
+    shared = sum(x @ basis.shared[part] for x, part in zip(inputs, data.parts, strict=True))
+    sums, variance = np.zeros((2, len(lags)))
+    for x, part, own in zip(inputs, data.parts, basis.local, strict=True):
+        sums += x @ data.centred[part]
+        x -= (x @ own) @ own.T
+        x -= shared @ basis.shared[part].T
+        spectrum, size = _noise_spectrum(data, len(data.e[part]))
+        # both sides of the spectrum: all frequencies but the ends count twice
+        power = np.abs(rfft(x, size, axis=1)) ** 2
+        variance += (2 * power @ spectrum - power[:, 0] * spectrum[0] - power[:, -1] * spectrum[-1]) / size
+    return np.array([sums, np.sqrt(np.maximum(variance, 0.0))])
+
+
+def _noise_spectrum(data: ResidualData, samples: int) -> tuple[Array, int]:
+    """Spectrum of the residuals at the frequencies of a transform of so many samples, padded to even size."""
+    covariance = data.noise_covariance
+    reach = len(covariance) - 1
+    size = 2 * next_fast_len(-(-(samples + reach + 1) // 2), real=True)
     sequence = np.zeros(size)
     sequence[: reach + 1] = covariance
-    sequence[-reach:] = covariance[:0:-1]
-    return np.maximum(np.fft.rfft(sequence).real, 0.0), size
+    sequence[size - reach :] = covariance[:0:-1]
+    return np.maximum(rfft(sequence).real, 0.0), size
 
 
-def _parzen(x: Array) -> Array:
-    """Window whose transform is positive."""
-    return np.where(x < 0.5, 1 - 6 * x**2 * (1 - x), 2 * (1 - x) ** 3)
+# --- what the residuals depend on ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -200,7 +212,7 @@ class Influence:
 
 
 def influence(data: ResidualData) -> Influence:
-    """Regress the residuals on a constant, on the inputs at and before them, and then on those after them.
+    """Regress the residuals on constants, on the inputs at and before them, and then on those after them.
 
     Each is an F test beside what was fitted and what came before in this list, exact for white Gaussian noise.  For
     coloured residuals their own past stands first, as many samples as BIC chooses: a response that is long because it
@@ -210,26 +222,73 @@ def influence(data: ResidualData) -> Influence:
         return Influence(np.nan, np.nan, np.nan, 0)
     whitening = _whitening(data)
     order = len(whitening) - 1
-    rows = _with_past(data, order)
-    past = data.e[np.flatnonzero(rows)[:, None] - np.arange(1, order + 1)]
-    directions = _filtered(whitening, data.directions)[rows]
-    X, L = data.shifted_inputs, data.lags
-    steps = (np.ones((len(past), 1)), X[rows, L:], X[rows, :L])
-    offset, response, feedback = _successive_tests(data.e[rows], np.concatenate([directions, past], axis=1), steps)
+    rows, free, counts = _eliminated(data, whitening)
+    ends = np.cumsum(counts)
+    steps = [rows[:, start:end] for start, end in pairwise(ends)]
+    offset, response, feedback = _successive_tests(rows[:, -1], rows[:, : ends[0]], steps, free)
     return Influence(offset, response, feedback, order)
+
+
+def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[int]]:
+    """Regressors of unit length and the residuals, as a few rows, without what was fitted to single records.
+
+    The columns are what was fitted to all and the past of the residuals, a constant in each record, the inputs at and
+    before each residual, those after it, and the residual; the counts are those of the first four.
+    """
+    order, L, K = len(whitening) - 1, data.lags, len(data.parts)
+    parts, samples = [], 0
+    for place, (part, own) in enumerate(zip(data.parts, data.own, strict=True)):
+        rows = np.flatnonzero(_with_past(data.seen[part], order))
+        e, shared = data.e[part], data.directions[part]
+        means = np.zeros((K, len(rows)))
+        means[place] = 1.0
+        columns = np.concatenate([
+            _filtered(whitening, own)[rows].T, _filtered(whitening, shared)[rows].T,
+            e[rows - np.arange(1, order + 1)[:, None]],
+            means, data.shifted_inputs(part, np.arange(L + 1))[:, rows],
+            data.shifted_inputs(part, np.arange(-L, 0))[:, rows], e[None, rows],
+        ])  # fmt: skip
+        parts.append((columns, own.shape[1]))
+        samples += len(rows)
+    fitted = data.directions.shape[1] + order
+    return *_stacked(parts, samples), [fitted, K, L + 1, L]
+
+
+def _stacked(parts: list[tuple[Array, int]], samples: int) -> tuple[Array, int]:
+    """Records under one another in a few rows each, their own columns eliminated; and the degrees of freedom left."""
+    width = parts[0][0].shape[0] - parts[0][1]
+    squares = sum(np.einsum("ij,ij->i", columns[own:], columns[own:]) for columns, own in parts)
+    lengths = np.sqrt(squares)
+    lengths[-1] = 0.0  # the residual keeps its size
+    scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
+    found, free = [np.zeros((0, width))], samples
+    for columns, own in parts:
+        if not columns.shape[1]:
+            continue
+        size = np.linalg.norm(columns[:own], axis=1)
+        columns *= np.concatenate([1.0 / np.where(size > 0, size, 1.0), scale])[:, None]
+        factor = factor_of(columns)
+        if own:
+            U, sigma, _ = np.linalg.svd(factor[:own, :own])
+            lost = sigma <= RANK
+            factor = np.concatenate([(U.T @ factor[:own, own:])[lost], factor[own:, own:]])
+            free -= own - int(lost.sum())
+        found.append(factor)
+    rows = np.concatenate(found)
+    return (reduced(rows) if len(rows) > width else rows), free
 
 
 def _filtered(weights: Array, columns: Array) -> Array:
     """Moving average of each column, zeros before its start."""
-    out = np.zeros_like(columns)
-    for shift, weight in enumerate(weights):
-        out[shift:] += weight * columns[: len(columns) - shift]
-    return out
+    out = weights[0] * columns
+    for shift, weight in enumerate(weights[1:], start=1):
+        out[shift:] += weight * columns[:-shift]
+    return np.asarray(out)
 
 
-def _with_past(data: ResidualData, order: int) -> NDArray[np.bool_]:
+def _with_past(seen: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
     """Where a residual and so many before it were observed."""
-    rows = np.convolve(data.seen, np.ones(order + 1))[: len(data.e)] > order + 0.5
+    rows = np.convolve(seen, np.ones(order + 1))[: len(seen)] > order + 0.5
     return np.asarray(rows)
 
 
@@ -237,50 +296,40 @@ def _whitening(data: ResidualData) -> Array:
     """Coefficients `(1, -phi_1, ..)` of the autoregression that makes the residuals white, of least BIC."""
     most = _NOISE_ORDERS
     while most:
-        rows = _with_past(data, most)
-        if rows.sum() >= _ROWS_PER_ORDER * (most + 1):
+        places = [part.start + np.flatnonzero(_with_past(data.seen[part], most)) for part in data.parts]
+        if sum(map(len, places)) >= _ROWS_PER_ORDER * (most + 1):
             break
         most //= 2
     if not most:
         return np.ones(1)
-    target = data.e[rows]
-    places = np.flatnonzero(rows)
-    past = data.e[places[:, None] - np.arange(1, most + 1)]
-    Q, R = np.linalg.qr(past)
-    explained = Q.T @ target
-    left = np.maximum(target @ target - np.cumsum(np.concatenate([[0.0], explained**2])), EPS * (target @ target))
-    order = int(np.argmin(len(target) * np.log(left) + np.arange(most + 1) * np.log(len(target))))
+    rows = np.concatenate(places)
+    factor = factor_of(data.e[rows - np.concatenate([np.arange(1, most + 1), [0]])[:, None]])
+    R, explained = factor[:-1, :-1], factor[:-1, -1]
+    total = float(np.sum(factor[:, -1] ** 2))
+    left = np.maximum(total - np.cumsum(np.concatenate([[0.0], explained**2])), EPS * total)
+    order = int(np.argmin(len(rows) * np.log(left) + np.arange(most + 1) * np.log(len(rows))))
     found = np.linalg.lstsq(R[:order, :order], explained[:order], rcond=None)[0]
     return np.concatenate([[1.0], -found])
 
 
-def _successive_tests(rhs: Array, fitted: Array, steps: tuple[Array, ...]) -> list[float]:
+def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) -> list[float]:
     """p-values of the F tests that each set of columns in turn explains nothing more."""
-    basis = _orthonormal(fitted)
+    basis = orthonormal_of_unit(fitted)
     rhs = rhs - basis @ (basis.T @ rhs)
+    free -= basis.shape[1]
     found = []
     for columns in steps:
-        added = _orthonormal(columns, beside=basis)
+        beside = columns
+        for _ in range(2):  # once more for what rounding leaves
+            beside = beside - basis @ (basis.T @ beside)
+        added = orthonormal_of_unit(beside)
         gained = added.T @ rhs
         rhs = rhs - added @ gained
         basis = np.concatenate([basis, added], axis=1)
-        free, left = len(rhs) - basis.shape[1], float(rhs @ rhs)
+        free -= added.shape[1]
+        left = float(rhs @ rhs)
         if added.shape[1] == 0 or free < _FEWEST or left == 0:
             found.append(np.nan)
         else:
-            ratio = float(gained @ gained) / added.shape[1] / (left / free)
-            found.append(float(f.sf(ratio, added.shape[1], free)))
+            found.append(float(f.sf(float(gained @ gained) / added.shape[1] / (left / free), added.shape[1], free)))
     return found
-
-
-def _orthonormal(columns: Array, beside: Array | None = None) -> Array:
-    """Orthonormal basis of the span of columns, or of what they span beside another orthonormal basis."""
-    lengths = np.linalg.norm(columns, axis=0)
-    unit = columns[:, lengths > 0] / lengths[lengths > 0]
-    if beside is not None:
-        for _ in range(2):  # once more for what rounding leaves
-            unit = unit - beside @ (beside.T @ unit)
-    if unit.shape[1] == 0:
-        return np.zeros((len(columns), 0))
-    U, sigma, _ = np.linalg.svd(unit, full_matrices=False)
-    return np.asarray(U[:, sigma > _RANK])
