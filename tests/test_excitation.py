@@ -690,3 +690,44 @@ def test_a_fit_by_another_method_is_refused():
         excitation((u, y), result, dt=0.1)
     assert excitation((u, y), result, dt=0.1, method="midpoint").sufficient
     assert excitation((u, y), result.modes, dt=0.1).sufficient
+
+
+# --- several records, and what is measured ---------------------------------------------------------------------------
+
+
+def test_two_records_show_together_what_neither_shows_alone():
+    chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
+    one, other = (np.sin(t), None), (np.sin(1.6 * t), None)
+    assert not excitation(one, chain, dt=0.01).sufficient
+    assert "r_1 and r_2" in str(excitation([one, one], chain, dt=0.01))
+    assert excitation([one, other], chain, dt=0.01).sufficient
+    assert excitation([other, one], chain, dt=0.01).rank == 4
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
+def test_errors_of_several_records_are_those_of_the_dense_joint_problem(quantity):
+    d, r, h = np.array([1.0, 2.2]), np.array([1.0, 0.3]), 0.2
+    inputs = [white(150), white(90, seed=5)]
+    states = [np.array([0.3, -0.1 + 0.5j]), np.array([0.2j, 0.4])]
+
+    def outputs(theta):
+        parts = []
+        for k, u in enumerate(inputs):
+            x = theta[4 + 4 * k : 8 + 4 * k]
+            one = Experiment(u, np.zeros(len(u)), np.ones(len(u), bool), Hold(h), quantity=quantity)
+            parts.append(one.at(theta[:2]).predict(theta[2:4] * theta[:2], x))
+        return np.concatenate(parts)
+
+    theta = np.concatenate([d, r, *[part for x in states for part in (x.real, x.imag)]])
+    step = 1e-6
+    J = np.array([(outputs(theta + step * e) - outputs(theta - step * e)) / (2 * step) for e in np.eye(len(theta))]).T
+    expected = 0.1 * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
+    y = np.split(outputs(theta), [150])
+    found = excitation(list(zip(inputs, y, strict=True)), (d, r), dt=h, quantity=quantity, noise_std=0.1)
+    assert np.allclose(np.concatenate([found.stderr["d"], found.stderr["r"]]), expected[:4], rtol=1e-5)
+
+
+def test_a_frequency_response_is_refused_before_its_excitation_is_asked_for():
+    response = ct.FrequencyResponseData([1j, 2j], [1.0, 2.0])
+    with pytest.raises(phc.StructureError, match="frequency response; what an input shows"):
+        excitation(response, 1)

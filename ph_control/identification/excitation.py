@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -13,12 +13,13 @@ from ..exceptions import StructureError
 from ..modal import ModalForm
 from ..propagation import INTERSAMPLE, METHODS
 from ..systems import modes
-from .data import Record, as_record
+from .data import Record
 from .excitation_report import Excitation
 from .excited_band import ExcitedBand, excited_band
 from .experiment import Experiment
-from .information import Combination, Information, model_information
-from .regressors import Hold, regressors
+from .experiments import as_experiments
+from .information import Combination, Information, joint_information, model_information
+from .regressors import QUANTITIES, Hold, regressors
 from .remedy import input_remedy
 from .scan import Scan, representative, scan
 from .solver import Projection
@@ -32,6 +33,13 @@ _WANTED = 0.1  # relative standard error that a stronger input is to reach
 _AT_ZERO = 0.05  # bins between a line and a zero that it drives
 
 
+@dataclass(frozen=True, eq=False)
+class _Asked(Experiment):
+    """A record that is asked what it shows, `measured` or only planned."""
+
+    measured: bool = True
+
+
 def excitation(
     data: Any,
     order: Any,
@@ -40,6 +48,7 @@ def excitation(
     method: str = "exact",
     intersample: str = "zoh",
     initial_state: str = "estimate",
+    quantity: str = "velocity",
     noise_std: float | None = None,
 ) -> Excitation:
     """Tell what a record can and cannot show of a lossless model, and what input would show it.
@@ -49,8 +58,8 @@ def excitation(
 
     Parameters
     ----------
-    data : control.TimeResponseData, or pair (u, y) of array_like, shape (T,) each
-        The record, as for `pem`; `(u, None)` where there is an input only.  Not modified.
+    data : control.TimeResponseData, data frame, pair (u, y), or list of these
+        The records, as for `pem`; `(u, None)` where there is an input only.  Not modified.
     order : int, pair (d, r), ModalForm, PortHamiltonian or PEMResult
         Model at which to judge; or a number of modes n, whose frequencies may lie anywhere.
     dt : float, optional
@@ -61,6 +70,8 @@ def excitation(
         Input between samples: held, or linear.
     initial_state : {'estimate', 'zero'}
         Whether the record may start in motion, so that the initial state is an unknown like the others.
+    quantity : {'velocity', 'displacement', 'acceleration'}
+        What is measured of the port.
     noise_std : float, optional
         Standard deviation of the output noise, for standard errors.  Default: that of a fitted result, or of what a
         given model leaves of the outputs.
@@ -83,7 +94,8 @@ def excitation(
     tried before they are named.  The singular values are those of the sensitivities themselves, not of their squares,
     so that combinations count as blind only at rounding level: max(T, 4n) eps.  The initial state enters as the modal
     state `x_l(0)`, with the free motion `sum_l Re(x_l(0) exp(-i d_l t))` at the output.  Where there are outputs it is
-    fitted to them; without, the information is that at rest.
+    fitted to them; without, the information is that at rest.  Of several records the information of `d` and `r` is that
+    of all together, each with an initial state of its own; band and remedies are those of the longest.
 
     Examples
     --------
@@ -105,19 +117,28 @@ def excitation(
     _checks.choice("intersample", intersample, INTERSAMPLE)
     _checks.choice("initial_state", initial_state, ("estimate", "zero"))
     noise = np.nan if noise_std is None else _positive("noise_std", noise_std)
-    record = as_record(data, dt, output_needed=False)
-    problem = _problem(record, Hold(record.dt, method, intersample), initial_state == "zero")
+    _checks.choice("quantity", quantity, QUANTITIES)
+    problems = [
+        _problem(record, Hold(record.dt, method, intersample), initial_state == "zero", quantity)
+        for record in _in_time(as_experiments(data, dt, output_needed=False))
+    ]
+    problem = max(problems, key=lambda one: len(one.u))
     if isinstance(order, int | np.integer) and not isinstance(order, bool):
         if order < 1:
             raise StructureError(f"order is {order}; a number of modes must be at least 1")
         return _of_order(problem, int(order), noise)
     model = _model(order, method, intersample)
     _check_phases(problem, model.d)
-    amplitudes = np.zeros(model.n, complex)
-    if record.observed.any():
-        amplitudes, left = _free_motion(problem, model)
-        noise = float(getattr(order, "noise_variance", left**2)) ** 0.5 if noise_std is None else noise
-    return examine(problem, model.d, model.r, amplitudes, noise_std=noise)
+    motions = [_free_motion(one, model) if one.measured else (np.zeros(model.n, complex), np.nan) for one in problems]
+    amplitudes, left = motions[problems.index(problem)]
+    if problem.measured and noise_std is None:
+        noise = float(getattr(order, "noise_variance", left**2)) ** 0.5
+    if len(problems) == 1:
+        return examine(problem, model.d, model.r, amplitudes, noise_std=noise)
+    joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
+    # the initial states are eliminated already
+    settled = replace(problem, from_rest=True)
+    return examine(settled, model.d, model.r, amplitudes, noise_std=noise, information=joint)
 
 
 def examine(
@@ -182,11 +203,21 @@ def _positive(name: str, value: Any) -> float:
     return float(number)
 
 
-def _problem(record: Record, hold: Hold, from_rest: bool) -> Experiment:
+def _in_time(records: tuple[Any, ...]) -> tuple[Record, ...]:
+    """Refuse responses, which show every frequency they have points about."""
+    if not isinstance(records[0], Record):
+        raise StructureError(
+            "the data are a frequency response; what an input shows is asked of records in time: pass (u, y) with dt"
+        )
+    return records
+
+
+def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> _Asked:
     """The data of a fit; without outputs, all of them are to be measured."""
     measured = bool(record.observed.any())
     observed = record.observed if measured else np.ones(record.samples, bool)
-    return Experiment(record.u, record.y if measured else np.zeros(record.samples), observed, hold, from_rest)
+    y = record.y if measured else np.zeros(record.samples)
+    return _Asked(record.u, y, observed, hold, from_rest, False, quantity, record.driven, measured)
 
 
 def _model(order: Any, method: str, intersample: str) -> ModalForm:
@@ -228,7 +259,7 @@ def _check_phases(problem: Experiment, d: Array) -> None:
 def _free_motion(problem: Experiment, model: ModalForm) -> tuple[ComplexArray, float]:
     """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
     n = model.n
-    columns = problem.seen(regressors(model.d, problem.u, problem.hold).columns())
+    columns = problem.seen(regressors(model.d, problem.u, problem.hold, problem.quantity).columns())
     left = problem.target - columns[:, :n] @ model.kappa
     found = np.zeros(2 * n)
     if not problem.from_rest:

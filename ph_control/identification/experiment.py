@@ -68,7 +68,7 @@ class Evaluation(Protocol):
         """Output of a model at all instants or frequencies, observed or not."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Experiment:
     """A record in time: input, output, where the output was observed, and the hold."""
 

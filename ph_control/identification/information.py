@@ -7,6 +7,7 @@ inverse exceeds 1 tells how much a parameter suffers from not knowing the others
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +18,7 @@ from scipy.linalg import qr
 from .. import _checks
 from .._checks import EPS
 from .experiment import Experiment
-from .regressors import SHORT, Kernel, in_groups, regressors
+from .regressors import SHORT, Kernel, in_groups, output_weight, regressors
 from .solver import Projection, eliminate
 from .triangle import reduced
 
@@ -235,12 +236,37 @@ def model_information(problem: Experiment, d: Array, r: Array, amplitudes: Compl
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
     """
     n = len(d)
-    found = regressors(d, problem.u, problem.hold)
+    jacobian = _sensitivities(problem, d, r, amplitudes)
+    kept = 2 * n if problem.from_rest else 4 * n
+    return information_of(problem, jacobian[:, :kept], d, r, amplitudes)
+
+
+def _sensitivities(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Array:
+    """Derivatives of the output by `(d, kappa, Re x(0), Im x(0))` at a model, shape (T, 4n)."""
+    n = len(d)
+    found = regressors(d, problem.u, problem.hold, problem.quantity)
     coefficients = np.concatenate([r * d, amplitudes.real, amplitudes.imag])
     columns, slopes = problem.seen(found.columns()), problem.seen(found.slopes())
+    if not problem.driven:
+        columns[:, :n], slopes[:, :n] = 0.0, 0.0
     by_d = (slopes * coefficients).reshape(len(columns), 3, n).sum(axis=1)
-    linear = columns[:, :n] if problem.from_rest else columns
-    return information_of(problem, np.concatenate([by_d, linear], axis=1), d, r, amplitudes)
+    return np.concatenate([by_d, columns], axis=1)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def joint_information(
+    problems: Sequence[Experiment], d: Array, r: Array, states: Sequence[ComplexArray]
+) -> Information:
+    """Information of `(d, r)` in several records together; initial states are unknown where they may move."""
+    n, samples = len(d), sum(len(one.target) for one in problems)
+    parts = []
+    for one, amplitudes in zip(problems, states, strict=True):
+        J = _sensitivities(one, d, r, amplitudes)
+        own = 0 if one.from_rest else 2 * n
+        # what is left below the factor of the own unknowns does not depend on them
+        ordered = np.concatenate([J[:, 2 * n : 2 * n + own], J[:, : 2 * n]], axis=1)
+        parts.append(eliminate(reduced(np.asfortranarray(ordered)), own, samples).below)
+    return Information.of(in_weights(np.concatenate(parts), d, r), parameter_names(n, True), rows=samples)
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -249,6 +275,7 @@ def information_of(problem: Experiment, jacobian: Array, d: Array, r: Array, amp
     n, samples, h = len(d), len(problem.u), problem.hold.h
     J = in_weights(jacobian, d, r)
     forced, free = _state_sizes(problem, d)
+    forced = forced * np.abs(output_weight(d, problem.quantity)[0])
     moving = r * d * forced + np.abs(amplitudes) * free
     sizes = [samples * h * moving + r * forced, d * forced] + ([] if problem.from_rest else [free, free])
     return Information.of(
