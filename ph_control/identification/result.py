@@ -18,6 +18,8 @@ from ..files import save
 from ..modal import ModalForm
 from ..plots import bode_plot, fit_plot
 from ..systems import PortHamiltonian
+from .bootstrap import Resampled
+from .coordinates import InCoordinates
 from .data import Record, as_record
 from .forward import Start
 from .frequency_data import FrequencyRecord
@@ -43,7 +45,7 @@ class OrderRow:
 
 
 @dataclass(frozen=True, eq=False)
-class PEMResult:
+class PEMResult(Resampled, InCoordinates):
     """Result of `pem`.
 
     Attributes
@@ -56,6 +58,8 @@ class PEMResult:
     covariance : ndarray, shape (N, N)
         Of `(d, r, initial state of each record)`, N = 2n + 2n for each record in time; rows and columns of weights held
         at 0, and of what was not estimated, are NaN.
+    offset_stderr : ndarray, shape (E,)
+        Standard error of the offset of each experiment; NaN if none was estimated.
     stderr : mapping
         Standard errors under the keys 'd', 'r', 'initial_state' (in one row for each record if there are several), and
         'offset', one for each record.
