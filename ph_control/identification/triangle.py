@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import blas, lapack
 
 from .._checks import EPS
 
@@ -39,16 +39,16 @@ def triangle(blocks: Blocks, rows: int) -> Array:
 
 
 def _by_gram(blocks: Iterable[Array], guess: Array | None) -> tuple[Array, bool]:
-    """Factor from the Gram matrix of the columns times the inverse of a guess; and whether to trust it."""
-    inverse = None if guess is None else solve_triangular(guess, np.eye(len(guess)), lower=False)
+    """Factor from the Gram matrix of the columns, orthogonalised by a guess; and whether to trust it."""
     gram: Array | float = 0.0
     for block in blocks:
-        turned = block if inverse is None else inverse.T @ block
+        # each row is solved for, not multiplied by an inverse: what a nearly singular guess blows up is taken back by it
+        turned = block if guess is None else blas.dtrsm(1.0, guess, block.T, side=1, lower=0).T
         gram = gram + turned @ turned.T
     gram = np.asarray(gram)
+    size, empty = len(gram), np.flatnonzero(np.diag(gram) == 0)
+    gram[empty, empty] = 1.0
     lengths = np.sqrt(np.diag(gram))
-    lengths = np.where(lengths > 0, lengths, 1.0)
-    size = len(gram)
     scaled = gram / np.outer(lengths, lengths)
     factor, failed = lapack.dpotrf(scaled, lower=0)
     if failed:
@@ -59,9 +59,12 @@ def _by_gram(blocks: Iterable[Array], guess: Array | None) -> tuple[Array, bool]
             diagonal = np.diag(factor)
             factor = factor + np.diag(np.where(np.abs(diagonal) < EPS, EPS, 0.0))
         failed = True
-    smallest = float(np.abs(np.diag(factor)).min(initial=1.0))
+    trusted = not failed and float(np.abs(np.diag(factor)).min(initial=1.0)) >= _WELL_CONDITIONED
     found = np.triu(factor) * lengths
-    return (found if guess is None else found @ guess), not failed and smallest >= _WELL_CONDITIONED
+    found = found if guess is None else found @ guess
+    if trusted:
+        found[empty, empty] = 0.0
+    return found, trusted
 
 
 def reflect(blocks: Iterable[Array]) -> Array:
