@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..exceptions import IdentifiabilityWarning
 from ..modal import ModalForm
 from ..systems import PortHamiltonian
+from .contradiction import Contradiction, contradiction
 from .data import Record
 from .excitation import examine_fit
 from .experiment import Experiment
@@ -20,9 +21,9 @@ from .information import Information, information_at
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from .result import PEMResult
 from .selection import criteria
-from .solver import Problem, Projection
+from .solver import Problem, Projection, Refinement
 from .uncertainty import uncertainty
-from .verdict import Verdict
+from .verdict import GOOD_FIT, Verdict, is_doubtful
 from .whiteness import ljung_box
 
 Array = NDArray[np.float64]
@@ -41,6 +42,7 @@ class Fit:
     order: int
     order_given: bool
     at_limit: bool
+    contradiction: Contradiction | None = None
 
 
 def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> PEMResult:
@@ -55,19 +57,27 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     measured = np.concatenate([one.measured[k] for one, k in zip(experiments, kept, strict=True)])
     residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
     noiseless = at.loss <= found.floor
+    whiteness = 1.0 if noiseless else _whiteness(experiments)
+    fitted = fit_percent(measured, residuals)
     held = ~at.free[rank]
+    if fit.contradiction is None and not noiseless and not found.interrupted:
+        fit = _examined(fit, at, fitted, is_doubtful(whiteness, bool(held.any()) and problem.driven))
+        if fit.found is not found:
+            return conclude(fit, method, intersample, quantity, representation)
     information = information_at(at, rank)
     figures = criteria(problem, at.loss, n)
-    finding = _finding(at, information, estimated.variance) if n else ""
+    # a mode held at 0 in a frequency response has no trace left: that is the constraint's doing, not the input's
+    blind = set(information.blind_parameters) - {f"d_{l + 1}" for l in np.flatnonzero(held)}
+    finding = _finding(at, information, estimated.variance) if n and (blind or not information.deficiency) else ""
     verdict = Verdict(
         n=n,
         order=fit.order,
         spare=problem.samples - problem.unknowns(n),
-        fit_percent=fit_percent(measured, residuals),
+        fit_percent=fitted,
         active=tuple(int(l) for l in np.flatnonzero(held)) if problem.driven else (),
         blind=finding if n and information.deficiency else "",
         remark=finding if n and not information.deficiency else "",
-        whiteness=1.0 if noiseless else _whiteness(experiments),
+        whiteness=whiteness,
         converged=found.end.converged,
         noiseless=noiseless,
         at_limit=fit.at_limit,
@@ -78,6 +88,9 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
         interrupted=found.interrupted,
         driven=problem.driven,
+        contradiction=str(fit.contradiction or ""),
+        quantity=quantity,
+        in_time=isinstance(problem.experiments[0], Experiment),
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
@@ -107,6 +120,29 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         quantity=quantity,
         representation=representation,
     )
+
+
+def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool) -> Fit:
+    """The fit with what contradicts it, and where that is grave at the frequencies of the plant.
+
+    There lossless modes do not stay where the plant has its own: they mimic its damping, or flee from a residue whose
+    sign they cannot have.
+    """
+    poor = fitted < GOOD_FIT
+    if not (doubtful or (poor and len(at.d))):
+        return fit
+    found = contradiction(fit.problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful)
+    if found is None:
+        return fit
+    d = found.natural_frequencies
+    if not (poor or found.negative.any() or len(d) != len(at.d)):
+        return replace(fit, contradiction=found)
+    if fit.order_given and len(d) < fit.order:
+        distance = np.min(np.abs(at.d[:, None] - d), axis=1)
+        d = np.concatenate([d, at.d[np.argsort(-distance)][: fit.order - len(d)]])
+    end = Refinement(fit.problem.project(d), fit.found.end.iterations, True)
+    order = fit.order if fit.order_given else len(d)
+    return replace(fit, found=replace(fit.found, end=end), order=order, at_limit=False, contradiction=found)
 
 
 def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 _WHITE = 1e-3  # p-value below which residuals are called coloured
-_GOOD_FIT = 90.0  # percent
+GOOD_FIT = 90.0  # percent
 _FEW = 20  # samples to spare below which nothing is said of the quality
 
 
@@ -31,6 +31,9 @@ class Verdict:
     drifting: tuple[int, ...]
     interrupted: bool
     driven: bool
+    contradiction: str = ""
+    quantity: str = "velocity"
+    in_time: bool = True
 
     @property
     def _coloured(self) -> bool:
@@ -45,10 +48,10 @@ class Verdict:
             return "NOT a model: it does not respond to the input"
         # weights that leave no trace may come out as 0 and say nothing
         held = not self.blind and 2 * len(self.active) >= self.n
-        poor = self.fit_percent < _GOOD_FIT or self.at_limit or held
-        if (self.active or self._coloured) and poor:
+        poor = self.fit_percent < GOOD_FIT or self.at_limit or held
+        if (self.active or self._coloured or self.contradiction) and poor:
             return "NOT described by a collocated lossless model"
-        if self.active or self._coloured or self.blind or not self.converged:
+        if self.active or self._coloured or self.contradiction or self.blind or not self.converged:
             return "doubtful, see below"
         return "too few samples to judge" if self.spare < _FEW and not self.noiseless else "consistent with the record"
 
@@ -96,18 +99,16 @@ class Verdict:
             )
         if self.blind or self.remark:
             parts.append(self.blind or self.remark)
+        if self.contradiction:
+            parts.append(self.contradiction)
         if self._coloured:
             p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
             parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
-        if self.headline.startswith("NOT") and self.order_given:
+        if self.headline.startswith("NOT") and self.order_given and not self.contradiction:
             parts.append("The order was given; a higher one may fit better: try order='auto'.")
         if self.headline.startswith("NOT"):
-            parts.append(
-                f"With a fit of {self.fit_percent:.1f} % a collocated lossless velocity model does not describe this "
-                "record: suspect damping, a sensor away from the actuator, an output that is not the velocity "
-                "(displacement, acceleration), or an input that was not held between samples (intersample='foh')."
-            )
-            if self.from_rest:
+            parts.append(self._refusal())
+            if self.from_rest and not self.contradiction:
                 parts.append("The plant was taken to start at rest; if it may not have, use initial_state='estimate'.")
         if self.spare < _FEW and not self.noiseless:
             parts.append(
@@ -121,3 +122,23 @@ class Verdict:
                 else "The residuals are white: the model explains the record."
             )
         return " ".join(parts)
+
+    def _refusal(self) -> str:
+        """That no such model describes the data, and what to suspect where nothing was found to contradict it."""
+        found = (
+            f"With a fit of {self.fit_percent:.1f} % a collocated lossless {self.quantity} model does not describe "
+            f"this {'record' if self.in_time else 'response'}"
+        )
+        if self.contradiction:
+            return found + "."
+        others = [one for one in ("velocity", "displacement", "acceleration") if one != self.quantity]
+        held = ", or an input that was not held between samples (intersample='foh')" * self.in_time
+        return (
+            f"{found}: suspect damping, a sensor away from the actuator, an output that is not the {self.quantity} "
+            f"({', '.join(others)}){held}."
+        )
+
+
+def is_doubtful(whiteness: float, active: bool) -> bool:
+    """Whether more than noise is left, or the constraint is at work."""
+    return bool(active or whiteness < _WHITE)

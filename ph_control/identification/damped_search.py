@@ -1,0 +1,151 @@
+"""The search for damped modes with residues of either sign: what contradicts a lossless model is found by it.
+
+The same path as for lossless modes, one joining at a time where it explains most of what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .damped import Band, DampedProjection, DampedResponse, DampedRows, DampedTransform, refine_damped
+from .experiment import Experiment
+from .frequency_rows import FrequencyRows
+from .response_candidates import ranked_candidates
+from .search import Report, Step, more_than_noise
+from .solver import Problem
+from .spectrum import Spectrum
+from .start import Screen
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_PIECE = 1 << 18  # numbers worked on at a time
+
+
+class DampedData(Protocol):
+    """Experiments in which damped modes are looked for."""
+
+    def rows(self, d: Array, sigma: Array) -> list[DampedRows]:
+        """Rows of the linear problem that tell of these modes."""
+
+    def left(self, at: DampedProjection) -> list[ComplexArray]:
+        """What a model leaves of each experiment, at all its bins or points."""
+
+    def loss(self, left: Sequence[ComplexArray]) -> float:
+        """Sum of squares, over the data as they were measured."""
+
+    def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
+        """Frequencies at which one more mode explains most, and how much."""
+
+
+class Records:
+    """Records in time; `filled` are the outputs that stand for missing ones."""
+
+    def __init__(self, experiments: Sequence[Experiment], filled: Sequence[Array | None]) -> None:
+        self.spectra = [Spectrum.of(one, fill) for one, fill in zip(experiments, filled, strict=True)]
+        self._screen = Screen(self.spectra, signed=True)
+
+    def rows(self, d: Array, sigma: Array) -> list[DampedRows]:
+        """The bins about the modes."""
+        return [DampedTransform.about(one, d, sigma) for one in self.spectra]
+
+    def left(self, at: DampedProjection) -> list[ComplexArray]:
+        """Transforms of what a model leaves."""
+        return [self._left(one, at, own) for one, own in zip(self.spectra, at.own, strict=True)]
+
+    def _left(self, spectrum: Spectrum, at: DampedProjection, own: Array) -> ComplexArray:
+        left = spectrum.Y.copy()
+        size = max(1, _PIECE // max(1, len(at.d)))
+        for first in range(0, len(left), size):
+            bins = np.arange(first, min(first + size, len(left)))
+            piece = DampedTransform(spectrum, bins)
+            left[bins] -= own @ piece.own(at.d, at.sigma)
+            if piece.driven:
+                left[bins] -= at.kappa @ piece.shared(at.d, at.sigma)
+        if spectrum.experiment.offset:
+            left[0] = 0.0
+        return left
+
+    def errors(self, left: Sequence[ComplexArray]) -> list[Array]:
+        """What a model leaves of the outputs, at all samples."""
+        return [np.fft.irfft(one, spectrum.length) for one, spectrum in zip(left, self.spectra, strict=True)]
+
+    def loss(self, left: Sequence[ComplexArray]) -> float:
+        """Sum of squares over the observed samples."""
+        parts = zip(self.errors(left), self.spectra, strict=True)
+        return float(sum(np.sum(error[one.experiment.observed] ** 2) for error, one in parts))
+
+    def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
+        """Candidates of the screen."""
+        return self._screen.ranked(left)
+
+
+class Responses:
+    """Frequency responses."""
+
+    def __init__(self, experiments: Sequence[FrequencyRows]) -> None:
+        self._responses: list[DampedRows] = [DampedResponse(one) for one in experiments]
+        self.experiments = experiments
+
+    def rows(self, d: Array, sigma: Array) -> list[DampedRows]:
+        """All points."""
+        return self._responses
+
+    def left(self, at: DampedProjection) -> list[ComplexArray]:
+        """What a model leaves, in the scale of the weights."""
+        found = []
+        for rows, own in zip(self._responses, at.own, strict=True):
+            found.append(rows.target - own @ rows.own(at.d, at.sigma) - at.kappa @ rows.shared(at.d, at.sigma))
+        return found
+
+    def loss(self, left: Sequence[ComplexArray]) -> float:
+        """Weighted sum of squares."""
+        return float(sum(np.sum(np.abs(one) ** 2) for one in left))
+
+    def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
+        """Candidates between the points."""
+        return ranked_candidates(self.experiments, left)
+
+
+def damped_data(problem: Problem, filled: Sequence[Array | None] | None = None) -> Records | Responses:
+    """The data of a problem, for damped modes."""
+    in_time = [one for one in problem.experiments if isinstance(one, Experiment)]
+    if in_time:
+        return Records(in_time, [None] * len(in_time) if filled is None else filled)
+    return Responses([one for one in problem.experiments if isinstance(one, FrequencyRows)])
+
+
+class DampedSearch:
+    """Search for damped modes; what is known of their decay rates is kept with their frequencies."""
+
+    def __init__(self, problem: Problem, data: DampedData) -> None:
+        self.problem, self.data = problem, data
+        self.band = Band(problem.bin, problem.ceiling)
+        self._decay: dict[float, float] = {}
+
+    @property
+    def affords_batches(self) -> bool:
+        """Modes join one at a time."""
+        return False
+
+    def unconvinced(self, step: Step) -> bool:
+        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+        return more_than_noise(self.problem, step)
+
+    def refined(self, d: Array) -> DampedProjection:
+        """The best damped modes near these frequencies."""
+        sigma = np.array([self._decay.get(float(one), np.nan) for one in d])
+        at = refine_damped(self.data.rows, d, sigma, self.band)
+        self._decay.update(zip(at.d.tolist(), at.sigma.tolist(), strict=True))
+        return at
+
+    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
+        """Refine modes from a start and look for more."""
+        at = self.refined(d)
+        left = self.data.left(at)
+        none = np.zeros(len(at.d), bool)
+        return Step(at.d, self.data.loss(left), 1, True, *self.data.ranked(left), none, np.abs(at.kappa))
