@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
+from ._sysdata import as_systems, labels_of, models_around, title_of
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem
-from .modal import ModalForm
 from .spectra import SpectralEstimate, spectral_estimate
-from .systems import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -26,6 +25,9 @@ _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
 _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
+_SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
+_BEYOND = 1e4  # decibels
+_LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
 _COHERENT = 0.5  # dots below this coherence say more about noise and leakage than about the system
 
 
@@ -42,6 +44,7 @@ class Curve:
     singular: Array
     nyquist: float | None = None
     doubtful: Mask | None = None
+    tabulated: bool = False
 
     @property
     def vanishes(self) -> bool:
@@ -70,12 +73,32 @@ class Curve:
         inside = (self.omega >= low) & (self.omega <= high)
         return inside & away_from(self.omega, self.singular, part)
 
+    def gaps(self) -> NDArray[np.intp]:
+        """Places before which a line must break: between the two samples there the response is infinite or zero."""
+        if self.tabulated or not len(self.singular):
+            return np.zeros(0, np.intp)
+        k = np.unique(np.searchsorted(self.omega, self.singular))
+        k = k[(k > 0) & (k < len(self.omega))]
+        # where the samples come close to a peak from both sides it runs off the picture, and the phase steps
+        return k[self.omega[k] - self.omega[k - 1] > _SEEN * self.omega[k]]
+
+
+@dataclass(frozen=True)
+class Band:
+    """Confidence band of a curve: `magnitude` in decibels and `phase` in degrees, shape (2, N), at `omega`."""
+
+    label: str
+    omega: Array
+    magnitude: Array
+    phase: Array
+
 
 @dataclass(frozen=True)
 class BodeData:
-    """All that a Bode plot draws: curves, dots, and the ends of the frequency axis in rad/s."""
+    """All that a Bode plot draws: curves, their bands, dots, and the ends of the frequency axis in rad/s."""
 
     curves: list[Curve]
+    bands: list[Band | None]
     measured: Curve | None
     low: float
     high: float
@@ -99,54 +122,36 @@ def bode_data(
     segments: int,
     intersample: str,
     omega_limits: ArrayLike | None,
+    omega_num: int | None,
     Hz: bool,
+    confidence: Any,
+    level: float,
     label: str | Sequence[str] | None,
     data_label: str | None,
 ) -> BodeData:
     """Compute what `bode_plot` draws; the arguments are its arguments."""
-    systems = _systems(sysdata)
-    labels = _labels(systems, label)
+    systems = as_systems(sysdata, tabulated=True)
+    labels = labels_of(systems, label)
+    models = models_around(confidence, systems, "magnitude_band", "phase_band")
     measured = _measurement(data, systems[0], segments, intersample, data_label)
     marks = np.concatenate([_marks(sys) for sys in systems])
     grid, low, high = _frequencies(marks, measured, omega, omega_limits, Hz)
-    curves = [_curve(sys, name, grid, low, high) for sys, name in zip(systems, labels, strict=True)]
+    curves = [_curve(sys, name, grid, low, high, omega_num) for sys, name in zip(systems, labels, strict=True)]
+    bands = [band_around(curve, drawn, level) for curve, drawn in zip(curves, models, strict=True)]
     first = systems[0]
-    return BodeData(
-        curves, measured, low, high, first.input_labels, first.output_labels, _title(systems, label is not None)
-    )
+    title = title_of("Bode plot", systems, label is not None)
+    return BodeData(curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
 
 
-def _systems(sysdata: Any) -> list[Any]:
-    systems = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
-    if not systems:
-        raise StructureError("the list of systems is empty; give at least one")
-    systems = [ph(sys) if isinstance(sys, ModalForm) else sys for sys in systems]
-    for sys in systems:
-        if not isinstance(sys, ct.StateSpace | ct.TransferFunction | ct.FrequencyResponseData):
-            raise StructureError(
-                f"a {type(sys).__name__} has no frequency response; give LTI systems of python-control, "
-                "PortHamiltonian systems, modal forms or frequency response data"
-            )
-    shapes = [(sys.noutputs, sys.ninputs) for sys in systems]
-    if len(set(shapes)) > 1:
-        raise StructureError(f"the systems differ in (outputs, inputs): {shapes}; draw them in pictures of their own")
-    return systems
-
-
-def _labels(systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
-    if label is None and len(systems) == 1 and isinstance(systems[0], PortHamiltonian):
-        return ["model" if systems[0]._generic_name_check() else systems[0].name]
-    if label is None:
-        return [sys.name for sys in systems]
-    labels = [label] if isinstance(label, str) else list(label)
-    if len(labels) != len(systems):
-        raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
-    return labels
-
-
-def _title(systems: list[Any], relabelled: bool) -> str:
-    named = [sys.name for sys in systems if not (relabelled or sys._generic_name_check())]
-    return "Bode plot of " + ", ".join(dict.fromkeys(named)) if 0 < len(named) == len(systems) <= 3 else "Bode plot"
+def band_around(curve: Curve, models: Any, level: float) -> Band | None:
+    """Band of models drawn around a curve, at its frequencies."""
+    if models is None:
+        return None
+    with np.errstate(divide="ignore"):
+        size = 20.0 * np.log10(models.magnitude_band(curve.omega, level))
+    # infinite where draws have their pole, zero where they have their zero: beyond any picture
+    size = np.clip(size, -_BEYOND, _BEYOND)
+    return Band(f"{100 * level:g} % band", curve.omega, size, models.phase_band(curve.omega, level))
 
 
 def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
@@ -168,8 +173,7 @@ def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: st
         )
     curve = _tabulated(data, label or "data")
     if isinstance(data, SpectralEstimate) and data.segments > 1:
-        return Curve(label or "data", curve.omega, curve.response, curve.singular, curve.nyquist,
-                     data.coherence[data.omega > 0] < _COHERENT)  # fmt: skip
+        return replace(curve, doubtful=data.coherence[data.omega > 0] < _COHERENT)
     return curve
 
 
@@ -177,17 +181,17 @@ def _tabulated(data: ct.FrequencyResponseData, label: str) -> Curve:
     seen = data.omega > 0
     if not seen.any():
         raise StructureError("the frequency response data have no frequency above 0; nothing can be drawn")
-    return Curve(label, data.omega[seen], data.frdata[:, :, seen], np.zeros(0), _nyquist(data))
+    return Curve(label, data.omega[seen], data.frdata[:, :, seen], np.zeros(0), _nyquist(data), tabulated=True)
 
 
-def _curve(sys: Any, label: str, grid: Array | None, low: float, high: float) -> Curve:
+def _curve(sys: Any, label: str, grid: Array | None, low: float, high: float, count: int | None) -> Curve:
     """Response of a system at the given frequencies, or on a grid of its own."""
     if isinstance(sys, ct.FrequencyResponseData):
         return _tabulated(sys, label)
     marks, singular = features(sys)
     if grid is None:
         closest = _CLOSEST_PH if isinstance(sys, LosslessSystem) else _CLOSEST
-        grid = frequency_grid(marks, low, high, closest)
+        grid = frequency_grid(marks, low, high, closest, count)
     nyquist = _nyquist(sys)
     if nyquist is None:
         return Curve(label, grid, sys(1j * grid, squeeze=False, warn_infinite=False), singular)
@@ -295,7 +299,9 @@ def _zeros(sys: Any) -> ComplexArray:
     return np.concatenate(entries).astype(complex)
 
 
-def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _CLOSEST) -> Array:
+def frequency_grid(
+    marks: ArrayLike, low: float, high: float, closest: float = _CLOSEST, count: int | None = None
+) -> Array:
     """Frequencies from `low` to `high`, dense on both sides of every mark and never on one.
 
     Parameters
@@ -306,11 +312,13 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
         Ends of the grid, `0 < low < high`.
     closest : float
         Distance of the nearest points to a mark, relative to its frequency.
+    count : int, optional
+        Number of frequencies between the ends, those around the marks apart.
 
     Returns
     -------
     ndarray
-        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 8 to 30 points at geometrically
+        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 4 to 30 points at geometrically
         shrinking distances, from half way to the next mark, or half its frequency, down to `closest`.
 
     Notes
@@ -325,7 +333,9 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
     >>> bool(np.abs(grid - 1.0).min() > 0), bool(np.abs(grid - 1.0).min() < 1e-7)
     (True, True)
     """
-    base = np.geomspace(low, high, 2 + int(np.ceil(max(500.0, _PER_DECADE * np.log10(high / low)))))
+    if count is None:
+        count = 2 + int(np.ceil(max(500.0, _PER_DECADE * np.log10(high / low))))
+    base = np.geomspace(low, high, max(2, count))
     base[0], base[-1] = low, high
     marks = np.unique(np.asarray(marks, dtype=float))
     if not len(marks):
@@ -333,7 +343,7 @@ def frequency_grid(marks: ArrayLike, low: float, high: float, closest: float = _
     groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
     gaps = np.diff(groups, prepend=0.0, append=np.inf)
     # fewer for each of very many, which the picture cannot separate anyhow
-    shrinking = np.linspace(0.0, 1.0, int(np.clip(_AROUND_ALL // len(groups), 8, 30)))
+    shrinking = np.linspace(0.0, 1.0, int(np.clip(_AROUND_ALL // len(groups), 4, 30)))
     parts = [base]
     for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
         far = 0.5 * np.minimum(gap, groups)
@@ -359,3 +369,13 @@ def away_from(x: Array, marks: Array, part: float) -> NDArray[np.bool_]:
     above = np.clip(np.searchsorted(fenced, x), 1, len(fenced) - 1)
     gap = fenced[above] - fenced[above - 1]
     return _distance(x, marks) >= part * gap
+
+
+def shown_range(curve: Curve, levels: Array, low: float, high: float, part: float) -> Array:
+    """Levels of a curve that a picture from `low` to `high` must hold: no infinite peak, and no lone outlier."""
+    kept = levels[curve.visible(low, high, part)]
+    kept = kept[np.isfinite(kept)]
+    if not curve.tabulated or not len(kept):
+        return kept
+    bottom, top = np.quantile(kept, [0.02, 0.98])
+    return kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]

@@ -1,9 +1,8 @@
-"""Pictures: numbers first, then matplotlib.  Every function returns a `control.ControlPlot`."""
+"""Pictures of responses and fits: numbers first, then matplotlib.  Every function returns a `control.ControlPlot`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import control as ct
@@ -14,20 +13,27 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks
-from .bode import BodeData, Curve, bode_data
+from .bode import BodeData, Curve, bode_data, shown_range
+from .drawing import (
+    BAND,
+    DRAWN,
+    Look,
+    check_hertz,
+    extremes,
+    given_axes,
+    labelled,
+    legend_above,
+    new_axes,
+    plain,
+)
 from .exceptions import StructureError
-from .spectra import gapped_array
+from .fit_data import FitData, fit_data
+from .fit_data import chosen_part as chosen_part  # the pictures of validation enlarge in the same way
+from .fit_data import strongest_part as strongest_part
 
 Array = NDArray[np.float64]
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
-DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
-_FEW_PERIODS = 10  # that are seen in the whole record
-_DETAIL_PERIODS = 8
-_DETAIL_SAMPLES = (80, 1000)  # at least, if the record allows it, and where the strongest motion is slower than that
-
-_STYLES = ("-", "--", "-.", ":")
 
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
 _PALE_DOTS: dict[str, Any] = {**_DOTS, "markersize": 2.5, "color": "0.78"}
@@ -46,13 +52,27 @@ def bode_plot(
     data: ct.TimeResponseData | ct.FrequencyResponseData | None = None,
     segments: int = 8,
     intersample: str = "zoh",
+    confidence: Any = None,
+    level: float = 0.95,
     omega_limits: ArrayLike | None = None,
+    omega_num: int | None = None,
     Hz: bool = False,
+    dB: bool = True,
+    deg: bool = True,
+    plot_magnitude: bool = True,
+    plot_phase: bool = True,
     time_unit: str = "s",
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
     title: str | None = None,
+    grid: bool = True,
+    show_legend: bool | None = None,
+    legend_loc: str | bool | None = None,
+    rcParams: dict[str, Any] | None = None,
+    color: Any = None,
+    linestyle: str | None = None,
+    linewidth: float | None = None,
     ax: Any = None,
 ) -> ct.ControlPlot:
     """Bode plot that shows every resonance and antiresonance, and measurements with it.
@@ -60,7 +80,8 @@ def bode_plot(
     Parameters
     ----------
     sysdata : system, or list of systems
-        `PortHamiltonian`, `ModalForm`, any other LTI system of python-control, `control.FrequencyResponseData`.
+        `PortHamiltonian`, `ModalForm`, any other LTI system of python-control, `control.FrequencyResponseData`; a
+        `PEMResult` stands for its `system`.
     omega : array_like, shape (N,), optional
         Angular frequencies, rad per unit time, ascending and positive; two of them are limits.  By default every pole
         and zero of the systems is resolved.
@@ -68,10 +89,21 @@ def bode_plot(
         Measurement to draw as dots: a record, of which `spectral_estimate` is made, or a frequency response.
     segments, intersample
         As in `spectral_estimate`.
+    confidence : PEMResult or ModeSamples, or list of them, optional
+        Whose `magnitude_band` and `phase_band` to shade around the first system, or around each.  A result of `pem`
+        draws 500 models, always the same.
+    level : float
+        Share of these models inside the band, between 0 and 1.
     omega_limits : array_like, shape (2,), optional
         Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
+    omega_num : int, optional
+        Number of frequencies between the ends; those around poles and zeros come on top.
     Hz : bool
         Frequency axis in Hz instead of rad/s.
+    dB, deg : bool
+        Magnitude in decibels instead of to a logarithmic scale, phase in degrees instead of radians.
+    plot_magnitude, plot_phase : bool
+        Which of the two to draw.
     time_unit : str
         Unit of time of the systems and the measurement, for the labels of frequencies.
     gain_unit : str, optional
@@ -82,33 +114,36 @@ def bode_plot(
         Legend entry of the measurement.
     title : str, optional
         Title; by default from the names of the systems.
+    grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth
+        As in `control.bode_plot`; the last three are those of the curves.
     ax : array of matplotlib.axes.Axes, shape (2p, m), optional
         Axes to draw on, magnitude above phase for each of p outputs and m inputs.  By default a new figure.
 
     Returns
     -------
     control.ControlPlot
-        `lines` and `axes` of shape (2p, m), `figure`, `legend`.
+        `lines` and `axes` of shape (2p, m), or (p, m) with one of magnitude and phase; `figure`, `legend`.
 
     Raises
     ------
     StructureError
-        If the systems differ in their ports, the frequencies are not usable, or the measurement is not, or for `Hz`
-        where the unit of time is not the second.
+        If the systems differ in their ports, the frequencies are not usable, or the measurement or what `confidence`
+        holds is not, or for `Hz` where the unit of time is not the second.
 
     Notes
     -----
     At its poles and zeros on the imaginary axis a lossless response is infinite or zero: the curve runs off the
-    picture there.  The phase of a one-port is then exactly +90 or -90 degrees, and steps.  A response that is zero
-    throughout has no curve, and the legend says so.
+    picture there, and at frequencies of your own, which may straddle a peak, it breaks.  The phase of a one-port is
+    exactly +90 or -90 degrees, and steps.  A response that is zero throughout has no curve, and the legend says so.
 
     The phase of systems is continuous, that of a measurement between -180 and 180 degrees.  Dots of a record are
     pale where the coherence is below one half; those of a held input leave a continuous-time curve near the Nyquist
-    frequency even without noise, mostly upwards, because sampling folds the response.
+    frequency even without noise, mostly upwards, because sampling folds the response.  Of measured responses the range
+    of the picture leaves out a lone point 40 dB beyond all others.
 
     Nyquist frequencies are marked: of a record, of discrete-time systems and of discrete-time frequency responses.
 
-    O(n) for each frequency, and 16 to 60 frequencies for each pole and zero.
+    O(n) for each frequency, and 8 to 60 frequencies for each pole and zero; a band, that for each of its models.
 
     Examples
     --------
@@ -119,88 +154,121 @@ def bode_plot(
     ('Magnitude [dB]', 'Phase [deg]', 'Frequency [rad/s]')
     >>> plt.close(plot.figure)
     """
-    if Hz and time_unit != "s":
-        raise StructureError(f"Hz needs times in s, time_unit is {time_unit!r}; use Hz=False, or convert the times")
+    unit, unit_name = check_hertz(Hz, time_unit)
+    rows = [name for name, wanted in (("magnitude", plot_magnitude), ("phase", plot_phase)) if wanted]
+    if not rows:
+        raise StructureError("plot_magnitude and plot_phase are both False; there is nothing to draw")
     numbers = bode_data(
-        sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits, Hz=Hz,
-        label=label, data_label=data_label,
+        sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
+        omega_num=omega_num, Hz=Hz, confidence=confidence, level=level, label=label, data_label=data_label,
     )  # fmt: skip
-    unit, unit_name = (2.0 * np.pi, "Hz") if Hz else (1.0, f"rad/{time_unit}")
-    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
-        figure, axes = _bode_axes(ax, len(numbers.output_labels), len(numbers.input_labels))
+    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth)
+    with look.context():
+        figure, axes = _bode_axes(ax, len(numbers.output_labels), len(numbers.input_labels), len(rows))
         lines = np.empty(axes.shape, dtype=object)
         for (row, j), axis in np.ndenumerate(axes):
-            draw = _draw_phases if row % 2 else _draw_magnitudes
-            lines[row, j] = draw(axis, numbers, row // 2, j, unit)
+            i, kind = row // len(rows), rows[row % len(rows)]
+            if kind == "phase":
+                lines[row, j] = _draw_phases(axis, numbers, i, j, unit, look, deg)
+            else:
+                lines[row, j] = _draw_magnitudes(axis, numbers, i, j, unit, look, dB)
+                axis.set_ylabel(_gain_label(gain_unit, dB) if j == 0 else "")
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
-        _label_bode(axes, numbers, unit, unit_name, gain_unit)
+            look.lattice(axis, minor="x")
+        _label_bode(axes, numbers, unit, unit_name, len(rows))
         # a curve that is nowhere must at least be told
-        legend = legend_above(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
-        if title is None and ax is None:
-            title = numbers.title
-        if title:
-            figure.suptitle(plain(title))
+        legend = look.legend(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
+        look.entitle(figure, ax, numbers.title)
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
-def _bode_axes(ax: Any, noutputs: int, ninputs: int) -> tuple[Figure, NDArray[Any]]:
-    shape = (2 * noutputs, ninputs)
-    if ax is None:
-        size = (max(6.4, 3.8 * ninputs), 4.8 if noutputs == 1 else 3.8 * noutputs)
-        figure, axes = plt.subplots(*shape, sharex=True, squeeze=False, layout="constrained", figsize=size)
-        figure.align_ylabels()
-        return figure, axes
-    axes = np.array(ax, dtype=object)
-    if axes.size != np.prod(shape):
-        raise StructureError(f"ax has {axes.size} axes; needed {shape}: magnitude above phase for each output")
-    axes = axes.reshape(shape)
-    return axes[0, 0].figure, axes
+def _bode_axes(ax: Any, noutputs: int, ninputs: int, rows: int) -> tuple[Figure, NDArray[Any]]:
+    shape = (rows * noutputs, ninputs)
+    if ax is not None:
+        return given_axes(ax, shape, "magnitude above phase for each output" if rows == 2 else "")
+    height = (4.8 if rows == 2 else 3.2) if noutputs == 1 else 1.9 * rows * noutputs
+    return new_axes(None, shape, (max(6.4, 3.8 * ninputs), height), sharex=True)
 
 
-def _draw_magnitudes(axis: Axes, numbers: BodeData, i: int, j: int, unit: float) -> list[Any]:
+def _gain_label(gain_unit: str | None, dB: bool) -> str:
+    if not dB:
+        return labelled("Magnitude", gain_unit)
+    return plain(f"Magnitude [dB re 1 {gain_unit}]") if gain_unit else "Magnitude [dB]"
+
+
+def _draw_magnitudes(
+    axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, decibels: bool
+) -> list[Any]:
     levels = [curve.magnitude(i, j) for curve in numbers.curves]
-    lines = _draw_curves(axis, numbers.curves, levels, unit)
-    shown = [
-        level[curve.visible(numbers.low, numbers.high, _SHOWN)]
-        for curve, level in zip(numbers.curves, levels, strict=True)
-    ]
+    low, high = numbers.low, numbers.high
+    shown = [shown_range(curve, level, low, high, _SHOWN) for curve, level in zip(numbers.curves, levels, strict=True)]
+    for curve, band in zip(numbers.curves, numbers.bands, strict=True):
+        if band is not None:
+            seen = band.magnitude[:, curve.visible(low, high, _SHOWN)]
+            # nine tenths of it: next to a resonance it reaches as far as the peak
+            shown.append(np.quantile(seen, [0.05, 0.95]) if seen.size else np.zeros(0))
+
+    def scaled(level: Array) -> Array:
+        return level if decibels else 10.0 ** (level / 20.0)
+
+    lines = _draw_curves(axis, numbers, [scaled(level) for level in levels], unit, look)
+    _draw_bands(axis, numbers, lines, [band and scaled(band.magnitude) for band in numbers.bands], unit)
     if numbers.measured is not None:
         dots = numbers.measured.magnitude(i, j)
-        lines += _draw_dots(axis, numbers.measured, dots, unit)
-        shown.append(dots[numbers.measured.visible(numbers.low, numbers.high, 0.0)])
+        lines += _draw_dots(axis, numbers.measured, scaled(dots), unit)
+        shown.append(shown_range(numbers.measured, dots, low, high, 0.0))
     values = np.concatenate(shown)
-    values = values[np.isfinite(values)]
+    if not decibels:
+        axis.set_yscale("log")
     if len(values):
         margin = 5.0 + 0.05 * np.ptp(values)
-        axis.set_ylim(float(values.min() - margin), float(values.max() + margin))
-    axis.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 4, 5, 10]))
+        bottom, top = scaled(np.array([values.min() - margin, values.max() + margin]))
+        axis.set_ylim(float(bottom), float(top))
+    if decibels:
+        axis.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 4, 5, 10]))
     return lines
 
 
-def _draw_phases(axis: Axes, numbers: BodeData, i: int, j: int, unit: float) -> list[Any]:
+def _draw_phases(axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool) -> list[Any]:
+    turn = 1.0 if degrees else np.pi / 180.0
     phases = [curve.phase(i, j) for curve in numbers.curves]
-    lines = _draw_curves(axis, numbers.curves, phases, unit)
+    lines = _draw_curves(axis, numbers, [turn * phase for phase in phases], unit, look)
+    _draw_bands(axis, numbers, lines, [band and turn * band.phase for band in numbers.bands], unit)
     if numbers.measured is not None:
         phases.append(numbers.measured.phase(i, j, unwrap=False))
-        lines += _draw_dots(axis, numbers.measured, phases[-1], unit)
+        lines += _draw_dots(axis, numbers.measured, turn * phases[-1], unit)
     values = np.concatenate([[-90.0, 90.0], *phases])
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     step = 90.0 if high - low <= 450.0 else 180.0
-    axis.set_ylim(low - 0.25 * step, high + 0.25 * step)
+    axis.set_ylim(turn * (low - 0.25 * step), turn * (high + 0.25 * step))
     if high - low <= 1440.0:
-        axis.yaxis.set_major_locator(MultipleLocator(step))
-        axis.yaxis.set_minor_locator(MultipleLocator(step / 2.0))
+        axis.yaxis.set_major_locator(MultipleLocator(turn * step))
+        axis.yaxis.set_minor_locator(MultipleLocator(turn * step / 2.0))
+    if not degrees:
+        axis.yaxis.set_major_formatter(lambda value, _: f"{value / np.pi:g}π" if value else "0")
+    if j == 0:
+        axis.set_ylabel("Phase [deg]" if degrees else "Phase [rad]")
     return lines
 
 
-def _draw_curves(axis: Axes, curves: list[Curve], values: list[Array], unit: float) -> list[Any]:
+def _draw_curves(axis: Axes, numbers: BodeData, values: list[Array], unit: float, look: Look) -> list[Any]:
     lines = []
-    for k, (curve, value) in enumerate(zip(curves, values, strict=True)):
-        # broken lines after the first, so that equal curves are all seen
-        style = _STYLES[k % len(_STYLES)]
+    for k, (curve, value) in enumerate(zip(numbers.curves, values, strict=True)):
         label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
-        lines += axis.plot(curve.omega / unit, value, label=label, linestyle=style, linewidth=1.4, zorder=3)
+        breaks = curve.gaps()
+        omega, value = np.insert(curve.omega, breaks, np.nan), np.insert(value, breaks, np.nan)
+        # what stands between two breaks is no line
+        marker = {"marker": ".", "markersize": 4.0} if len(breaks) else {}
+        lines += axis.plot(omega / unit, value, label=label, **{**look.curve(k), **marker})
     return lines
+
+
+def _draw_bands(axis: Axes, numbers: BodeData, lines: list[Any], values: list[Any], unit: float) -> None:
+    for band, line, ends in zip(numbers.bands, lines, values, strict=True):
+        if band is not None:
+            axis.fill_between(
+                band.omega / unit, *ends, label=plain(band.label), color=line.get_color(), **BAND
+            )  # fmt: skip
 
 
 def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[Any]:
@@ -221,40 +289,16 @@ def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
         axis.axvline(limit, label=label, zorder=1, **_LIMIT)
 
 
-def plain(text: str) -> str:
-    """Text that matplotlib shows as it is: two dollar signs would make a formula of what is between them."""
-    return str(text).replace("$", r"\$")
-
-
-def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, gain_unit: str | None) -> None:
+def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, kinds: int) -> None:
     rows, columns = axes.shape
     for (row, j), axis in np.ndenumerate(axes):
         axis.set_xscale("log")
         axis.set_xlim(numbers.low / unit, numbers.high / unit)
-        axis.grid(True, which="major", linewidth=0.5, alpha=0.6)
-        axis.grid(True, which="minor", axis="x", linewidth=0.3, alpha=0.35)
-        if j == 0:
-            decibels = f"Magnitude [dB re 1 {plain(gain_unit)}]" if gain_unit else "Magnitude [dB]"
-            axis.set_ylabel("Phase [deg]" if row % 2 else decibels)
         if row == rows - 1:
-            axis.set_xlabel(plain(f"Frequency [{unit_name}]"))
-        if (rows > 2 or columns > 1) and row % 2 == 0:
-            channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // 2]}"
+            axis.set_xlabel(labelled("Frequency", unit_name))
+        if (rows > kinds or columns > 1) and row % kinds == 0:
+            channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // kinds]}"
             axis.set_title(plain(channel), loc="left")
-
-
-def legend_above(axis: Axes, least: int = 2) -> Any:
-    """Legend outside the data, where no line can hide behind it; none for fewer entries than `least`."""
-    handles, labels = axis.get_legend_handles_labels()
-    if len(labels) < least:
-        return None
-    # matplotlib fills column by column, each as wide as its longest entry
-    widest = [max(map(len, column)) for column in np.array_split(np.array(labels, dtype=object), 4) if len(column)]
-    columns = 4 if sum(widest) < 80 else 2
-    return axis.legend(
-        handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns,
-        frameon=False, borderaxespad=0.2,
-    )  # fmt: skip
 
 
 # --- measured against predicted --------------------------------------------------------------------------------------
@@ -271,6 +315,7 @@ def fit_plot(
     output_unit: str | None = None,
     detail: str | ArrayLike | None = "auto",
     title: str | None = None,
+    ax: Any = None,
 ) -> ct.ControlPlot:
     """Measured and predicted output, the residual below, and a few periods enlarged.
 
@@ -294,6 +339,8 @@ def fit_plot(
         more than 10 periods or 3000 samples.
     title : str, optional
         Title of the picture.
+    ax : array of matplotlib.axes.Axes, shape (2, 1) or (3, 1), optional
+        Axes to draw on, the third for the detail; with two of them there is none.  By default a new figure.
 
     Returns
     -------
@@ -318,11 +365,11 @@ def fit_plot(
     ('Velocity [m/s]', 'Time [s]')
     >>> plt.close(plot.figure)
     """
-    numbers = _fit_data(time, measured, predicted, detail)
+    numbers = fit_data(time, measured, predicted, None if ax is not None and np.size(ax) == 2 else detail)
     suffix = f"[{output_unit}]" if output_unit else ""
     quantity, residual = (plain(name.strip()) for name in (f"{output_label} {suffix}", f"Residual\n{suffix}"))
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
-        figure, axes = _fit_axes(numbers.detail is not None)
+        figure, axes = _fit_axes(ax, numbers.detail is not None)
         lines = np.empty(axes.shape, dtype=object)
         lines[0, 0] = _draw_record(axes[0, 0], numbers, fit_percent)
         lines[1, 0] = _draw_residual(axes[1, 0], numbers, output_unit or "")
@@ -334,83 +381,13 @@ def fit_plot(
         for axis in axes[1:, 0]:
             axis.set_xlabel(plain(f"Time [{time_unit}]"))
         legend = np.array([[legend_above(axis)] for axis in axes[:, 0]], dtype=object)
-        figure.suptitle(plain(f"{output_label}, measured and predicted" if title is None else title))
+        Look(title=title).entitle(figure, ax, f"{output_label}, measured and predicted")
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
-@dataclass(frozen=True)
-class _FitData:
-    """Signals of one length, and the samples to enlarge."""
-
-    time: Array
-    measured: Array
-    predicted: Array
-    detail: slice | None
-
-    @property
-    def residual(self) -> Array:
-        return self.measured - self.predicted
-
-    @property
-    def residual_rms(self) -> float:
-        return float(np.sqrt(np.nanmean(self.residual**2)))
-
-
-def _fit_data(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike, detail: Any) -> _FitData:
-    t = _checks.real_array("the time", time, 1)
-    y, p = gapped_array("the measured output", measured), gapped_array("the predicted output", predicted)
-    if not len(t) == len(y) == len(p):
-        raise StructureError(
-            f"the time has {len(t)} samples, the measured output {len(y)} and the predicted output {len(p)}; "
-            "they must be of one length"
-        )
-    if np.any(np.diff(t) <= 0):
-        k = int(np.argmax(np.diff(t) <= 0))
-        raise StructureError(
-            f"the time does not increase: samples {k} and {k + 1} are at {t[k]:.9g} and {t[k + 1]:.9g}"
-        )
-    if not np.isfinite(y - p).any():
-        raise StructureError("no sample has a measured and a predicted output; there is nothing to compare")
-    if detail is None:
-        return _FitData(t, y, p, None)
-    if isinstance(detail, str):
-        _checks.choice("detail", detail, ("auto",))
-        return _FitData(t, y, p, strongest_part(y, y - p))
-    return _FitData(t, y, p, chosen_part(t, detail))
-
-
-def strongest_part(measured: Array, residual: Array) -> slice | None:
-    """A few periods of the strongest oscillation, where the residual is largest; None if the record has few itself."""
-    known = np.isfinite(measured)
-    signal = np.where(known, measured - np.mean(measured[known]), 0.0)
-    periods = int(np.argmax(np.abs(np.fft.rfft(signal))))
-    least, most = _DETAIL_SAMPLES
-    if periods > _FEW_PERIODS:
-        count = min(max(least, _DETAIL_PERIODS * len(signal) // periods), len(signal) // 3)
-    elif 3 * most <= len(signal):
-        count = most
-    else:
-        return None
-    power = np.cumsum(np.concatenate([[0.0], np.nan_to_num(residual) ** 2]))
-    start = int(np.argmax(power[count:] - power[:-count]))
-    return slice(start, start + count)
-
-
-def chosen_part(time: Array, detail: Any) -> slice:
-    """Samples between the two instants that the user asked to see enlarged."""
-    ends = _checks.real_array("detail", detail, 1)
-    if len(ends) != 2:
-        raise StructureError(f"detail has {len(ends)} entries; give the first and the last instant to enlarge")
-    start, stop = (int(k) for k in (np.searchsorted(time, ends[0]), np.searchsorted(time, ends[1], side="right")))
-    if stop - start < 2:
-        raise StructureError(
-            f"detail from {ends[0]:.6g} to {ends[1]:.6g} holds {max(0, stop - start)} samples of the record, which "
-            f"reaches from {time[0]:.6g} to {time[-1]:.6g}; needed at least 2"
-        )
-    return slice(start, stop)
-
-
-def _fit_axes(detail: bool) -> tuple[Figure, NDArray[Any]]:
+def _fit_axes(ax: Any, detail: bool) -> tuple[Figure, NDArray[Any]]:
+    if ax is not None:
+        return given_axes(ax, (2 + detail, 1), "the record above its residual, and the detail")
     figure = plt.figure(figsize=(7.2, 6.8 if detail else 4.8), layout="constrained")
     grid = figure.add_gridspec(2 + detail, 1, height_ratios=[3.0, 1.7, 3.0][: 2 + detail])
     top = figure.add_subplot(grid[0])
@@ -422,7 +399,7 @@ def _fit_axes(detail: bool) -> tuple[Figure, NDArray[Any]]:
     return figure, np.array(panels, dtype=object)[:, None]
 
 
-def _draw_record(axis: Axes, numbers: _FitData, fit_percent: float | None) -> list[Any]:
+def _draw_record(axis: Axes, numbers: FitData, fit_percent: float | None) -> list[Any]:
     label = "predicted" if fit_percent is None else f"predicted (fit {_percent(fit_percent)})"
     axis.set_xlim(numbers.time[0], numbers.time[-1])
     return [
@@ -431,7 +408,7 @@ def _draw_record(axis: Axes, numbers: _FitData, fit_percent: float | None) -> li
     ]
 
 
-def _draw_residual(axis: Axes, numbers: _FitData, unit: str) -> list[Any]:
+def _draw_residual(axis: Axes, numbers: FitData, unit: str) -> list[Any]:
     size = plain(f"RMS {numbers.residual_rms:.3g} {unit}".strip())
     axis.text(
         0.995, 1.0, size, transform=axis.transAxes, ha="right", va="bottom",
@@ -441,7 +418,7 @@ def _draw_residual(axis: Axes, numbers: _FitData, unit: str) -> list[Any]:
     return list(axis.plot(*extremes(numbers.time, numbers.residual, DRAWN), label="residual", **_RESIDUAL))
 
 
-def _draw_detail(axis: Axes, top: Axes, numbers: _FitData, detail: Any) -> list[Any]:
+def _draw_detail(axis: Axes, top: Axes, numbers: FitData, detail: Any) -> list[Any]:
     part = numbers.detail
     t = numbers.time[part]
     top.axvspan(t[0], t[-1], color="0.85", zorder=0)
@@ -454,24 +431,6 @@ def _draw_detail(axis: Axes, top: Axes, numbers: _FitData, detail: Any) -> list[
         *axis.plot(*extremes(t, numbers.measured[part], DRAWN), label="measured", **_SAMPLES),
         *axis.plot(*extremes(t, numbers.predicted[part], DRAWN), label="predicted", **_PREDICTED),
     ]
-
-
-def extremes(time: Array, values: Array, limit: int) -> tuple[Array, Array]:
-    """At most about `limit` samples that draw the same line: the least and the greatest of each short bin, in order.
-
-    A bin without any number is a gap.
-    """
-    if len(values) <= limit:
-        return time, values
-    size = -(-2 * len(values) // limit)
-    padding = -len(values) % size
-    bins = np.concatenate([values, np.full(padding, np.nan)]).reshape(-1, size)
-    first = size * np.arange(len(bins))
-    low = first + np.argmin(np.where(np.isnan(bins), np.inf, bins), axis=1)
-    high = first + np.argmax(np.where(np.isnan(bins), -np.inf, bins), axis=1)
-    # argmin and argmax of an empty bin are its first sample, a NaN
-    kept = np.unique(np.concatenate([low, high]))
-    return time[kept], values[kept]
 
 
 def _percent(fit: float) -> str:

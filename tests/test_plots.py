@@ -146,15 +146,17 @@ def test_a_pole_at_zero_starts_the_phase_at_minus_90_degrees():
 
 
 def test_the_magnitude_is_twenty_times_the_decimal_logarithm():
-    plot = bode_plot(phc.modes(2.0, 0.5), [1.0, 1.5, 4.0])
-    np.testing.assert_allclose(plot.lines[0, 0][0].get_ydata(), 20 * np.log10([1 / 3, 1.5 / 1.75, 4 / 12]), rtol=1e-14)
+    plot = bode_plot(phc.modes(2.0, 0.5), [1.0, 1.5, 1.75])
+    expected = 20 * np.log10([1 / 3, 1.5 / 1.75, 1.75 / (4 - 1.75**2)])
+    np.testing.assert_allclose(plot.lines[0, 0][0].get_ydata(), expected, rtol=1e-14)
 
 
 def test_a_frequency_on_a_pole_or_zero_leaves_a_gap_and_no_warning():
     plot = bode_plot(phc.ph(phc.modes([1.0, 3.0], [1.0, 1 / 3])), [0.5, 1.0, np.sqrt(5.0), 3.0, 4.0])
     for row in (0, 1):
-        assert np.isnan(plot.lines[row, 0][0].get_ydata()[[1, 3]]).all()
-        assert np.isfinite(plot.lines[row, 0][0].get_ydata()[[0, 4]]).all()
+        w, values = plot.lines[row, 0][0].get_data()
+        assert np.isnan(values[np.isin(w, [1.0, 3.0])]).all()
+        assert np.isfinite(values[np.isin(w, [0.5, 4.0])]).all()
 
 
 def test_the_phase_of_an_ordinary_system_is_continuous_past_minus_180_degrees():
@@ -279,7 +281,8 @@ def test_two_frequencies_are_limits_and_more_are_the_grid():
     assert limited.axes[0, 0].get_xlim() == (0.2, 3.0)
     assert len(limited.lines[0, 0][0].get_xdata()) > 500
     given = bode_plot(chain, [0.2, 0.5, 3.0])
-    assert given.lines[0, 0][0].get_xdata().tolist() == [0.2, 0.5, 3.0]
+    w = given.lines[0, 0][0].get_xdata()
+    assert w[np.isfinite(w)].tolist() == [0.2, 0.5, 3.0]
 
 
 def test_the_phase_axis_is_ticked_at_multiples_of_90_degrees():

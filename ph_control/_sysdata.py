@@ -1,0 +1,88 @@
+"""What a user may hand to a picture: systems of all kinds with their names, and models drawn around an estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import control as ct
+
+from .exceptions import StructureError
+from .modal import ModalForm
+from .systems import PortHamiltonian, ph
+
+DRAWS = 500  # models of a band: seeds move its ends by 0.7 % of probability
+
+
+def as_systems(sysdata: Any, *, tabulated: bool = False) -> list[Any]:
+    """Systems of one number of ports: lossless or not; of fits their models, and frequency responses on request."""
+    systems = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
+    if not systems:
+        raise StructureError("the list of systems is empty; give at least one")
+    systems = [_as_system(sys) for sys in systems]
+    kinds = (ct.StateSpace, ct.TransferFunction, *([ct.FrequencyResponseData] if tabulated else []))
+    for sys in systems:
+        if not isinstance(sys, kinds):
+            what = "frequency response; give" if tabulated else "poles; give"
+            raise StructureError(
+                f"a {type(sys).__name__} has no {what} LTI systems of python-control, PortHamiltonian systems, modal "
+                "forms" + (" or frequency response data" if tabulated else "")
+            )
+    shapes = [(sys.noutputs, sys.ninputs) for sys in systems]
+    if len(set(shapes)) > 1:
+        raise StructureError(f"the systems differ in (outputs, inputs): {shapes}; draw them in pictures of their own")
+    return systems
+
+
+def _as_system(given: Any) -> Any:
+    """Return the system itself, or that of a modal form or of the result of a fit."""
+    if isinstance(given, ModalForm):
+        return ph(given)
+    inside = getattr(given, "system", None)
+    return inside if isinstance(inside, PortHamiltonian) else given
+
+
+def labels_of(systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
+    """Legend entries: those given, or the names of the systems."""
+    if label is None and len(systems) == 1 and isinstance(systems[0], PortHamiltonian):
+        return ["model" if systems[0]._generic_name_check() else systems[0].name]
+    if label is None:
+        return [sys.name for sys in systems]
+    labels = [label] if isinstance(label, str) else list(label)
+    if len(labels) != len(systems):
+        raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
+    return labels
+
+
+def title_of(kind: str, systems: list[Any], relabelled: bool) -> str:
+    """Title of a picture, with the names of its systems where they are few and have some."""
+    named = [sys.name for sys in systems if not (relabelled or sys._generic_name_check())]
+    return f"{kind} of " + ", ".join(dict.fromkeys(named)) if 0 < len(named) == len(systems) <= 3 else kind
+
+
+def models_around(confidence: Any, systems: list[Any], *bands: str) -> list[Any]:
+    """For each system the models drawn around it, or None: they have methods with the names `bands`.
+
+    `confidence` belongs to the first system, a list to all of them; a result of a fit draws its models itself.
+    """
+    given = list(confidence) if isinstance(confidence, list | tuple) else [confidence]
+    if len(given) > len(systems) or (len(given) < len(systems) and isinstance(confidence, list | tuple)):
+        raise StructureError(
+            f"confidence has {len(given)} entries for {len(systems)} systems; give one for each, None for those without"
+        )
+    found: list[Any] = []
+    for sys, one in zip(systems, [*given, *[None] * (len(systems) - len(given))], strict=True):
+        if one is None:
+            found.append(None)
+            continue
+        if not sys.issiso():
+            raise StructureError(f"bands are those of one port; {sys.name} has {sys.ninputs}")
+        if not all(hasattr(one, band) for band in bands) and hasattr(one, "sample"):
+            # the same picture each time
+            one = one.sample(DRAWS, 0)
+        if not all(hasattr(one, band) for band in bands):
+            raise StructureError(
+                f"confidence is a {type(one).__name__}; pass the result of pem, or models drawn by its sample(k)"
+            )
+        found.append(one)
+    return found
