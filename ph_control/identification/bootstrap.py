@@ -196,8 +196,8 @@ class Resampled:
         response are drawn as complex numbers in units of their weights.  Within an experiment noise is taken to be
         independent and of one distribution: errors under coloured noise, or a level that changes along the record, are
         not seen; look at `residual_analysis` first.  Refits stay in the minimum of the estimate and sort their modes
-        by frequency.  Of a weight at or near 0 no bootstrap gives the right distribution (its draws pile up at 0);
-        `active_share` tells which are concerned.
+        by frequency.  Of a weight at or near 0 no bootstrap gives the right distribution: its draws pile up at 0, about
+        half of them if the estimate itself is held there; `active_share` tells which are concerned.
 
         k times two to five iterations of O(T n^2), a small part of the fit itself for each.
 

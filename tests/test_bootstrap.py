@@ -1,0 +1,472 @@
+"""Residual bootstrap against covariances, a dense sandwich formula, `pem` itself, and by hand."""
+
+import dataclasses
+from multiprocessing.pool import ThreadPool
+
+import control as ct
+import numpy as np
+import pytest
+from reference import EPS
+
+import ph_control as phc
+from ph_control.identification import bootstrap as module
+from ph_control.identification.refit import problem_of, starts_from_rest
+from ph_control.identification.solver import refine
+
+STEP = 0.1
+MODES = phc.modes([1.0, 2.3], [1.0, 0.4])
+
+
+def recording(samples=300, noise=0.1, seed=0, modes=MODES, state=None):
+    """White force on a plant, its velocity and white noise."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(samples)
+    start = np.zeros(2 * modes.n) if state is None else state
+    y = phc.forced_response(phc.ph(modes), STEP * np.arange(samples), u, start).outputs
+    return u, y + noise * rng.standard_normal(samples)
+
+
+def response(noise=0.02, seed=0, weighted=True):
+    """A measured frequency response whose noise grows with the frequency, and the weights that undo it."""
+    rng = np.random.default_rng(seed)
+    omega = np.linspace(0.31, 3.51, 81)
+    level = noise * omega if weighted else noise * np.ones(81)
+    values = MODES.freqresp(omega) + level * (rng.standard_normal(81) + 1j * rng.standard_normal(81))
+    return ct.frd(values, omega, smooth=False), 1 / level**2
+
+
+def missing(u, y, every=7):
+    return u, np.where(np.arange(len(y)) % every == 3, np.nan, y)
+
+
+def fits():
+    """A result of every kind of data and option, by name."""
+    u, y = recording(state=[1.0, -0.5, 0.3, 0.2])
+    free = phc.initial_response(phc.ph(MODES), STEP * np.arange(200), [1.0, 2.0, 0.0, 1.0]).outputs
+    free = free + 0.05 * np.random.default_rng(5).standard_normal(200)
+    frd, weights = response()
+    return {
+        "plain": lambda: phc.pem((u, y), 2, dt=STEP),
+        "from rest": lambda: phc.pem(recording(), 2, dt=STEP, initial_state="zero"),
+        "offset": lambda: phc.pem((u, y + 3.0), 2, dt=STEP, offset=True),
+        "missing": lambda: phc.pem(missing(u, y), 2, dt=STEP),
+        "several": lambda: phc.pem([(u, y), recording(150, seed=3), (None, free)], 2, dt=[STEP, STEP, STEP]),
+        "several from rest": lambda: phc.pem(
+            [recording(150, seed=3), (None, free)], 2, dt=STEP, initial_state="zero", offset=True
+        ),
+        "acceleration": lambda: phc.pem((u, y), 2, dt=STEP, quantity="acceleration"),
+        "displacement, foh": lambda: phc.pem((u, y), 2, dt=STEP, quantity="displacement", intersample="foh"),
+        "midpoint": lambda: phc.pem((u, y), 2, dt=STEP, method="midpoint"),
+        "free": lambda: phc.pem((None, free), 2, dt=STEP),
+        "response": lambda: phc.pem(frd, 2, weights=weights),
+        "held": lambda: phc.pem(sensor_away(), 2, dt=STEP),
+        "held, controllable": lambda: blind(sensor_away(), 2, dt=STEP, representation="controllable"),
+    }
+
+
+KINDS = sorted(fits())
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """Results, made once."""
+    made, ways = {}, fits()
+    return lambda kind: made.setdefault(kind, ways[kind]())
+
+
+def blind(*args, **kwargs):
+    """A fit that leaves parameters in the dark."""
+    with pytest.warns(phc.IdentifiabilityWarning):
+        return phc.pem(*args, **kwargs)
+
+
+def sensor_away(samples=300):
+    """A record whose second mode answers with the wrong sign."""
+    rng = np.random.default_rng(4)
+    u, t = rng.standard_normal(samples), STEP * np.arange(samples)
+    first, second = (phc.forced_response(phc.ph(phc.modes(d, r)), t, u).outputs for d, r in ((1.0, 1.0), (2.3, 0.4)))
+    return u, first - second + 2 * np.cos(2.3 * t) + 0.1 * rng.standard_normal(samples)
+
+
+def near(first, second, resamples, spare=0.0):
+    """Whether two standard errors agree as far as a number of resamples tells, four standard deviations of it."""
+    ratio = np.asarray(first) / np.asarray(second)
+    return np.all(np.abs(ratio - 1) < 4 / np.sqrt(2 * resamples) + spare)
+
+
+# --- the problem, made again -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_problem_made_again_has_its_minimum_at_the_result(kind, fitted):
+    result = fitted(kind)
+    problem = problem_of(result)
+    at = problem.project(result.d)
+    rounding = problem.samples * EPS
+    assert abs(at.loss / problem.samples / result.loss - 1) < 100 * rounding
+    for one, own, predicted in zip(result.experiments, at.own, at.predicted(), strict=True):
+        assert np.abs(predicted - one.predicted).max() < 100 * rounding * np.abs(one.predicted).max()
+        if len(own) >= 4:
+            assert np.allclose(own[:2] + 1j * own[2:4], one.free_amplitudes, rtol=1e-8, atol=1e-10)
+    again = refine(problem, result.d, rtol=1e-12).projection
+    assert np.allclose(again.d, result.d, rtol=1e-8, atol=0)
+    assert at.problem.structured == (kind == "held, controllable")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_records_from_rest_are_told_from_others(kind, fitted):
+    assert starts_from_rest(fitted(kind)) == kind.endswith("from rest")
+
+
+# --- white noise: the standard errors of theory ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["plain", "missing", "several from rest", "free", "response", "acceleration"])
+def test_under_white_noise_the_bootstrap_gives_the_standard_errors_of_the_covariance(kind):
+    # records whose noise is white and as large everywhere
+    u, y = recording(250, state=[1.0, -0.5, 0.3, 0.2])
+    free = phc.initial_response(phc.ph(MODES), STEP * np.arange(250), [1.0, 2.0, 0.0, 1.0]).outputs
+    free = free + 0.1 * np.random.default_rng(5).standard_normal(250)
+    frd, weights = response()
+    result = {
+        "plain": lambda: phc.pem((u, y), 2, dt=STEP),
+        "missing": lambda: phc.pem(missing(u, y), 2, dt=STEP),
+        "several from rest": lambda: phc.pem(
+            [recording(250, seed=3), (None, free)], 2, dt=STEP, initial_state="zero", offset=True
+        ),
+        "free": lambda: phc.pem((None, free), 2, dt=STEP),
+        "response": lambda: phc.pem(frd, 2, weights=weights),
+        "acceleration": lambda: phc.pem(accelerations(), 2, dt=STEP, quantity="acceleration"),
+    }[kind]()
+    again = result.bootstrap(120, rng=1)
+    assert again.failed == 0 and len(again) == 120
+    for name, expected in result.stderr.items():
+        assert again.stderr[name].shape == expected.shape
+        known = np.isfinite(expected)
+        assert np.array_equal(np.isfinite(again.stderr[name]), known), name
+        # experiments keep their own noise level, known to sqrt(2/250) of its square
+        spare = 0.15 if len(result.experiments) > 1 else 0.0
+        assert near(again.stderr[name][known], expected[known], 120, spare), name
+
+
+def accelerations():
+    u, _ = recording(250)
+    plant = phc.ph(MODES)
+    observed = ct.ss(plant.A, plant.B, plant.C @ plant.A, plant.C @ plant.B)
+    y = ct.forced_response(ct.sample_system(observed, STEP, "zoh"), STEP * np.arange(250), u).outputs
+    return u, y + 0.1 * np.random.default_rng(9).standard_normal(250)
+
+
+def test_percentile_intervals_under_white_noise_are_those_of_the_normal_distribution(fitted):
+    result = fitted("plain")
+    again = result.bootstrap(200, rng=2)
+    for level, spread in ((0.5, 0.1), (0.9, 0.16)):
+        boot, normal = again.interval(level), result.confidence_interval(level)
+        for name in ("d", "r", "initial_state"):
+            error = result.stderr[name][..., None]
+            assert boot[name].shape == normal[name].shape
+            assert np.abs((boot[name] - normal[name]) / error).max() < 4 * spread
+
+
+def test_the_noise_that_is_drawn_has_the_variance_of_the_noise_and_no_mean(fitted):
+    for kind in ("plain", "offset", "missing"):
+        result = fitted(kind)
+        noise = module._Refit.of(result).noise[0]
+        spread = np.mean(result.residuals[result.record.observed])
+        assert abs(noise.mean()) < 1e-12 * noise.std()
+        factor = result.noise_variance / result.loss
+        assert abs(noise.var() / (result.noise_variance - factor * spread**2) - 1) < 1e-10
+
+
+# --- where it rightly differs ----------------------------------------------------------------------------------------
+
+
+def sandwich(result, levels):
+    """Standard errors of least squares whose experiments have noise of different levels: dense, by differences."""
+    n, count = result.order, len(result.experiments)
+
+    def predicted(theta):
+        plant = phc.ph(phc.modes(theta[:n], theta[n : 2 * n]))
+        states = theta[2 * n :].reshape(count, 2 * n)
+        parts = [
+            phc.forced_response(plant, one.record.time, one.record.u, state).outputs
+            for one, state in zip(result.experiments, states, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    theta = np.concatenate([result.d, result.r, *result.initial_states])
+    step = 1e-5
+    J = np.array([(predicted(theta + e) - predicted(theta - e)) / (2 * step) for e in step * np.eye(len(theta))]).T
+    variance = np.concatenate(
+        [np.full(one.record.samples, s**2) for one, s in zip(result.experiments, levels, strict=True)]
+    )
+    inverse = np.linalg.inv(J.T @ J)
+    return np.sqrt(np.diag(inverse @ (J.T * variance) @ J @ inverse))
+
+
+def test_experiments_with_noise_of_their_own_have_errors_of_their_own():
+    levels = 0.1, 0.6
+    data = [recording(400, levels[0], 1), recording(120, levels[1], 2)]
+    result = phc.pem(data, 2, dt=STEP)
+    expected = sandwich(result, levels)
+    again = result.bootstrap(120, rng=3)
+    boot = np.concatenate([again.stderr[name].ravel() for name in ("d", "r", "initial_state")])
+    # of 120 residuals the level is known to 1/sqrt(240)
+    assert near(boot, expected, 120, 3 / np.sqrt(240))
+    pooled = result.stderr["initial_state"].ravel() / expected[4:]
+    assert pooled[:4].min() > 1.6 and pooled[4:].max() < 0.6
+
+
+def test_where_two_errors_outweigh_all_others_the_estimate_often_does_not_move():
+    """Of 60 residuals 2 are large: resamples without any of them, `(58/60)^60` = 13 %, end next to the estimate."""
+    modes = phc.modes(1.0, 1.0)
+    u, y = recording(60, 0.0, modes=modes)
+    share = {}
+    for kind in ("normal", "spikes"):
+        noise = 0.1 * np.random.default_rng(8).standard_normal(60)
+        if kind == "spikes":
+            noise *= 0.01
+            noise[[17, 41]] = 0.5, -0.5
+        result = phc.pem((u, y + noise), 1, dt=STEP, initial_guess=modes, initial_state="zero")
+        draws = result.bootstrap(80, rng=1)
+        share[kind] = np.mean(np.abs(draws.d[:, 0] - result.d) < 0.03 * draws.stderr["d"])
+    chance = (58 / 60) ** 60
+    assert abs(share["spikes"] - chance) < 4 * np.sqrt(chance * (1 - chance) / 80) + 0.024
+    assert share["normal"] < 0.1
+
+
+# --- resamples and refits --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def problems(monkeypatch):
+    """The problems that are refitted, as they pass."""
+    seen = []
+
+    def watched(problem, *args, **kwargs):
+        seen.append(problem)
+        return refine(problem, *args, **kwargs)
+
+    monkeypatch.setattr(module, "refine", watched)
+    return seen
+
+
+@pytest.mark.parametrize("kind", ["offset", "missing"])
+def test_each_resample_is_the_prediction_with_residuals_of_the_record_and_is_fitted_as_pem_does(kind, fitted, problems):
+    result = fitted(kind)
+    again = result.bootstrap(4, rng=7)
+    observed = result.record.observed
+    left = result.residuals[observed]
+    pool = np.sqrt(result.noise_variance / result.loss) * (left - left.mean())
+    drawn = []
+    for k, problem in enumerate(problems):
+        (one,) = problem.experiments
+        assert np.array_equal(np.isnan(one.y), ~observed) and np.array_equal(one.observed, observed)
+        noise = (one.y - result.predicted)[observed]
+        distance = np.abs(noise[:, None] - pool)
+        assert distance.min(axis=1).max() < 1e-12
+        drawn.append(distance.argmin(axis=1))
+        assert 0.5 < len(np.unique(drawn[-1])) / observed.sum() < 0.75  # 1 - 1/e of them, with replacement
+        full = phc.pem((one.u, one.y), 2, dt=STEP, offset=kind == "offset", initial_guess=result.modes)
+        for name, value, stderr in (
+            ("d", again.d[k], full.stderr["d"]), ("r", again.r[k], full.stderr["r"]),
+            ("initial_state", again.initial_state[k], full.stderr["initial_state"]),
+            ("offsets", again.offset[k], full.stderr["offset"]),
+        ):  # fmt: skip
+            allowed = np.where(np.isnan(stderr), 0.0, 1e-3 * stderr)
+            assert np.all(np.abs(value - getattr(full, name)) <= allowed), name
+    assert len({tuple(places) for places in drawn}) == 4
+
+
+def test_residuals_of_a_response_are_drawn_as_complex_numbers_in_units_of_their_weights(fitted, problems):
+    result = fitted("response")
+    result.bootstrap(3, rng=7)
+    left = result.residuals * np.sqrt(result.record.weights)
+    pool = np.sqrt(result.noise_variance / result.loss) * (left - left.mean())
+    for problem in problems:
+        record = problem.experiments[0].record
+        noise = (record.response - result.predicted) * np.sqrt(record.weights)
+        assert np.abs(noise[:, None] - pool).min(axis=1).max() < 1e-10
+        assert np.array_equal(record.weights, result.record.weights)
+
+
+def test_residuals_stay_within_their_experiment(fitted, problems):
+    result = phc.pem([recording(100, 0.05, 1), recording(100, 0.5, 2)], 2, dt=STEP)
+    result.bootstrap(3, rng=0)
+    for problem in problems:
+        quiet, loud = (
+            np.std(rows.y - one.predicted) for rows, one in zip(problem.experiments, result.experiments, strict=True)
+        )
+        assert quiet < 0.4 * loud
+
+
+def test_modes_are_matched_in_order_even_where_resamples_exchange_them():
+    # two modes as far apart as their errors
+    u, y = recording(300, 0.3, seed=6, modes=phc.modes([1.0, 1.08], [1.0, 1.0]))
+    again = phc.pem((u, y), 2, dt=STEP).bootstrap(50, rng=0)
+    kept = again.d[~np.isnan(again.d[:, 0])]
+    assert np.all(np.diff(kept, axis=1) >= 0)
+
+
+def test_weights_that_are_held_are_reported(fitted):
+    """Where the estimate is on the bound, resamples of it fall on either side."""
+    held, free = (fitted(kind).bootstrap(30, rng=0) for kind in ("held", "plain"))
+    assert fitted("held").active == (1,)
+    assert np.array_equal(free.active_share, [0.0, 0.0]) and held.active_share[0] == 0
+    assert 0.2 < held.active_share[1] < 0.8
+    assert np.array_equal(held.active, held.r == 0)
+    assert f"0, {100 * held.active_share[1]:.0f} %" in repr(held)
+
+
+def test_a_weight_near_zero_is_held_in_some_of_the_resamples():
+    u, y = recording(200, 0.5, seed=1, modes=phc.modes([1.0, 2.3], [1.0, 0.02]))
+    result = phc.pem((u, y), 2, dt=STEP, initial_guess=([1.0, 2.3], [1.0, 1.0]))
+    again = result.bootstrap(60, rng=0)
+    assert 0.05 < again.active_share[1] < 0.95
+    kept = ~np.isnan(again.d[:, 0])
+    assert np.array_equal(again.active[kept], again.r[kept] == 0)
+
+
+def test_modes_that_the_record_does_not_show_stay_as_they_are():
+    u, y = recording(200, 0.0, modes=phc.modes(1.0, 1.0))
+    result = phc.pem((u, y), 3, dt=STEP)
+    again = result.bootstrap(5, rng=0)
+    assert result.unseen == (1, 2)
+    assert np.array_equal(again.d[:, 1:], np.tile(result.d[1:], (5, 1))) and not again.r[:, 1:].any()
+    assert np.isnan(again.stderr["d"][1:]).all()
+
+
+# --- seeds and workers -----------------------------------------------------------------------------------------------
+
+
+def parts(bootstrap):
+    return [getattr(bootstrap, field.name) for field in dataclasses.fields(bootstrap)]
+
+
+@pytest.mark.parametrize("kind", ["several", "response"])
+def test_the_answer_does_not_depend_on_the_workers(kind, fitted):
+    result = fitted(kind)
+    alone = result.bootstrap(12, rng=5)
+    with ThreadPool(3) as pool:
+        for workers in (2, 4, map, pool.map):
+            for first, second in zip(parts(alone), parts(result.bootstrap(12, rng=5, workers=workers)), strict=True):
+                assert np.array_equal(first, second)
+
+
+def test_more_resamples_begin_with_the_same_ones(fitted):
+    few, many = (fitted("plain").bootstrap(k, rng=5) for k in (4, 9))
+    assert np.array_equal(few.d, many.d[:4]) and not np.array_equal(many.d[4], many.d[5])
+
+
+def test_seeds_generators_and_none(fitted):
+    result = fitted("plain")
+    seeded = result.bootstrap(3, rng=5)
+    assert np.array_equal(seeded.d, result.bootstrap(3, rng=np.random.default_rng(5)).d)
+    assert not np.array_equal(seeded.d, result.bootstrap(3, rng=6).d)
+    assert not np.array_equal(result.bootstrap(3).d, result.bootstrap(3).d)
+
+
+def test_a_result_from_a_file_is_resampled_alike(fitted, tmp_path):
+    for kind in ("several", "response"):
+        fitted(kind).save(tmp_path / f"{kind}.json")
+        loaded = phc.load(tmp_path / f"{kind}.json")
+        assert np.array_equal(loaded.bootstrap(3, rng=1).d, fitted(kind).bootstrap(3, rng=1).d)
+
+
+# --- refits that fail ------------------------------------------------------------------------------------------------
+
+
+def every_third(monkeypatch, how):
+    count = iter(range(10**6))
+    monkeypatch.setattr(module, "refine", lambda *a, **k: how(a, k) if next(count) % 3 == 0 else refine(*a, **k))
+
+
+def unconverged(args, kwargs):
+    return dataclasses.replace(refine(*args, **kwargs), converged=False)
+
+
+def breaks_down(args, kwargs):
+    raise np.linalg.LinAlgError("SVD did not converge")
+
+
+@pytest.mark.parametrize("how", [unconverged, breaks_down])
+def test_refits_that_fail_are_counted_and_left_out(how, fitted, monkeypatch):
+    whole = fitted("several").bootstrap(12, rng=5)
+    every_third(monkeypatch, how)
+    again = fitted("several").bootstrap(12, rng=5)
+    assert (again.failed, len(again), len(again.d)) == (4, 8, 12)
+    kept = np.arange(12) % 3 > 0
+    for name in ("d", "r", "initial_state", "offset"):
+        assert np.isnan(getattr(again, name)[~kept]).all()
+        assert np.array_equal(getattr(again, name)[kept], getattr(whole, name)[kept])
+    assert np.allclose(again.stderr["d"], np.std(whole.d[kept], axis=0, ddof=1), rtol=1e-12, atol=0)
+    assert np.array_equal(again.interval(0.5)["d"], np.quantile(whole.d[kept], [0.25, 0.75], axis=0).T)
+    assert len(again.samples) == 8
+    assert "4 failed" in repr(again)
+
+
+def test_without_a_refit_there_are_no_statistics(fitted, monkeypatch):
+    monkeypatch.setattr(module, "refine", breaks_down_always)
+    again = fitted("plain").bootstrap(3, rng=0)
+    assert again.failed == 3 and len(again) == 0
+    assert np.isnan(again.stderr["d"]).all() and np.isnan(again.active_share).all()
+    with pytest.raises(phc.StructureError, match="none of 3 refits converged"):
+        again.interval()
+
+
+def breaks_down_always(*args, **kwargs):
+    raise RuntimeError("too many iterations")
+
+
+def test_an_interruption_ends_the_bootstrap(fitted, monkeypatch):
+    stopped = lambda *a, **k: dataclasses.replace(refine(*a, **k), interrupted=True)  # noqa: E731
+    monkeypatch.setattr(module, "refine", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        fitted("plain").bootstrap(3, rng=0)
+
+
+# --- what is handed out ----------------------------------------------------------------------------------------------
+
+
+def test_bands_hold_the_refitted_models(fitted):
+    again = fitted("plain").bootstrap(40, rng=0)
+    omega = np.array([0.4, 1.7, 3.0])
+    gains = np.abs([phc.modes(d, r).freqresp(omega) for d, r in zip(again.d, again.r, strict=True)])
+    band = again.samples.magnitude_band(omega, 0.8)
+    assert np.allclose(band, np.quantile(gains, [0.1, 0.9], axis=0), rtol=1e-12, atol=0)
+    assert again.samples.initial_state.shape == (40, 4)
+
+
+def test_nothing_is_modified_and_nothing_can_be(fitted):
+    result = fitted("plain")
+    before = result.d.copy(), result.residuals.copy(), result.record.y.copy()
+    again = result.bootstrap(3, rng=0)
+    assert all(map(np.array_equal, before, (result.d, result.residuals, result.record.y)))
+    for array in (again.d, again.r, again.initial_state, again.offset, again.active, again.stderr["d"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        again.d = before[0]
+
+
+def test_one_resample_has_no_standard_error(fitted):
+    assert np.isnan(fitted("plain").bootstrap(1, rng=0).stderr["d"]).all()
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"k": 0}, "at least one"), ({"k": -1}, "k is -1"), ({"k": 2.5}, "k is 2.5"), ({"k": True}, "k is True"),
+        ({"rng": "seed"}, "rng is"), ({"rng": -1}, "rng is"),
+        ({"workers": 0}, "workers is 0"), ({"workers": 1.5}, "workers is 1.5"), ({"workers": True}, "workers is True"),
+    ],
+)  # fmt: skip
+def test_arguments_that_make_no_sense_are_refused(arguments, message, fitted):
+    with pytest.raises(phc.StructureError, match=message):
+        fitted("plain").bootstrap(**{"k": 2} | arguments)
+
+
+@pytest.mark.parametrize("level", [0, 1, 1.5, None, "0.9"])
+def test_a_level_is_a_number_between_0_and_1(level, fitted):
+    with pytest.raises(phc.StructureError, match="level is"):
+        fitted("plain").bootstrap(2, rng=0).interval(level)
