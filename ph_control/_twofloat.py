@@ -57,6 +57,31 @@ def divide(x: Pair, y: Pair) -> Pair:
     return two_sum(q, rest / y[0])
 
 
+def total(x: Pair) -> Pair:
+    """Sum of pairs along their first axis, halving it until one is left."""
+    hi, lo = x
+    if len(hi) == 0:
+        return np.zeros(hi.shape[1:]), np.zeros(hi.shape[1:])
+    while len(hi) > 1:
+        half = len(hi) // 2
+        top = add((hi[:half], lo[:half]), (hi[half : 2 * half], lo[half : 2 * half]))
+        if len(hi) % 2:
+            top[0][0], top[1][0] = add((top[0][0], top[1][0]), (hi[-1], lo[-1]))
+        hi, lo = top
+    return hi[0], lo[0]
+
+
+def tree_sum(x: Array) -> Array:
+    """Sum of doubles along the first axis, of the same kind: its error grows as the logarithm of their number."""
+    while len(x) > 1:
+        half = len(x) // 2
+        top = x[:half] + x[half : 2 * half]
+        if len(x) % 2:
+            top[0] += x[-1]
+        x = top
+    return x[0] if len(x) else np.zeros(x.shape[1:])
+
+
 def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Return `exp(i k step)` for integers `k`, shape `step.shape + k.shape`.
 
