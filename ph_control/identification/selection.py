@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 
 _HELD_OUT = 1 / 3  # of each record
-_BY_CHANCE = 0.01  # probability that noise alone shows such a mode anywhere
+_BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _thinned(one: FrequencyRows) -> tuple[Rows, Callable[[Array, Array, Array], 
 
 def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:
     """Drop the weakest mode, one after the other, while noise alone could well have shown it somewhere."""
-    while len(end.projection.d):
+    while len(end.projection.d) and not end.interrupted:
         evidence = _evidence(end.projection)
         weakest = int(np.argmin(evidence))
         unknowns = problem.unknowns(1) - problem.unknowns(0)
