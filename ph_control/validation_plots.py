@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from . import _checks
@@ -21,6 +21,7 @@ from .exceptions import StructureError
 from .plots import DRAWN, chosen_part, extremes, legend_above, plain, strongest_part
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 _STYLES = ("-", "--", "-.", ":")
@@ -130,6 +131,113 @@ def _look(k: int) -> dict[str, Any]:
     return {"color": _COLOURS[k % len(_COLOURS)], "linestyle": _STYLES[k % len(_STYLES)]}
 
 
+# --- models beside a frequency response ------------------------------------------------------------------------------
+
+
+def response_comparison_plot(
+    omega: Array,
+    measured: ComplexArray,
+    predicted: ComplexArray,
+    *,
+    labels: Sequence[str],
+    fit_percent: Array,
+    time_unit: str = "s",
+    Hz: bool = False,
+    gain_unit: str | None = None,
+    title: str | None = None,
+    ax: Any = None,
+) -> ct.ControlPlot:
+    """Magnitudes of all models over the measured one, phases below, and the size of the errors.
+
+    `predicted` has shape (k, K); the other arguments are those of `bode_plot`.
+    """
+    frequency, label = _frequency_axis(omega, time_unit, Hz)
+    decibels = f"[dB re 1 {gain_unit}]" if gain_unit else "[dB]"
+    names = [plain(f"{name} ({percent(fit)})") for name, fit in zip(labels, fit_percent, strict=True)]
+    turn = _phase_cut(measured)
+    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
+        figure, axes = _stacked(ax, [2.4, 1.7, 1.7], share="all")
+        lines = np.empty(axes.shape, dtype=object)
+        for row, of in enumerate((_decibels, lambda values: _degrees(values, turn))):
+            axis = axes[row, 0]
+            drawn = axis.plot(frequency, of(measured), label="measured", zorder=2, **_SAMPLES)
+            for k, (name, values) in enumerate(zip(names, predicted, strict=True)):
+                drawn += axis.plot(frequency, of(values), label=name, linewidth=1.3, zorder=3, **_look(k))
+            lines[row, 0] = drawn
+        sizes = [float(np.nanmean(np.abs(measured - values) ** 2)) for values in predicted]
+        lines[2, 0] = []
+        for k in np.argsort(sizes)[::-1]:
+            # the smaller error is drawn over the larger
+            error = _decibels(measured - predicted[k])
+            lines[2, 0] += axes[2, 0].plot(frequency, error, label=names[k], linewidth=1.0, **_look(int(k)))
+        _limit_to_dots(axes[0, 0], _decibels(measured))
+        axes[1, 0].set_ylim(turn - 20.0, turn + 380.0)
+        axes[1, 0].yaxis.set_major_locator(MultipleLocator(90.0))
+        for axis, name in zip(axes[:, 0], (f"Magnitude {decibels}", "Phase [deg]", f"Error {decibels}"), strict=True):
+            axis.set_ylabel(plain(name))
+            _over_frequency(axis, frequency)
+        axes[2, 0].set_xlabel(plain(label))
+        legend = legend_above(axes[0, 0])
+        _entitle(figure, title, ax, "Response, measured and modelled")
+    return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def _frequency_axis(omega: Array, time_unit: str, Hz: bool) -> tuple[Array, str]:
+    if Hz and time_unit != "s":
+        raise StructureError(f"Hz needs times in s, time_unit is {time_unit!r}; use Hz=False, or convert the times")
+    return (omega / (2.0 * np.pi), "Frequency [Hz]") if Hz else (omega, f"Frequency [rad/{time_unit}]")
+
+
+def _over_frequency(axis: Axes, frequency: Array) -> None:
+    """Logarithmic over more than a decade; a point at 0 has no place there."""
+    positive = frequency[frequency > 0]
+    if len(positive) and positive[-1] > 10.0 * positive[0]:
+        axis.set_xscale("log")
+        axis.set_xlim(positive[0], positive[-1])
+        axis.grid(True, which="minor", axis="x", linewidth=0.3, alpha=0.35)
+    elif frequency[-1] > frequency[0]:
+        axis.set_xlim(frequency[0], frequency[-1])
+    axis.grid(True, linewidth=0.5, alpha=0.6)
+
+
+def _decibels(values: ComplexArray) -> Array:
+    """Decibels; NaN where infinite or zero."""
+    size = np.abs(values)
+    usable = np.isfinite(size) & (size > 0)
+    return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
+
+
+def _degrees(values: ComplexArray, low: float) -> Array:
+    """Degrees from `low` on; NaN where the response is infinite or zero."""
+    usable = np.isfinite(values) & (values != 0)
+    angle = np.degrees(np.angle(np.where(usable, values, 1.0)))
+    return np.where(usable, np.mod(angle - low, 360.0) + low, np.nan)
+
+
+def _phase_cut(measured: ComplexArray) -> float:
+    """Where the circle of phases is cut open, from -360 to 0 degrees: in the middle of the widest gap between them.
+
+    A displacement has phases about 0 and 180 degrees; cut at 180, noise would throw them from one end to the other.
+    """
+    angle = np.sort(np.degrees(np.angle(measured[np.isfinite(measured) & (measured != 0)])))
+    if not len(angle):
+        return -180.0
+    gaps = np.diff(np.concatenate([angle, [angle[0] + 360.0]]))
+    k = int(np.argmax(gaps))
+    # to tens of degrees, where the gap is wide enough for that
+    cut = angle[k] + 0.5 * gaps[k]
+    cut = 10.0 * np.round(0.1 * cut) if gaps[k] > 20.0 else cut
+    return float(np.mod(cut, 360.0) - 360.0)
+
+
+def _limit_to_dots(axis: Axes, dots: Array) -> None:
+    """Range of a picture in which the measurement is seen; models on their peaks run out of it."""
+    known = dots[np.isfinite(dots)]
+    if len(known):
+        margin = 5.0 + 0.25 * float(np.ptp(known))
+        axis.set_ylim(float(known.min()) - margin, float(known.max()) + margin)
+
+
 # --- correlations of residuals ---------------------------------------------------------------------------------------
 
 
@@ -151,7 +259,7 @@ def residual_plot(
         (np.arange(-L, L + 1), cross_correlation, cross_correlation_band),
     )
     with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
-        figure, axes = _stacked(ax, [1.0, 1.0], share=False)
+        figure, axes = _stacked(ax, [1.0, 1.0], share="none")
         lines = np.empty(axes.shape, dtype=object)
         for row, ((lags, values, band), panel_title) in enumerate(zip(panels, panel_titles, strict=True)):
             axis = axes[row, 0]
@@ -168,6 +276,69 @@ def residual_plot(
         legend = legend_above(axes[0, 0])
         _entitle(figure, title, ax, "Residuals")
     return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def whiteness_plot(
+    autocorrelation: Array,
+    band: Array,
+    *,
+    confidence: float,
+    panel_title: str,
+    title: str | None = None,
+    ax: Any = None,
+) -> ct.ControlPlot:
+    """Autocorrelation at lags 1 to L with its band, where there is no input to correlate with."""
+    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
+        figure, axes = _stacked(ax, [1.0], share="none")
+        lines = np.empty(axes.shape, dtype=object)
+        lines[0, 0] = _draw_autocorrelation(axes[0, 0], autocorrelation, band, confidence, panel_title, "samples")
+        legend = legend_above(axes[0, 0])
+        _entitle(figure, title, ax, "Residuals")
+    return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def response_residual_plot(
+    omega: Array,
+    measured: ComplexArray,
+    residuals: ComplexArray,
+    autocorrelation: Array,
+    band: Array,
+    *,
+    confidence: float,
+    panel_titles: tuple[str, str],
+    time_unit: str = "s",
+    Hz: bool = False,
+    gain_unit: str | None = None,
+    title: str | None = None,
+    ax: Any = None,
+) -> ct.ControlPlot:
+    """Size of the residual beside that of the response, over frequency, above its autocorrelation."""
+    frequency, label = _frequency_axis(omega, time_unit, Hz)
+    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
+        figure, axes = _stacked(ax, [1.0, 1.0], share="none")
+        lines = np.empty(axes.shape, dtype=object)
+        lines[0, 0] = [
+            *axes[0, 0].plot(frequency, _decibels(measured), label="measured", **_SAMPLES),
+            *axes[0, 0].plot(frequency, _decibels(residuals), label="residual", color="C0", linewidth=1.1, zorder=3),
+        ]
+        _over_frequency(axes[0, 0], frequency)
+        axes[0, 0].set_title(plain(panel_titles[0]), loc="left")
+        axes[0, 0].set_xlabel(plain(label))
+        axes[0, 0].set_ylabel(plain(f"Magnitude [dB re 1 {gain_unit}]" if gain_unit else "Magnitude [dB]"))
+        lines[1, 0] = _draw_autocorrelation(axes[1, 0], autocorrelation, band, confidence, panel_titles[1], "points")
+        legend = np.array([[legend_above(axes[0, 0])], [legend_above(axes[1, 0])]], dtype=object)
+        _entitle(figure, title, ax, "Residuals")
+    return ct.ControlPlot(lines, axes, figure, legend=legend)
+
+
+def _draw_autocorrelation(
+    axis: Axes, values: Array, band: Array, confidence: float, title: str, unit: str
+) -> list[Any]:
+    lines = _draw_correlation(axis, np.arange(1, len(values) + 1), values, band, confidence)
+    axis.set_title(plain(title), loc="left")
+    axis.set_ylabel("Correlation")
+    axis.set_xlabel(f"Lag [{unit}]")
+    return lines
 
 
 def _draw_correlation(axis: Axes, lags: NDArray[Any], values: Array, band: Array, confidence: float) -> list[Any]:
@@ -265,16 +436,19 @@ def _draw_criteria(axis: Axes, orders: NDArray[np.intp], criteria: Mapping[str, 
 # --- axes and titles -------------------------------------------------------------------------------------------------
 
 
-def _stacked(ax: Any, heights: list[float], *, share: bool = True) -> tuple[Figure, NDArray[Any]]:
-    """One column of axes; the second shares its time with the first."""
+def _stacked(ax: Any, heights: list[float], *, share: str = "first") -> tuple[Figure, NDArray[Any]]:
+    """One column of axes; the second, or all of them, share the abscissa of the first, or none does."""
     if ax is not None:
         return _given(ax, (len(heights), 1))
-    figure = plt.figure(figsize=(7.2, 1.2 + 0.75 * sum(heights) if share else 5.4), layout="constrained")
+    tall = 0.8 + 2.3 * len(heights) if share == "none" else 1.2 + 0.75 * sum(heights)
+    figure = plt.figure(figsize=(7.2, tall), layout="constrained")
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     panels = [figure.add_subplot(grid[0])]
-    panels.append(figure.add_subplot(grid[1], sharex=panels[0] if share else None))
-    panels[0].tick_params(labelbottom=not share)
-    panels += [figure.add_subplot(grid[k]) for k in range(2, len(heights))]
+    for k in range(1, len(heights)):
+        shared = share == "all" or (share == "first" and k == 1)
+        panels.append(figure.add_subplot(grid[k], sharex=panels[0] if shared else None))
+        if shared:
+            panels[k - 1].tick_params(labelbottom=False)
     figure.align_ylabels(panels)
     return figure, np.array(panels, dtype=object)[:, None]
 

@@ -100,12 +100,13 @@ class ResidualData:
         """Autocovariance of the noise, tapered so that its spectrum is positive."""
         return _noise_covariance(self)
 
-    def shifted_inputs(self, part: slice, lags: NDArray[np.intp]) -> Array:
-        """Row j holds the inputs `lags[j]` samples before the residuals of a record; 0 where unknown."""
+    def shifted_inputs(self, part: slice, lags: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> Array:
+        """Row j holds the inputs `lags[j]` samples before the residuals of a record, or some of them; 0 if unknown."""
         v = self.v[part]
-        L = max(int(np.max(np.abs(lags), initial=0)), 1)
+        L = int(np.max(np.abs(lags)))
         padded = np.concatenate([np.zeros(L), v, np.zeros(L)])
-        return np.lib.stride_tricks.sliding_window_view(padded, len(v))[L - lags]
+        view = np.lib.stride_tricks.sliding_window_view(padded, len(v))
+        return np.asarray(view[L - lags] if rows is None else view[(L - lags)[:, None], rows])
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ _NOISE_ORDERS = 20  # most that are tried for the noise
 _ROWS_PER_ORDER = 10
 _FEWEST = 5  # degrees of freedom below which a test says nothing
 _PIECE = 2048  # samples of a few columns that fit in the cache
+_ROWS = 1 << 16  # of a regression that are made at a time
 _TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
 
 
@@ -233,49 +234,53 @@ def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[
     """Regressors of unit length and the residuals, as a few rows, without what was fitted to single records.
 
     The columns are what was fitted to all and the past of the residuals, a constant in each record, the inputs at and
-    before each residual, those after it, and the residual; the counts are those of the first four.
+    before each residual, those after it, and the residual.  With the degrees of freedom that are left, and how many
+    columns of each kind there are.
     """
-    order, L, K = len(whitening) - 1, data.lags, len(data.parts)
-    parts, samples = [], 0
-    for place, (part, own) in enumerate(zip(data.parts, data.own, strict=True)):
-        rows = np.flatnonzero(_with_past(data.seen[part], order))
-        e, shared = data.e[part], data.directions[part]
-        means = np.zeros((K, len(rows)))
-        means[place] = 1.0
-        columns = np.concatenate([
-            _filtered(whitening, own)[rows].T, _filtered(whitening, shared)[rows].T,
-            e[rows - np.arange(1, order + 1)[:, None]],
-            means, data.shifted_inputs(part, np.arange(L + 1))[:, rows],
-            data.shifted_inputs(part, np.arange(-L, 0))[:, rows], e[None, rows],
-        ])  # fmt: skip
-        parts.append((columns, own.shape[1]))
-        samples += len(rows)
-    fitted = data.directions.shape[1] + order
-    return *_stacked(parts, samples), [fitted, K, L + 1, L]
-
-
-def _stacked(parts: list[tuple[Array, int]], samples: int) -> tuple[Array, int]:
-    """Records under one another in a few rows each, their own columns eliminated; and the degrees of freedom left."""
-    width = parts[0][0].shape[0] - parts[0][1]
-    squares = sum(np.einsum("ij,ij->i", columns[own:], columns[own:]) for columns, own in parts)
-    lengths = np.sqrt(squares)
-    lengths[-1] = 0.0  # the residual keeps its size
+    order, K = len(whitening) - 1, len(data.parts)
+    counts = [data.directions.shape[1] + order, K, data.lags + 1, data.lags]
+    width = sum(counts) + 1
+    factors = [_record_factor(data, place, whitening) for place in range(K)]
+    lengths = np.sqrt(sum(np.sum(factor[:, -width:] ** 2, axis=0) for factor, _ in factors))
+    lengths[-1] = 1.0  # the residual keeps its size
     scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
-    found, free = [np.zeros((0, width))], samples
-    for columns, own in parts:
-        if not columns.shape[1]:
-            continue
-        size = np.linalg.norm(columns[:own], axis=1)
-        columns *= np.concatenate([1.0 / np.where(size > 0, size, 1.0), scale])[:, None]
-        factor = factor_of(columns)
-        if own:
-            U, sigma, _ = np.linalg.svd(factor[:own, :own])
-            lost = sigma <= RANK
-            factor = np.concatenate([(U.T @ factor[:own, own:])[lost], factor[own:, own:]])
-            free -= own - int(lost.sum())
-        found.append(factor)
+    found, free = [], sum(samples for _, samples in factors)
+    for (factor, _), columns in zip(factors, data.own, strict=True):
+        own = columns.shape[1]
+        below, fitted = _without_own(factor, own)
+        found.append(below * scale)
+        free -= fitted
     rows = np.concatenate(found)
-    return (reduced(rows) if len(rows) > width else rows), free
+    return (reduced(rows) if len(rows) > width else rows), free, counts
+
+
+def _without_own(factor: Array, own: int) -> tuple[Array, int]:
+    """What is left of a factor when its first columns are fitted, and the rank of these."""
+    size = np.linalg.norm(factor[:own, :own], axis=0)
+    U, sigma, _ = np.linalg.svd(factor[:own, :own] / np.where(size > 0, size, 1.0))
+    kept = sigma > RANK
+    above = U.T @ factor[:own, own:]
+    return np.concatenate([above[~kept], factor[own:, own:]]), int(kept.sum())
+
+
+def _record_factor(data: ResidualData, place: int, whitening: Array) -> tuple[Array, int]:
+    """Triangular factor of all regressors of a record, those fitted to it alone first; and the number of residuals."""
+    part, order, L = data.parts[place], len(whitening) - 1, data.lags
+    rows = np.flatnonzero(_with_past(data.seen[part], order))
+    e = data.e[part]
+    own, shared = _filtered(whitening, data.own[place]), _filtered(whitening, data.directions[part])
+    lags = np.concatenate([np.arange(L + 1), np.arange(-L, 0)])
+
+    def columns(rows: NDArray[np.intp]) -> Array:
+        means = np.zeros((len(data.parts), len(rows)))
+        means[place] = 1.0
+        past = e[rows - np.arange(1, order + 1)[:, None]]
+        return np.concatenate(
+            [own[rows].T, shared[rows].T, past, means, data.shifted_inputs(part, lags, rows), e[None, rows]]
+        )
+
+    factors = [factor_of(columns(rows[k : k + _ROWS])) for k in range(0, max(1, len(rows)), _ROWS)]
+    return (factors[0] if len(factors) == 1 else reduced(np.concatenate(factors))), len(rows)
 
 
 def _filtered(weights: Array, columns: Array) -> Array:

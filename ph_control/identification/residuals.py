@@ -12,18 +12,64 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..validation_plots import percent, residual_plot
+from ..validation_plots import percent, residual_plot, response_residual_plot, whiteness_plot
 from .data import Record
-from .regressors import Hold
-from .residual_tests import Influence, ResidualData, autocorrelation, cross_correlation, influence
-from .simulation import Simulation, simulate_on
-from .validation import check_options, fit_percent, names_of, record_to_hold_against
+from .findings import Findings, p_value
+from .frequency_data import FrequencyRecord
+from .measured import (
+    check_options,
+    chosen_experiment,
+    experiments_to_hold_against,
+    fit_to,
+    in_experiment,
+    joined_frequencies,
+    joined_time,
+    names_of,
+    values_of,
+    which_of,
+)
+from .residual_data import ResidualData
+from .residual_tests import Correlation, autocorrelation, cross_correlation, influence
+from .simulation import Rules, Simulation
+from .validation import answer_to
 
 Array = NDArray[np.float64]
 
-_LAGS = 25  # by default, where the record is long enough
+_LAGS = 25  # by default, where the data are long enough
 _SAMPLES_PER_LAG = 5
+_REACH = 6.0  # times the median size, 4 standard deviations, of residuals in frequency
 _WIDTH = 98
+_MOST = 60_000_000  # numbers in the directions that were fitted; with more samples than that they hardly count
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualExperiment:
+    """What a model leaves in one experiment.
+
+    Attributes
+    ----------
+    record : Record or FrequencyRecord
+        The data.
+    residuals : ndarray, shape (T,)
+        Measured output less that of the model, complex for a frequency response; NaN where missing.
+    fit_percent : float
+        As in `compare`, here alone.
+    own_record : bool
+        Whether the model was fitted to these very data.
+    """
+
+    record: Record | FrequencyRecord
+    residuals: NDArray[Any]
+    fit_percent: float
+    own_record: bool
+
+    def __post_init__(self) -> None:
+        _checks.readonly(self.residuals)
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """What was measured; NaN where missing."""
+        return values_of(self.record)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +85,15 @@ class ResidualAnalysis:
     message : str
         What it rests on, in sentences.
     autocorrelation : ndarray, shape (L,)
-        Autocorrelation of the residuals at lags 1 to L, less its mean for white noise; NaN at lags without a pair.
+        Autocorrelation of the residuals at lags 1 to L, less its mean for white noise; NaN at lags without a pair.  For
+        a frequency response from point to point, weighted.
     autocorrelation_band : ndarray, shape (L,)
         Half the width of the band that holds it with probability `confidence` if the residuals are white.
     lags : ndarray, shape (2L + 1,)
         Lags -L to L of `cross_correlation`, in samples.
     cross_correlation : ndarray, shape (2L + 1,)
-        Correlation of each residual with the input so many samples before it; at negative lags, after it.
+        Correlation of each residual with the input so many samples before it; at negative lags, after it.  NaN where
+        there is no input, as in free motions and frequency responses.
     cross_correlation_band : ndarray, shape (2L + 1,)
         Half the width of the band that holds it if the residuals, of whatever colour, know nothing of the input.
     outside : tuple (int, int)
@@ -61,21 +109,17 @@ class ResidualAnalysis:
     feedback_p_value : float
         p-value of no relation to the inputs after a residual; small means feedback in the recording.
     offset_p_value : float
-        p-value of a mean of zero.
+        p-value of a mean of zero in each experiment; for a frequency response, of no constant over frequency.
     noise_order : int
         Number of residuals before each that these three tests allow it to depend on; 0 if they look white.
     confidence : float
         Probability of the bands; p-values below `1 - confidence` make the verdict.
-    residuals : ndarray, shape (T,)
-        Measured output less that of the model; NaN where missing.
-    time : ndarray, shape (T,)
-        Instants.
-    dt : float
-        Time between samples.
+    experiments : tuple of ResidualExperiment
+        Data, residuals and fit of each experiment.
     fit_percent : float
-        As in `compare`.
+        As in `compare`, all experiments together.
     own_record : bool
-        Whether the model was fitted to this very record.
+        Whether the model was fitted to any of these very data.
     input_label, output_label : str
         Names of the signals.
     """
@@ -97,9 +141,7 @@ class ResidualAnalysis:
     offset_p_value: float
     noise_order: int
     confidence: float
-    residuals: Array
-    time: Array
-    dt: float
+    experiments: tuple[ResidualExperiment, ...]
     fit_percent: float
     own_record: bool
     input_label: str
@@ -110,52 +152,113 @@ class ResidualAnalysis:
             if isinstance(value, np.ndarray):
                 _checks.readonly(value)
 
+    @property
+    def residuals(self) -> NDArray[Any]:
+        """Measured output less that of the model, all experiments one after the other; NaN where missing."""
+        return _checks.readonly(np.concatenate([one.residuals for one in self.experiments]))
+
+    @property
+    def time(self) -> Array:
+        """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
+        return joined_time([one.record for one in self.experiments])
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
+        return joined_frequencies([one.record for one in self.experiments])
+
+    @property
+    def dt(self) -> float:
+        """Time between samples; raises `StructureError` where the experiments have none, or several."""
+        steps = {one.record.dt for one in self.experiments if isinstance(one.record, Record)}
+        if len(steps) != 1:
+            found = "have steps of their own; use experiments[k].record.dt" if steps else "are frequency responses"
+            raise StructureError(f"there is no step: these experiments {found}")
+        return steps.pop()
+
+    @property
+    def _driven(self) -> bool:
+        return any(isinstance(one.record, Record) and one.record.driven for one in self.experiments)
+
+    @property
+    def _spectral(self) -> bool:
+        return isinstance(self.experiments[0].record, FrequencyRecord)
+
     def __str__(self) -> str:
         """Verdict, tests, and what they mean."""
         L = len(self.autocorrelation)
-        counts = [
+        auto, cross = (
             f"{found} of {total} lags outside {100 * self.confidence:g} % ({expected:.2g} expected)"
             for found, total, expected in zip(self.outside, (L, 2 * L + 1), self.expected_outside, strict=True)
-        ]
+        )
+        several = len(self.experiments) > 1
+        data = "these experiments" if several else f"this {'response' if self._spectral else 'record'}"
+        own = f"  (fitted to {data})" * self.own_record
         lines = [
             f"Residuals of {self.label!r} on {self.output_label!r}: {self.verdict}",
-            f"  fit                          {percent(self.fit_percent)}"
-            + "  (fitted to this record)" * self.own_record,
-            f"  autocorrelation              {counts[0]}",
+            *[f"  experiments                  {len(self.experiments)}, together"] * several,
+            f"  fit                          {percent(self.fit_percent)}{own}",
+            f"  autocorrelation              {auto}",
             f"  Ljung-Box, {L} lags".ljust(31) + f"{self.ljung_box:.4g}, {p_value(self.whiteness)}",
-            f"  correlation with the input   {counts[1]}",
-            f"  response, lags 0 to {L}".ljust(31) + p_value(self.response_p_value),
-            f"  feedback, lags -{L} to -1".ljust(31) + p_value(self.feedback_p_value),
-            f"  mean                         {p_value(self.offset_p_value)}",
         ]
+        if self._driven:
+            lines += [
+                f"  correlation with the input   {cross}",
+                f"  response, lags 0 to {L}".ljust(31) + p_value(self.response_p_value),
+                f"  feedback, lags -{L} to -1".ljust(31) + p_value(self.feedback_p_value),
+            ]
+        mean = "  constant over frequency" if self._spectral else "  mean"
+        lines.append(mean.ljust(31) + p_value(self.offset_p_value))
         return "\n".join([*lines, "", *(f"  {line}" for line in wrap(self.message, _WIDTH))])
 
-    def plot(self, **kwargs: Any) -> ct.ControlPlot:
-        """Picture of both correlations with their bands.
+    def plot(self, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
+        """Picture of the correlations with their bands; of a response, the residual over frequency above its own.
 
         Parameters
         ----------
+        experiment : int
+            Of several responses, the one whose residual is drawn, counted from 0; correlations are those of all.
         **kwargs
-            `title`, and `ax`: an array of two axes.
+            `title`, and `ax`: an array of two axes, or one where there is no input.  Over frequency also `time_unit`,
+            `Hz` and `gain_unit`, as in `bode_plot`.
 
         Returns
         -------
         control.ControlPlot
-            `axes` of shape (2, 1): autocorrelation above cross-correlation.
+            `axes` of shape (2, 1): autocorrelation above cross-correlation; (1, 1) for free motions; for responses
+            residual over frequency above autocorrelation.
+
+        Raises
+        ------
+        StructureError
+            If there is no such experiment.
 
         Examples
         --------
         See `residual_analysis`.
         """
-        titles = (
-            f"Autocorrelation of the residuals (Ljung-Box {p_value(self.whiteness)})",
-            f"Correlation with the input (response {p_value(self.response_p_value)}, "
-            f"feedback {p_value(self.feedback_p_value)})",
-        )
+        one = chosen_experiment(self.experiments, experiment)
         kwargs.setdefault("title", f"Residuals of {self.label}: {self.verdict}")
+        white = f"Autocorrelation of the residuals (Ljung-Box {p_value(self.whiteness)})"
+        auto = self.autocorrelation, self.autocorrelation_band
+        if isinstance(one.record, FrequencyRecord):
+            titles = (
+                f"Residual over frequency{which_of(experiment, len(self.experiments))}",
+                f"Autocorrelation from point to point (Ljung-Box {p_value(self.whiteness)})",
+            )
+            return response_residual_plot(
+                one.record.omega, one.measured, one.residuals, *auto,
+                confidence=self.confidence, panel_titles=titles, **kwargs,
+            )  # fmt: skip
+        if not self._driven:
+            return whiteness_plot(*auto, confidence=self.confidence, panel_title=white, **kwargs)
+        across = (
+            f"Correlation with the input (response {p_value(self.response_p_value)}, "
+            f"feedback {p_value(self.feedback_p_value)})"
+        )
         return residual_plot(
-            self.autocorrelation, self.autocorrelation_band, self.cross_correlation, self.cross_correlation_band,
-            confidence=self.confidence, panel_titles=titles, **kwargs,
+            *auto, self.cross_correlation, self.cross_correlation_band,
+            confidence=self.confidence, panel_titles=(white, across), **kwargs,
         )  # fmt: skip
 
 
@@ -163,10 +266,12 @@ def residual_analysis(
     data: Any,
     model: Any,
     *,
-    dt: float | None = None,
+    dt: Any = None,
     method: str = "exact",
     intersample: str = "zoh",
     initial_state: str = "estimate",
+    offset: bool = False,
+    weights: Any = None,
     lags: int | None = None,
     confidence: float = 0.99,
 ) -> ResidualAnalysis:
@@ -174,11 +279,12 @@ def residual_analysis(
 
     Parameters
     ----------
-    data : control.TimeResponseData, or pair (u, y) of array_like, shape (T,) each
-        One input and one output on a uniform grid; NaN outputs are missing samples.  Not modified.
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
+        One experiment or several, as for `pem`.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
+        modified.
     model : PEMResult, system of this package, ModalForm, control.StateSpace or control.TransferFunction
         Model of one input and one output.
-    dt, method, intersample, initial_state
+    dt, method, intersample, initial_state, offset, weights
         As in `compare`.
     lags : int, optional
         Largest lag L; by default 25, or a fifth of the observed samples if that is less.
@@ -206,13 +312,21 @@ def residual_analysis(
     correlation are those of white noise without these directions, also in the Ljung-Box statistic, which is the
     classical one where nothing was fitted and nothing is missing (Ljung and Box, Biometrika 65, 1978).  Like
     that one it is somewhat too strict on short records: of records of 100 white samples it refuses, with 10 lags, 2.7 %
-    where 1 % are meant.
+    where 1 % are meant.  Beyond 6e7 numbers, samples times parameters, the correction is left out.
 
     *Correlation with the input.*  The band is `sum_m c_e(m) c_u(m)` with both autocorrelations.  The p-values are those
     of F tests that regress the residuals on shifted inputs: at lags 0 to L for a response, and beside these at lags -L
     to -1 for feedback.  They are exact for white Gaussian noise; for coloured residuals their own past is among the
     regressors (Granger), so that long responses show too.  NaN stands for what the record cannot tell, such as a
-    response under a constant input.
+    response under a constant input, or under none.
+
+    *Several experiments* are taken together, as noise of one variance: pairs of samples in each of them are added up,
+    and each may have a mean of its own.
+
+    *Frequency responses.*  Residuals are those of real and imaginary parts, weighted, and lags go from one point to the
+    next.  Noise of neighbouring points is independent where they were measured one by one; spectral estimates with
+    windows that overlap or taper correlate them, which then shows here.  Beside a resonance that a model misses all
+    else would be small, so residuals count up to 6 times their median size.  There is no input to correlate with.
 
     O(T (n + L)^2), and O(T (n + L)) of memory.
 
@@ -230,21 +344,26 @@ def residual_analysis(
     'NOT all of the response to the input is in the model'
     >>> picture = analysis.plot()
     """
-    check_options(method, intersample)
-    record = record_to_hold_against(data, dt, [model])
+    check_options(method, intersample, initial_state)
+    records = experiments_to_hold_against(data, dt, [model], weights)
     (name,) = names_of([model], None)
-    L = _largest_lag(lags, record)
+    L = _largest_lag(lags, records)
     level = _level(confidence)
-    simulation = simulate_on(model, name, record, Hold(record.dt, method, intersample), initial_state)
-    return _analysed(record, name, simulation, L, level)
+    rules = Rules(method, intersample, initial_state, offset)
+    answers = []
+    for place, record in enumerate(records):
+        with in_experiment(place, len(records)):
+            answers.append(answer_to(model, name, record, rules))
+    return _analysed(records, name, answers, L, level)
 
 
-def _largest_lag(lags: Any, record: Record) -> int:
-    count = int(record.observed.sum())
+def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
+    longest = max(record.samples for record in records)
     if lags is None:
-        return max(1, min(_LAGS, count // _SAMPLES_PER_LAG))
-    if not (isinstance(lags, int | np.integer) and not isinstance(lags, bool) and 1 <= lags < record.samples):
-        raise StructureError(f"lags is {lags!r}; it must be a whole number from 1 to {record.samples - 1}")
+        count = sum(int(record.observed.sum()) for record in records)
+        return max(1, min(_LAGS, count // _SAMPLES_PER_LAG, longest - 1))
+    if not (isinstance(lags, int | np.integer) and not isinstance(lags, bool) and 1 <= lags < longest):
+        raise StructureError(f"lags is {lags!r}; it must be a whole number from 1 to {longest - 1}")
     return int(lags)
 
 
@@ -258,18 +377,22 @@ def _level(confidence: Any) -> float:
     return level
 
 
-def _analysed(record: Record, name: str, simulation: Simulation, lags: int, confidence: float) -> ResidualAnalysis:
-    residuals = record.y - simulation.output
-    largest = float(np.nanmax(np.abs(residuals)))
-    unit = largest or 1.0
-    data = ResidualData(residuals / unit, record.u / (np.max(np.abs(record.u)) or 1.0), simulation.directions, lags)
+def _analysed(
+    records: tuple[Any, ...], name: str, answers: list[Simulation], lags: int, confidence: float
+) -> ResidualAnalysis:
+    left = [values_of(record) - answer.output for record, answer in zip(records, answers, strict=True)]
+    spectral = isinstance(records[0], FrequencyRecord)
+    data, unit = (_over_frequency if spectral else _over_time)(records, left, answers, lags)
     auto, statistic, whiteness = autocorrelation(data, confidence)
-    cross = cross_correlation(data, confidence)
+    driven = bool(data.v.any())
+    cross = cross_correlation(data, confidence) if _have_input(records) else _none(lags)
     causes = influence(data)
+    largest = max(float(np.nanmax(np.abs(one))) for one in left)
+    size = max(float(np.nanmax(np.abs(a.output[r.observed]))) for a, r in zip(answers, records, strict=True))
     # rounding of recursions run in doubles grows with the samples
-    rounding = largest <= _checks.EPS * record.samples * float(np.nanmax(np.abs(simulation.output)))
-    findings = _Findings(
-        rounding, whiteness, causes, 1 - confidence, bool(data.v.any()), unit * data.e.sum() / data.count
+    rounding = largest <= _checks.EPS * sum(record.samples for record in records) * size
+    findings = Findings(
+        rounding, whiteness, causes, 1 - confidence, driven, _have_input(records), spectral, _means(data, unit, left)
     )
     return ResidualAnalysis(
         label=name, verdict=findings.headline, message=findings.message(),
@@ -278,87 +401,72 @@ def _analysed(record: Record, name: str, simulation: Simulation, lags: int, conf
         outside=(auto.outside, cross.outside),
         expected_outside=((1 - confidence) * auto.expected, (1 - confidence) * cross.expected),
         ljung_box=statistic, whiteness=whiteness, response_p_value=causes.response, feedback_p_value=causes.feedback,
-        offset_p_value=causes.offset, noise_order=causes.noise_order, confidence=confidence, residuals=residuals,
-        time=record.time.copy(), dt=record.dt, fit_percent=fit_percent(record.y[data.seen], residuals[data.seen]),
-        own_record=simulation.own, input_label=record.input_label, output_label=record.output_label,
+        offset_p_value=causes.offset, noise_order=causes.noise_order, confidence=confidence,
+        experiments=tuple(
+            ResidualExperiment(record, residuals, fit_to([(record, answer.output)]), answer.own)
+            for record, residuals, answer in zip(records, left, answers, strict=True)
+        ),
+        fit_percent=fit_to([(record, answer.output) for record, answer in zip(records, answers, strict=True)]),
+        own_record=any(answer.own for answer in answers),
+        input_label=records[0].input_label, output_label=records[0].output_label,
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _Findings:
-    """What the tests found, to be told in words."""
-
-    rounding: bool
-    whiteness: float
-    causes: Influence
-    level: float
-    driven: bool
-    mean: float
-
-    @property
-    def _coloured(self) -> bool:
-        return self.whiteness < self.level
-
-    @property
-    def headline(self) -> str:
-        """Verdict in a line; what matters most to a user of the model comes first."""
-        if self.rounding:
-            return "at rounding level: the model reproduces the record"
-        if self.causes.response < self.level:
-            return "NOT all of the response to the input is in the model"
-        if self.causes.feedback < self.level:
-            return "related to later inputs: feedback in the recording"
-        if self.causes.offset < self.level:
-            return "about a mean that is not zero"
-        if self._coloured:
-            return "coloured, though no response to the input is seen" if self.driven else "coloured"
-        if np.isnan(self.whiteness):
-            return "too few to judge"
-        return "white, and independent of the input" if self.driven else "white"
-
-    def message(self) -> str:
-        """All sentences."""
-        if self.rounding:
-            return "What is left is rounding, of which the tests say nothing."
-        parts = []
-        causes = self.causes
-        if causes.response < self.level:
-            parts.append(
-                f"The residuals respond to the input ({p_value(causes.response)}): dynamics are missing or wrong; "
-                "raise the order, or suspect damping, the hold of the input between samples, or the quantity measured."
-            )
-        if causes.feedback < self.level:
-            also = ", or a response longer than the lags looked at" if causes.response < self.level else ""
-            parts.append(
-                f"Later inputs are related to them ({p_value(causes.feedback)}): the input was made from the output "
-                f"by a feedback{also}. An output-error fit is then biased unless the noise is white."
-            )
-        if causes.offset < self.level:
-            parts.append(
-                f"Their mean is {self.mean:.3g} ({p_value(causes.offset)}): the sensor has an offset; subtract it "
-                "before the fit."
-            )
-        if self._coloured:
-            parts.append(
-                f"They are not white (Ljung-Box {p_value(self.whiteness)})"
-                + (
-                    ": what is missing shows there as well."
-                    if causes.response < self.level
-                    else ": the noise is coloured, or what is missing remembers too long for this test, as wrong "
-                    "damping, wrong frequencies or a free motion do."
-                )
-            )
-        if not self.driven:
-            parts.append("The input is constant, so nothing can be said of a response to it.")
-        elif np.isnan(causes.response):
-            parts.append("The record is too short, or its input too poor, to tell a response to the input.")
-        if not parts:
-            parts.append("Nothing that these tests can see is left in the residuals.")
-        return " ".join(parts)
+def _have_input(records: tuple[Any, ...]) -> bool:
+    return any(isinstance(record, Record) and record.driven for record in records)
 
 
-def p_value(p: float) -> str:
-    """Text of a p-value; never 0."""
-    if np.isnan(p):
-        return "p unknown"
-    return "p < 1e-300" if p < 1e-300 else f"p = {p:.2g}"
+def _none(lags: int) -> Correlation:
+    """No correlation with an input, where there is none."""
+    unknown = np.full(2 * lags + 1, np.nan)
+    return Correlation(np.arange(-lags, lags + 1), unknown, unknown, np.zeros(2 * lags + 1, int))
+
+
+def _means(data: ResidualData, unit: float, left: list[NDArray[Any]]) -> list[complex]:
+    """Mean of each experiment; of responses in the scale of their weights."""
+    means = [unit * data.e[part].sum() / max(1, int(data.seen[part].sum())) for part in data.parts]
+    return means if len(means) == len(left) else [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)]
+
+
+def _over_time(
+    records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
+) -> tuple[ResidualData, float]:
+    """Records one after the other in units of their largest residual, and that unit."""
+    residuals = np.concatenate(left)
+    unit = float(np.nanmax(np.abs(residuals))) or 1.0
+    u = np.concatenate([record.u for record in records])
+    shared, local = _directions(answers, [1.0] * len(records))
+    lengths = tuple(record.samples for record in records)
+    return ResidualData(residuals / unit, u / (np.max(np.abs(u)) or 1.0), shared, lags, lengths, tuple(local)), unit
+
+
+def _over_frequency(
+    records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
+) -> tuple[ResidualData, float]:
+    """Real and imaginary parts of each response one after the other, in the scale of their weights."""
+    scales = [np.sqrt(record.weights / np.max([one.weights.max() for one in records])) for record in records]
+    weighted = [scale * one for scale, one in zip(scales, left, strict=True)]
+    residuals = np.concatenate([part for one in weighted for part in (one.real, one.imag)])
+    unit = float(np.nanmax(np.abs(residuals))) or 1.0
+    shared, _ = _directions(answers, scales)
+    split = np.split(shared, np.cumsum([record.samples for record in records])[:-1])
+    shared = np.concatenate([part for one in split for part in (one.real, one.imag)])
+    # of white noise this touches one point in 20 000; of a missed peak it leaves the flanks to be seen
+    limit = _REACH * float(np.nanmedian(np.abs(residuals)))
+    residuals = np.clip(residuals, -limit, limit) if limit else residuals
+    lengths = tuple(np.repeat([record.samples for record in records], 2).tolist())
+    local = tuple(np.zeros((length, 0)) for length in lengths)
+    return ResidualData(residuals / unit, np.zeros(len(residuals)), shared, lags, lengths, local), unit
+
+
+def _directions(answers: list[Simulation], scales: list[Any]) -> tuple[NDArray[Any], list[Array]]:
+    """What was fitted to all experiments, under one another, and what to each alone; nothing of very long records."""
+    found = [answer.directions() for answer in answers]
+    width = max(one.shared.shape[1] for one in found)
+    if sum(one.shared.size + one.local.size for one in found) > _MOST:
+        return np.zeros((sum(len(one.shared) for one in found), 0)), [one.local[:, :0] for one in found]
+    parts = []
+    for one, scale in zip(found, scales, strict=True):
+        shared = one.shared if one.shared.shape[1] else np.zeros((len(one.shared), width))
+        parts.append(shared * np.reshape(scale, (-1, 1)))
+    return np.concatenate(parts), [one.local for one in found]
