@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..exceptions import IdentifiabilityWarning
 from ..modal import ModalForm
 from ..systems import PortHamiltonian
-from .contradiction import Contradiction, contradiction
+from .contradiction import Contradiction, contradiction, is_crowded
 from .data import Record
 from .excitation import examine_fit
 from .experiment import Experiment
@@ -61,7 +61,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     fitted = fit_percent(measured, residuals)
     held = ~at.free[rank]
     if fit.contradiction is None and not noiseless and not found.interrupted:
-        fit = _examined(fit, at, fitted, is_doubtful(whiteness, bool(held.any()) and problem.driven))
+        active = bool(held.any()) and problem.driven
+        fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at))
         if fit.found is not found:
             return conclude(fit, method, intersample, quantity, representation)
     information = information_at(at, rank)

@@ -30,6 +30,7 @@ Data = Records | Responses
 _ERRORS = 4.0  # standard errors beyond which something is said, with one mode
 _EVIDENT = 100.0  # energy of a mode in units of the noise: below, its shape is not judged
 _APART = 3.0  # basins between modes, their half-widths added: what is closer mends the shape of a peak
+_CROWDED = 0.5  # basins between modes of a lossless model that look like one with damping
 _BROADEST = 0.2  # damping ratio of what still counts as a mode
 _PATIENCE = 3  # orders without a better criterion before the path ends
 _MOST = 20
@@ -155,6 +156,11 @@ def contradiction(
 def _is_of_euler(problem: Problem) -> bool:
     """Whether the modes grow by the method that made the data, whatever the plant does."""
     return any(isinstance(one, Experiment) and one.hold.method == "euler" for one in problem.experiments)
+
+
+def is_crowded(at: Projection) -> bool:
+    """Whether modes are closer than the data resolve: two of them, nearly equal and opposite, mimic a decay."""
+    return len(at.d) > 1 and bool(np.min(np.diff(np.sort(at.d))) < _CROWDED * at.problem.bin)
 
 
 def _any(found: Contradiction) -> bool:

@@ -15,7 +15,9 @@ ComplexArray = NDArray[np.complex128]
 _WINDOW = 8  # points on either side of a candidate
 _PLACES = np.array([0.02, 0.125, 0.375, 0.625, 0.875, 0.98])  # candidates between two points
 _WIDTHS = np.array([0.003, 0.1, 1.0, 4.0])  # half-widths of a peak that are tried, in distances of points
-_BATCH = 4096
+_BATCH = 1024
+_EVERYWHERE = 2000  # points up to which all intervals have candidates; above, those about which most is left
+_PEAKS = 300
 _RIDGE = 1e-9
 _COMPARED = 40
 
@@ -25,12 +27,16 @@ def ranked_candidates(experiments: Sequence[FrequencyRows], left: Sequence[Compl
     edges = np.unique(np.concatenate([one.omega for one in experiments]))
     steps = np.diff(edges)
     # points that several responses share up to rounding are one
-    steps, edges = steps[steps > 1e-9 * edges[1:]], edges[:-1][steps > 1e-9 * edges[1:]]
+    apart = steps > 1e-9 * edges[1:]
+    edges, steps = edges[:-1][apart], steps[apart]
+    if len(edges) > _EVERYWHERE:
+        near = _peaking(experiments, left, edges)
+        edges, steps = edges[near], steps[near]
     d = (edges[:, None] + _PLACES * steps[:, None]).ravel()
     width = np.repeat(steps, len(_PLACES))
     gains = np.zeros((len(_WIDTHS), len(d)))
     for one, residual in zip(experiments, left, strict=True):
-        gains += [_explained(one, residual, d, factor * width) for factor in _WIDTHS]
+        gains += _explained(one, residual, d, width)
     gain = gains.max(axis=0, initial=0.0)
     padded = np.concatenate([[-np.inf], gain, [-np.inf]])
     peaks = np.flatnonzero((gain >= padded[:-2]) & (gain >= padded[2:]))
@@ -38,27 +44,42 @@ def ranked_candidates(experiments: Sequence[FrequencyRows], left: Sequence[Compl
     return d[best], gain[best]
 
 
-def _explained(rows: FrequencyRows, residual: ComplexArray, d: Array, decay: Array) -> Array:
-    """Energy that one damped mode explains in the points about it, beyond a straight line."""
+def _peaking(experiments: Sequence[FrequencyRows], left: Sequence[ComplexArray], edges: Array) -> NDArray[np.intp]:
+    """Intervals about the points at which most is left."""
+    chosen = []
+    for one, residual in zip(experiments, left, strict=True):
+        power = np.convolve(np.abs(residual) ** 2, np.ones(3), mode="same")
+        padded = np.concatenate([[-np.inf], power, [-np.inf]])
+        peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
+        peaks = peaks[np.argsort(-power[peaks], kind="stable")][:_PEAKS]
+        chosen.append(np.searchsorted(edges, one.omega[peaks]))
+    about = np.concatenate(chosen)[:, None] + np.arange(-2, 2)
+    return np.unique(np.clip(about, 0, len(edges) - 1))
+
+
+def _explained(rows: FrequencyRows, residual: ComplexArray, d: Array, width: Array) -> Array:
+    """Energy that one damped mode of each width explains in the points about it, beyond a straight line."""
     points = len(rows.omega)
-    width = min(2 * _WINDOW + 1, points)
-    if width < 3:
-        return np.zeros(len(d))
-    gains = []
+    count = min(2 * _WINDOW + 1, points)
+    gains = np.zeros((len(_WIDTHS), len(d)))
+    if count < 3:
+        return gains
     for first in range(0, len(d), _BATCH):
         part = slice(first, first + _BATCH)
-        centre = np.searchsorted(rows.omega, d[part])
-        start = np.clip(centre - width // 2, 0, points - width)
-        place = start[:, None] + np.arange(width)
+        start = np.clip(np.searchsorted(rows.omega, d[part]) - count // 2, 0, points - count)
+        place = start[:, None] + np.arange(count)
         omega, scale = rows.omega[place], rows.scale[place]
-        mode = _modal(d[part][:, None], decay[part][:, None], omega, rows.quantity) * scale
         span = np.where(omega[:, -1:] > omega[:, :1], omega[:, -1:] - omega[:, :1], 1.0)
         basis = _orthonormal(scale, (omega - d[part][:, None]) / span * scale)
-        mode, target = _without(mode, basis), _without(residual[place], basis)
-        energy = np.sum(np.abs(mode) ** 2, axis=1)
-        overlap = np.sum((mode.conj() * target).real, axis=1)
-        gains.append(overlap**2 / np.where(energy > 0, energy * (1 + _RIDGE), 1.0))
-    return np.concatenate(gains) if gains else np.zeros(0)
+        target = _without(residual[place], basis)
+        for k, factor in enumerate(_WIDTHS):
+            mode = _without(
+                _modal(d[part][:, None], factor * width[part][:, None], omega, rows.quantity) * scale, basis
+            )
+            energy = np.sum(np.abs(mode) ** 2, axis=1)
+            overlap = np.sum((mode.conj() * target).real, axis=1)
+            gains[k, part] = overlap**2 / np.where(energy > 0, energy * (1 + _RIDGE), 1.0)
+    return gains
 
 
 def _modal(d: Array, decay: Array, omega: Array, quantity: str) -> ComplexArray:
