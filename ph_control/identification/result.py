@@ -35,7 +35,19 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class OrderRow:
-    """One row of the order table: what the best model found with `order` modes achieves."""
+    """One row of the order table: what the best model found with `order` modes achieves.
+
+    Attributes
+    ----------
+    order : int
+        Number of modes.
+    loss : float
+        Mean squared residual.
+    aic, bic : float
+        Criteria.
+    d : ndarray, shape (order,)
+        Natural frequencies, ascending, rad per unit time.
+    """
 
     order: int
     loss: float
