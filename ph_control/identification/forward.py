@@ -53,9 +53,12 @@ def grow(
     pick: Callable[[Step], int] | None = None,
     report: Callable[[int], Report | None] = lambda order: None,
 ) -> list[Step]:
-    """Add modes until there are `largest`, the loss is at its floor, or `stop` says so; all steps from the first on."""
+    """Add modes until there are `largest`, the loss is at its floor, or `stop` says so; all steps from the first on.
+
+    An interruption before there is any mode is passed on.
+    """
     path = [step]
-    while len(step.d) < largest and step.loss > floor and len(step.candidates):
+    while len(step.d) < largest and step.loss > floor and len(step.candidates) and not step.interrupted:
         if pick is not None:
             fresh = step.candidates[[pick(step)]]
         else:
@@ -63,9 +66,11 @@ def grow(
         try:
             step = search.step(np.concatenate([step.d, fresh]), rtol, report(len(step.d) + len(fresh)))
         except (KeyboardInterrupt, StopIteration):
-            return [*path, replace(step, interrupted=True)] if len(step.d) else path
+            if not len(step.d):
+                raise
+            return [*path[:-1], replace(step, interrupted=True)]
         path.append(step)
-        if step.interrupted or (stop is not None and stop(path)):
+        if stop is not None and stop(path):
             break
     return path
 
@@ -91,7 +96,13 @@ def stop_of(criterion: Callable[[Step], float]) -> Callable[[list[Step]], bool]:
     return stop
 
 
-def reseat(search: Search, step: Step, rtol: float, floor: float) -> Step:
+def reseat(
+    search: Search,
+    step: Step,
+    rtol: float,
+    floor: float,
+    report: Callable[[int], Report | None] = lambda order: None,
+) -> Step:
     """Move modes one by one to where they explain more, if there is such a place.
 
     A mode taken early, when others were still missing, may have ended in a wrong basin.
@@ -102,13 +113,27 @@ def reseat(search: Search, step: Step, rtol: float, floor: float) -> Step:
         if not places:
             break
         tried.add(float(step.d[places[0]]))
-        others = search.step(np.delete(step.d, places[0]), rtol)
-        if not len(others.candidates):
+        try:
+            trial = _moved(search, step, places[0], rtol, report)
+        except (KeyboardInterrupt, StopIteration):
+            return replace(step, interrupted=True)
+        if trial is None:
             break
-        trial = search.step(np.append(others.d, others.candidates[0]), rtol)
         if trial.loss < (1 - _BETTER) * step.loss:
             step, tried = replace(trial, iterations=step.iterations + trial.iterations), set()
+        elif trial.interrupted:
+            step = replace(step, interrupted=True)
     return step
+
+
+def _moved(search: Search, step: Step, place: int, rtol: float, report: Callable[[int], Report | None]) -> Step | None:
+    """The step with one mode where it explains most beside the others; None if there is no such place."""
+    others = search.step(np.delete(step.d, place), rtol, report(len(step.d) - 1))
+    if others.interrupted:
+        return replace(step, interrupted=True)
+    if not len(others.candidates):
+        return None
+    return search.step(np.append(others.d, others.candidates[0]), rtol, report(len(step.d)))
 
 
 def restart(
@@ -117,7 +142,12 @@ def restart(
     """Ends of a few paths that choose at random among the best candidates, each with a seed of its own."""
     seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(_RESTARTS)
     run = partial(_random_path, search, empty, order, rtol, floor)
-    return list(mapped(run, seeds, workers))
+    ends: list[Step] = []
+    for end in mapped(run, seeds, workers):
+        ends.append(end)
+        if end.interrupted:
+            break
+    return ends
 
 
 def _entropy(rng: Any) -> int:

@@ -171,7 +171,9 @@ def pem(
     _check_signals(problem, records)
     found = _found(problem, order, largest, guess, criterion, workers, rng, callback)
     at_limit = order == "auto" and len(found.d) == max_order
-    fit = Fit(records, problem, found, int(largest) if order != "auto" else len(found.d), order != "auto", at_limit)
+    # what an interrupted search had not come to is not absent from the data
+    wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
+    fit = Fit(records, problem, found, wanted, order != "auto", at_limit)
     return conclude(fit, method, intersample, quantity, representation)
 
 
@@ -198,13 +200,21 @@ def _found(
     interrupted = path[-1].interrupted
     values = [criteria(problem, step.loss, len(step.d)).by_name(criterion) for step in path]
     if automatic and criterion == "holdout" and not interrupted:
-        values = held_out_losses(problem, path)
+        try:
+            values = held_out_losses(problem, path)
+        except KeyboardInterrupt:
+            interrupted = True
     place = int(np.argmin(values)) if automatic else len(path) - 1
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     if not interrupted:
-        path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng)
+        path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
         starts += more
-    end = refine(problem, path[place].d, rtol=_POLISH, progress=report(len(path[place].d)))
+        interrupted = path[place].interrupted
+    if interrupted:
+        # who interrupts wants an end: one step, unobserved
+        end = replace(refine(problem, path[place].d, rtol=_POLISH, max_iterations=1), converged=False)
+    else:
+        end = refine(problem, path[place].d, rtol=_POLISH, progress=report(len(path[place].d)))
     if automatic and not interrupted:
         end = significant(problem, end, lambda d: refine(problem, d, rtol=_POLISH))
     rows = tuple(_row(problem, step) for step in path)
@@ -214,21 +224,28 @@ def _found(
 
 def _second_thoughts(
     search: Search, path: list[Step], place: int, largest: int, automatic: bool, rtol: float, floor: float,
-    workers: Any, rng: Any,
+    workers: Any, rng: Any, report: Callable[[int], Report | None],
 ) -> tuple[Step, list[Start]]:  # fmt: skip
     """A better minimum where the first is doubtful, and what was tried."""
-    step, starts = path[place], []
-    better = reseat(search, step, rtol, floor)
+    step = path[place]
+    starts: list[Start] = []
+    better = reseat(search, step, rtol, floor, report)
+    if better.interrupted:
+        return better, starts
     if better is not step:
         starts.append(_start("re-seated", better, search.problem.samples))
         step = better
     from_nothing = not len(path[0].d)
     if not automatic and from_nothing and len(step.d) == largest and step.loss > floor and search.unconvinced(step):
-        others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
+        try:
+            others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
+        except KeyboardInterrupt:
+            return replace(step, interrupted=True), starts
         starts += [_start("random", other, search.problem.samples) for other in others]
         best = min(others, key=lambda other: other.loss)
         if len(best.d) == largest and best.loss < (1 - 1e-6) * step.loss:
             step = replace(best, iterations=step.iterations + best.iterations)
+        step = replace(step, interrupted=any(other.interrupted for other in others))
     return step, starts
 
 

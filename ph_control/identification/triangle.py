@@ -42,7 +42,7 @@ def _by_gram(blocks: Iterable[Array], guess: Array | None) -> tuple[Array, bool]
     """Factor from the Gram matrix of the columns, orthogonalised by a guess; and whether to trust it."""
     gram: Array | float = 0.0
     for block in blocks:
-        # each row is solved for, not multiplied by an inverse: what a nearly singular guess blows up is taken back by it
+        # rows are solved for, not multiplied by an inverse: what a nearly singular guess blows up, it then takes back
         turned = block if guess is None else blas.dtrsm(1.0, guess, block.T, side=1, lower=0).T
         gram = gram + turned @ turned.T
     gram = np.asarray(gram)
