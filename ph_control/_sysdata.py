@@ -11,7 +11,7 @@ from .exceptions import StructureError
 from .modal import ModalForm
 from .systems import PortHamiltonian, ph
 
-DRAWS = 500  # models of a band: seeds move its ends by 0.7 % of probability
+DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
 
 
 def as_systems(sysdata: Any, *, tabulated: bool = False) -> list[Any]:

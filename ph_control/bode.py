@@ -22,6 +22,8 @@ Mask = NDArray[np.bool_]
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
+_AROUND_BAND = 400  # and of a band, each of which costs as many responses as there are models
+_CLOSEST_BAND = 1e-6
 _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
@@ -92,6 +94,10 @@ class Band:
     magnitude: Array
     phase: Array
 
+    def visible(self, curve: Curve, low: float, high: float, part: float) -> Array:
+        """Its ends where its curve counts for the range of a picture; beyond them it may run off as that does."""
+        return self.magnitude[:, replace(curve, omega=self.omega).visible(low, high, part)]
+
 
 @dataclass(frozen=True)
 class BodeData:
@@ -137,21 +143,22 @@ def bode_data(
     marks = np.concatenate([_marks(sys) for sys in systems])
     grid, low, high = _frequencies(marks, measured, omega, omega_limits, Hz)
     curves = [_curve(sys, name, grid, low, high, omega_num) for sys, name in zip(systems, labels, strict=True)]
-    bands = [band_around(curve, drawn, level) for curve, drawn in zip(curves, models, strict=True)]
+    bands: list[Band | None] = []
+    for curve, drawn in zip(curves, models, strict=True):
+        near = frequency_grid(curve.singular, low, high, _CLOSEST_BAND, omega_num, _AROUND_BAND)
+        bands.append(None if drawn is None else band_around(drawn, near if grid is None else grid, level))
     first = systems[0]
     title = title_of("Bode plot", systems, label is not None)
     return BodeData(curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
 
 
-def band_around(curve: Curve, models: Any, level: float) -> Band | None:
-    """Band of models drawn around a curve, at its frequencies."""
-    if models is None:
-        return None
+def band_around(models: Any, omega: Array, level: float) -> Band:
+    """Band of models drawn around a system."""
     with np.errstate(divide="ignore"):
-        size = 20.0 * np.log10(models.magnitude_band(curve.omega, level))
+        size = 20.0 * np.log10(models.magnitude_band(omega, level))
     # infinite where draws have their pole, zero where they have their zero: beyond any picture
     size = np.clip(size, -_BEYOND, _BEYOND)
-    return Band(f"{100 * level:g} % band", curve.omega, size, models.phase_band(curve.omega, level))
+    return Band(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level))
 
 
 def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
@@ -300,7 +307,12 @@ def _zeros(sys: Any) -> ComplexArray:
 
 
 def frequency_grid(
-    marks: ArrayLike, low: float, high: float, closest: float = _CLOSEST, count: int | None = None
+    marks: ArrayLike,
+    low: float,
+    high: float,
+    closest: float = _CLOSEST,
+    count: int | None = None,
+    around: int = _AROUND_ALL,
 ) -> Array:
     """Frequencies from `low` to `high`, dense on both sides of every mark and never on one.
 
@@ -314,6 +326,8 @@ def frequency_grid(
         Distance of the nearest points to a mark, relative to its frequency.
     count : int, optional
         Number of frequencies between the ends, those around the marks apart.
+    around : int
+        Number of those on each side of all marks together, as far as there are at least 4 and at most 30 for each.
 
     Returns
     -------
@@ -343,7 +357,7 @@ def frequency_grid(
     groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
     gaps = np.diff(groups, prepend=0.0, append=np.inf)
     # fewer for each of very many, which the picture cannot separate anyhow
-    shrinking = np.linspace(0.0, 1.0, int(np.clip(_AROUND_ALL // len(groups), 4, 30)))
+    shrinking = np.linspace(0.0, 1.0, int(np.clip(around // len(groups), 4, 30)))
     parts = [base]
     for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
         far = 0.5 * np.minimum(gap, groups)

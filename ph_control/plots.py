@@ -91,7 +91,7 @@ def bode_plot(
         As in `spectral_estimate`.
     confidence : PEMResult or ModeSamples, or list of them, optional
         Whose `magnitude_band` and `phase_band` to shade around the first system, or around each.  A result of `pem`
-        draws 500 models, always the same.
+        draws 300 models, always the same.
     level : float
         Share of these models inside the band, between 0 and 1.
     omega_limits : array_like, shape (2,), optional
@@ -204,7 +204,7 @@ def _draw_magnitudes(
     shown = [shown_range(curve, level, low, high, _SHOWN) for curve, level in zip(numbers.curves, levels, strict=True)]
     for curve, band in zip(numbers.curves, numbers.bands, strict=True):
         if band is not None:
-            seen = band.magnitude[:, curve.visible(low, high, _SHOWN)]
+            seen = band.visible(curve, low, high, _SHOWN)
             # nine tenths of it: next to a resonance it reaches as far as the peak
             shown.append(np.quantile(seen, [0.05, 0.95]) if seen.size else np.zeros(0))
 
