@@ -27,6 +27,7 @@ _CLOSEST_BAND = 1e-6
 _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
+_DOT = 1 / 1200  # of the width of a picture
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
@@ -71,9 +72,13 @@ class Curve:
         return np.degrees(angle)
 
     def visible(self, low: float, high: float, part: float) -> Mask:
-        """Where the curve counts for the range of a picture: inside, and not on an infinite peak."""
+        """Where the curve counts for the range of a picture: inside, and not on an infinite peak.
+
+        Nor within a dot of one: between two peaks that a picture cannot part, it would be as high as they are close.
+        """
         inside = (self.omega >= low) & (self.omega <= high)
-        return inside & away_from(self.omega, self.singular, part)
+        dot = _DOT * np.log(high / low) * self.omega if part else 0.0
+        return inside & away_from(self.omega, self.singular, part) & (_distance(self.omega, self.singular) >= dot)
 
     def gaps(self) -> NDArray[np.intp]:
         """Places before which a line must break: between the two samples there the response is infinite or zero."""

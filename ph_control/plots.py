@@ -34,6 +34,7 @@ from .fit_data import strongest_part as strongest_part
 Array = NDArray[np.float64]
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
+_MANY = 50  # poles and zeros
 
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
 _PALE_DOTS: dict[str, Any] = {**_DOTS, "markersize": 2.5, "color": "0.78"}
@@ -259,7 +260,9 @@ def _draw_curves(axis: Axes, numbers: BodeData, values: list[Array], unit: float
         omega, value = np.insert(curve.omega, breaks, np.nan), np.insert(value, breaks, np.nan)
         # what stands between two breaks is no line
         marker = {"marker": ".", "markersize": 4.0} if len(breaks) else {}
-        lines += axis.plot(omega / unit, value, label=label, **{**look.curve(k), **marker})
+        # many resonances are told apart by thinner lines only
+        thin = {} if len(curve.singular) <= _MANY or "linewidth" in look.line else {"linewidth": 0.7}
+        lines += axis.plot(omega / unit, value, label=label, **{**look.curve(k), **marker, **thin})
     return lines
 
 

@@ -16,8 +16,8 @@ ORDER = (
     "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "propagation",
     "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine",
     "realization", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
-    "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data", "plots",
-    "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
+    "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
+    "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
     "_documents", "_tables", "files", "identification", "demo", "cli",
 )  # fmt: skip
 

@@ -4,15 +4,18 @@ import itertools
 
 import control as ct
 import matplotlib.pyplot as plt
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
 import ph_control as phc
 from ph_control import StructureError
 from ph_control.bode import Curve, away_from, features, frequency_grid
+from ph_control.identification.samples import ModeSamples
 from ph_control.models import frenkel_kontorova, lc_circuit, spring_chain
 from ph_control.plots import bode_plot, extremes, fit_plot
 from ph_control.spectra import SpectralEstimate, spectral_estimate
@@ -183,10 +186,35 @@ def test_infinite_peaks_leave_the_picture_and_everything_between_them_is_in_it()
         assert level[np.argmin(np.abs(w - zero))] < low
     halfway = np.sqrt(sys.d[:-1] * sys.d[1:])
     clear = np.min(np.abs(halfway[:, None] - zeros), axis=1) > 0.1 * np.diff(sys.d)
+    # four decades in a picture: closer ones are a single line
+    clear &= np.diff(sys.d) > 0.02 * halfway
     assert clear.sum() > 5
     between = 20 * np.log10(np.abs(sys(1j * halfway[clear])))
     assert np.all((between > low) & (between < high))
-    assert high - low < 250.0
+    assert high - low < 100.0
+
+
+def test_two_resonances_that_a_picture_cannot_part_do_not_flatten_it():
+    plain, paired = (phc.modes(d, np.ones(len(d))) for d in ([1.0, 10.0], [1.0, 3.0, 3.0 + 1e-9, 10.0]))
+    (_, high), (_, paired_high) = (bode_plot(sys).axes[0, 0].get_ylim() for sys in (plain, paired))
+    assert paired_high < high + 10.0
+    # halfway between the two it is a hundred times as high
+    assert 20 * np.log10(np.abs(paired.freqresp([3.0 + 2e-10])))[0] > high + 100.0
+    # until one looks closely
+    zoomed = bode_plot(paired, omega_limits=[3.0 - 1e-9, 3.0 + 2e-9])
+    assert zoomed.axes[0, 0].get_ylim()[1] > 150.0
+
+
+def test_a_lone_measured_point_does_not_flatten_the_picture_but_a_measured_resonance_is_in_it():
+    chain, w = frenkel_kontorova(), np.geomspace(0.1, 10.0, 200) * 1.0001
+    response = chain(1j * w)
+    usual = bode_plot(chain, data=ct.frd(response, w)).axes[0, 0].get_ylim()
+    for factor in (1e12, 1e-12):
+        wrong = response.copy()
+        wrong[17] *= factor
+        np.testing.assert_allclose(bode_plot(chain, data=ct.frd(wrong, w)).axes[0, 0].get_ylim(), usual, atol=1.0)
+    twice = bode_plot(chain, data=ct.frd(10 * response, w)).axes[0, 0].get_ylim()
+    assert twice[1] >= 20 * np.log10(10 * np.abs(response).max())
 
 
 def test_a_finite_peak_is_in_the_picture():
@@ -283,6 +311,165 @@ def test_two_frequencies_are_limits_and_more_are_the_grid():
     given = bode_plot(chain, [0.2, 0.5, 3.0])
     w = given.lines[0, 0][0].get_xdata()
     assert w[np.isfinite(w)].tolist() == [0.2, 0.5, 3.0]
+
+
+def test_the_line_breaks_where_frequencies_of_ones_own_straddle_a_pole_or_zero():
+    chain = frenkel_kontorova()
+    w = np.geomspace(0.1, 10.0, 40)
+    for row in (0, 1):
+        x, y = bode_plot(chain, w).lines[row, 0][0].get_data()
+        assert np.isnan(x).sum() == np.isnan(y).sum() == 3
+        for mark in (chain.d[0], 1.0, chain.d[1]):
+            k = np.searchsorted(w, mark)
+            place = np.flatnonzero(x == w[k])[0]
+            assert np.isnan(x[place - 1]) and x[place - 2] == w[k - 1]
+    # a line between two frequencies that have each a break beside them would not be seen
+    assert bode_plot(chain, w).lines[0, 0][0].get_marker() == "."
+    assert bode_plot(chain).lines[0, 0][0].get_marker() == "None"
+
+
+def test_frequencies_that_come_close_to_a_peak_from_both_sides_need_no_break():
+    chain = frenkel_kontorova()
+    grid = frequency_grid(features(chain)[0], 0.1, 10.0)
+    assert np.isfinite(bode_plot(chain, grid).lines[0, 0][0].get_xdata()).all()
+
+
+def test_measured_responses_have_no_breaks():
+    w = np.geomspace(0.1, 10.0, 40)
+    x = bode_plot(ct.frd(frenkel_kontorova()(1j * w), w)).lines[0, 0][0].get_xdata()
+    assert x.tolist() == w.tolist()
+
+
+@pytest.mark.parametrize("n", [5, 20, 100])
+def test_all_changes_of_the_reactance_are_drawn_and_the_curve_agrees_with_mpmath(n):
+    rng = np.random.default_rng(n)
+    d, r = np.sort(10 ** rng.uniform(0, 2, n)), 10 ** rng.uniform(-2, 0, n)
+    plot = bode_plot(phc.ph(phc.modes(d, r)))
+    (w, level), phase = plot.lines[0, 0][0].get_data(), plot.lines[1, 0][0].get_ydata()
+    assert set(phase.tolist()) == {-90.0, 90.0}
+    assert np.count_nonzero(np.diff(phase)) == 2 * n - 1
+    assert np.isfinite(level).all()
+    with mpmath.workdps(40):
+        for k in rng.integers(0, len(w), 100):
+            x = mpmath.mpf(w[k])
+            G = sum(mpmath.mpf(b) * mpmath.mpf(a) * x / (mpmath.mpf(a) ** 2 - x**2) for a, b in zip(d, r, strict=True))
+            assert np.sign(float(G)) == np.sign(phase[k])
+            # a relative error of 1e-12 in decibels, and the rounding of the decibels themselves
+            assert abs(level[k] - float(20 * mpmath.log10(abs(G)))) <= 20 / np.log(10) * 1e-12 + 4 * EPS * abs(level[k])
+
+
+def test_magnitudes_and_phases_can_be_drawn_in_other_units():
+    chain = frenkel_kontorova()
+    decibels, absolute = bode_plot(chain), bode_plot(chain, dB=False, deg=False, gain_unit="m/s/N")
+    np.testing.assert_allclose(
+        absolute.lines[0, 0][0].get_ydata(), 10 ** (decibels.lines[0, 0][0].get_ydata() / 20), rtol=1e-12
+    )
+    np.testing.assert_allclose(absolute.axes[0, 0].get_ylim(), 10 ** (np.array(decibels.axes[0, 0].get_ylim()) / 20))
+    assert absolute.axes[0, 0].get_yscale() == "log"
+    assert absolute.axes[0, 0].get_ylabel() == "Magnitude [m/s/N]"
+    assert set(absolute.lines[1, 0][0].get_ydata().tolist()) == {-np.pi / 2, np.pi / 2}
+    assert absolute.axes[1, 0].get_ylabel() == "Phase [rad]"
+    absolute.figure.canvas.draw()
+    assert "0.5π" in [text.get_text() for text in absolute.axes[1, 0].get_yticklabels()]
+
+
+@pytest.mark.parametrize("row", ["magnitude", "phase"])
+def test_magnitude_or_phase_alone_can_be_drawn(row):
+    both = bode_plot(frenkel_kontorova())
+    one = bode_plot(frenkel_kontorova(), plot_magnitude=row == "magnitude", plot_phase=row == "phase")
+    assert one.axes.shape == (1, 1)
+    kept = 0 if row == "magnitude" else 1
+    assert np.array_equal(one.lines[0, 0][0].get_ydata(), both.lines[kept, 0][0].get_ydata())
+    assert one.axes[0, 0].get_ylabel() == both.axes[kept, 0].get_ylabel()
+    assert one.axes[0, 0].get_xlabel() == "Frequency [rad/s]"
+
+
+def test_the_number_of_frequencies_can_be_chosen():
+    few, many = (len(bode_plot(frenkel_kontorova(), omega_num=k).lines[0, 0][0].get_xdata()) for k in (10, 2000))
+    assert 1900 < many - few <= 1990
+
+
+def test_style_keywords_of_python_control_reach_the_picture():
+    chain = frenkel_kontorova(name="chain")
+    before = dict(plt.rcParams.copy())
+    plot = bode_plot(chain, color="C7", linestyle="-.", linewidth=3.0, show_legend=True, grid=False,
+                     rcParams={"axes.labelsize": 21.0})  # fmt: skip
+    line = plot.lines[0, 0][0]
+    assert (line.get_color(), line.get_linestyle(), line.get_linewidth()) == ("C7", "-.", 3.0)
+    assert [text.get_text() for text in plot.legend.get_texts()] == ["chain"]
+    assert plot.axes[0, 0].yaxis.label.get_size() == 21.0
+    assert not plot.axes[0, 0].xaxis.get_gridlines()[0].get_visible()
+    assert bode_plot(chain).axes[0, 0].xaxis.get_gridlines()[0].get_visible()
+    assert dict(plt.rcParams.copy()) == before
+    assert bode_plot([chain, chain], legend_loc=False).legend is None
+    assert bode_plot([chain, chain], show_legend=False).legend is None
+    assert bode_plot([chain, chain], legend_loc="lower left").legend._loc_real == 3
+
+
+# --- bands ---
+
+
+def drawn_models(k=200, spread=0.01, seed=3):
+    rng = np.random.default_rng(seed)
+    d, r = np.array([1.0, 3.0]), np.array([1.0, 0.5])
+    return ModeSamples(*(x * (1 + spread * rng.standard_normal((k, 2))) for x in (d, r)))
+
+
+def bands_of(axis):
+    return [artist for artist in axis.collections if "band" in str(artist.get_label())]
+
+
+def test_the_band_is_that_of_the_models_under_its_curve():
+    models = drawn_models()
+    plot = bode_plot(phc.modes([1.0, 3.0], [1.0, 0.5]), confidence=models, level=0.9)
+    assert legend_texts(plot.axes[0, 0]) == ["model", "90 % band"]
+    for row, band_of in enumerate((lambda w: 20 * np.log10(models.magnitude_band(w, 0.9)), models.phase_band)):
+        (band,) = bands_of(plot.axes[row, 0])
+        vertices = band.get_paths()[0].vertices
+        assert np.allclose(band.get_facecolor()[0, :3], to_rgb(plot.lines[row, 0][0].get_color()))
+        w = np.unique(vertices[:, 0])
+        low, high = band_of(w)
+        for x, bottom, top in list(zip(w, low, high, strict=True))[1:-1:37]:
+            ends = vertices[vertices[:, 0] == x, 1]
+            np.testing.assert_allclose([ends.min(), ends.max()], [bottom, top], rtol=1e-9)
+
+
+def test_the_band_reaches_across_the_poles_and_the_picture_holds_its_curve():
+    plot = bode_plot(phc.modes([1.0, 3.0], [1.0, 0.5]), confidence=drawn_models(spread=0.1))
+    vertices = bands_of(plot.axes[0, 0])[0].get_paths()[0].vertices
+    assert np.isfinite(vertices).all()
+    alone = bode_plot(phc.modes([1.0, 3.0], [1.0, 0.5]))
+    (low, high), (bottom, top) = (picture.axes[0, 0].get_ylim() for picture in (plot, alone))
+    assert low <= bottom and high >= top and high - low < 2 * (top - bottom)
+
+
+def test_a_result_of_a_fit_draws_its_own_band_always_the_same():
+    rng = np.random.default_rng(0)
+    plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(300)
+    y = phc.forced_response(plant, 0.1 * np.arange(300), u).outputs + 0.3 * rng.standard_normal(300)
+    result = phc.pem((u, y), 1, dt=0.1)
+    one, other = (bode_plot([result, plant], confidence=result) for _ in range(2))
+    first, second = (bands_of(plot.axes[0, 0])[0].get_paths()[0].vertices for plot in (one, other))
+    assert np.array_equal(first, second)
+    level = one.lines[0, 0][0].get_ydata()
+    np.testing.assert_array_equal(level, bode_plot(result.system).lines[0, 0][0].get_ydata()[: len(level)])
+    listed = bode_plot([plant, result], confidence=[None, result])
+    assert len(bands_of(listed.axes[0, 0])) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"confidence": 3}, "confidence is a int; pass the result of pem"),
+        ({"confidence": [None, None]}, "confidence has 2 entries for 1 systems"),
+        ({"sysdata": ct.rss(2, 2, 2), "confidence": drawn_models(3)}, "bands are those of one port"),
+        ({"confidence": drawn_models(3), "level": 2.0}, "level is 2.0"),
+        ({"plot_magnitude": False, "plot_phase": False}, "there is nothing to draw"),
+    ],
+)
+def test_a_band_that_cannot_be_drawn_says_why(arguments, message):
+    with pytest.raises(StructureError, match=message):
+        bode_plot(**({"sysdata": frenkel_kontorova()} | arguments))
 
 
 def test_the_phase_axis_is_ticked_at_multiples_of_90_degrees():
@@ -739,6 +926,17 @@ def test_the_measured_output_is_seen_around_a_prediction_equal_to_it():
             dots, line = plot.lines[2, 0]
             assert (dots.get_linestyle(), dots.get_marker(), line.get_marker()) == ("None", "o", "None")
             assert dots.get_markersize() > 2 * line.get_linewidth()
+
+
+def test_a_fit_is_drawn_on_axes_of_ones_own_with_the_detail_if_there_is_one_for_it():
+    t, y, p = long_record()
+    for panels in (2, 3):
+        figure, axes = plt.subplots(panels, 1)
+        plot = fit_plot(t, y, p, ax=axes)
+        assert plot.figure is figure and plot.axes[:, 0].tolist() == list(axes)
+        assert figure.get_suptitle() == ""
+    with pytest.raises(StructureError, match="ax has 4 axes"):
+        fit_plot(t, y, p, ax=plt.subplots(2, 2)[1])
 
 
 def test_missing_samples_are_gaps():
