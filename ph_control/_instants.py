@@ -65,6 +65,5 @@ def time_step(t: Array) -> float:
     if t.size == 1:
         return 1.0
     first = float(t[1] - t[0])
-    drift = np.abs(t[0] + first * np.arange(t.size) - t)
-    made_of_it = drift.max() <= 2 * _checks.EPS * np.abs(t).max()
+    made_of_it = _checks.distance_from_grid(t, first) <= 2 * _checks.EPS * max(abs(float(t[0])), abs(float(t[-1])))
     return first if made_of_it else float((t[-1] - t[0]) / (t.size - 1))

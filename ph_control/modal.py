@@ -147,8 +147,8 @@ class ModalForm:
         Notes
         -----
         O(n) per point and entry.  On the imaginary axis the values of a one-port are exactly imaginary and
-        right to 5e-14 relative, as a rule to 1e-14, next to a pole and next to a zero alike: where terms cancel, the sum is
-        repeated with twice the digits.
+        right to 5e-14 relative, as a rule to 1e-14, next to a pole and next to a zero alike: where terms cancel, the
+        sum is repeated with twice the digits.
 
         Examples
         --------

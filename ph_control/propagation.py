@@ -7,6 +7,7 @@ through powers of `lambda`; between blocks only the modal state is carried.  All
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,9 @@ METHODS = ("exact", "midpoint", "euler")
 INTERSAMPLE = ("zoh", "foh")
 
 _BLOCK = 256
+_SHORT = 32  # samples of a block of states
+_SEGMENT = 1 << 16  # samples held at once
+_GROUP = 32  # blocks through which states are carried side by side
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,7 @@ def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[Co
 
 
 def simulate(
-    step: Step, u: Array, x0: ComplexArray, *, states: bool = False, block: int = _BLOCK
+    step: Step, u: Array, x0: ComplexArray, *, states: bool = False, block: int | None = None
 ) -> tuple[Array, ComplexArray | None]:
     """Outputs, and on request all modal states, of a recursion driven by samples.
 
@@ -145,6 +149,8 @@ def simulate(
         Initial modal state, before the first input sample acts.
     states : bool
         Whether to return the states as well.
+    block : int, optional
+        Samples taken at once; by default about what costs least.
 
     Returns
     -------
@@ -154,32 +160,96 @@ def simulate(
         Modal states.
     """
     # with x = w + b1 u the recursion for w needs only the input at the start of a step
-    lam = step.multiplier
-    b = step.b0 + lam[:, None] * step.b1
-    feedthrough = (step.c @ step.b1).real
-    ports, samples = u.shape
+    b = step.b0 + step.multiplier[:, None] * step.b1
     start = x0 - step.b1 @ u[:, 0]
-    size = min(block, samples)
-    count = -(-samples // size)
-    padded = np.zeros((ports, count * size))
-    padded[:, :samples] = u
-    blocks = padded.reshape(ports, count, size)
+    size = min(block or _block(len(x0)), u.shape[1])
+    forced, free = _output_weights(step, b, size)
+    y = np.empty(u.shape)
+    for here, blocks, carried in _segments(step, b, u, start, size):
+        out = blocks @ forced
+        out += carried.view(float) @ free
+        y[:, here] = _samples(out, len(u))[:, : here.stop - here.start]
+    return y, _all_states(step, b, u, start) if states else None
 
-    P = step.powers(np.arange(size + 1.0))
-    carried = _carry(P, b, blocks, start)
-    weights = step.c[:, :, None] * P[:, :size]
-    y = np.empty((ports, count, size))
+
+def _block(modes: int) -> int:
+    """Samples to take at once: short ones leave more states to carry, long ones more products with inputs."""
+    return 1 << int(np.clip(np.round(np.log2(np.sqrt(250.0 * max(1, modes)))), 5, 9))
+
+
+def _output_weights(step: Step, b: ComplexArray, size: int) -> tuple[Array, Array]:
+    """Outputs of a block from its inputs, (m size, m size), and from real and imaginary part of the state before it."""
+    P = _powers_below(step, size)
+    ports, N = step.c.shape
+    weights = step.c[:, :, None] * P
+    forced = np.zeros((ports, size, ports, size))
+    response = np.zeros((ports, ports, size))
+    response[:, :, 0] = (step.c @ step.b1).real
+    response[:, :, 1:] = np.einsum("inl,nj->ijl", weights[:, :, : size - 1], b).real
     for i in range(ports):
-        y[i] = carried.real @ weights[i].real - carried.imag @ weights[i].imag
         for j in range(ports):
-            kernel = np.zeros(size)
-            kernel[1:] = (weights[i, :, : size - 1].T @ b[:, j]).real
-            y[i] += blocks[j] @ toeplitz(kernel, np.zeros(size)).T
-    y = y.reshape(ports, -1)[:, :samples] + feedthrough @ u
-    if not states:
-        return y, None
-    x = _all_states(P, lam, b, blocks, carried)[:, :samples] + step.b1 @ u
-    return y, x
+            forced[j, :, i] = toeplitz(np.r_[response[i, j, 0], np.zeros(size - 1)], response[i, j])
+    free = np.moveaxis(np.stack([weights.real, -weights.imag]), (2, 0), (0, 1)).reshape(2 * N, ports * size)
+    return forced.reshape(ports * size, ports * size), np.ascontiguousarray(free)
+
+
+def _powers_below(step: Step, size: int) -> ComplexArray:
+    """`lambda^k` for `k = 0 .. size - 1`, shape (N, size): products of two exact powers."""
+    few = min(16, size)
+    near, far = step.powers(np.arange(float(few))), step.powers(np.arange(0.0, size, few))
+    return (far[:, :, None] * near[:, None, :]).reshape(len(near), far.shape[1] * few)[:, :size]
+
+
+def _segments(
+    step: Step, b: ComplexArray, u: Array, start: ComplexArray, size: int
+) -> Iterator[tuple[slice, Array, ComplexArray]]:
+    """Pieces of a record that fit a cache: where they are, inputs by blocks (count, m size), states before these."""
+    ports, samples = u.shape
+    P = _powers_below(step, size)
+    push = (b.T[:, None, :] * P.T[None, ::-1, :]).reshape(ports * size, len(P)).copy().view(float)
+    group = int(np.clip(np.sqrt(samples / size), 1, _GROUP))
+    leap = np.ascontiguousarray(step.powers(size * np.arange(group + 1.0)).T)
+    length = size * group * max(1, _SEGMENT // (size * group))
+    for first in range(0, samples, length):
+        here = slice(first, min(first + length, samples))
+        blocks = _blocks(u[:, here], size, group)
+        states, start = _carry((blocks @ push).view(complex), leap, start)
+        yield here, blocks, states
+
+
+def _blocks(u: Array, size: int, multiple: int = 1) -> Array:
+    """Samples by blocks, shape (count, m size), zeros after the last, up to a multiple of so many blocks."""
+    ports, samples = u.shape
+    count = multiple * -(-samples // (size * multiple))
+    padded = u
+    if count * size > samples or not u.flags.c_contiguous:
+        padded = np.zeros((ports, count * size))
+        padded[:, :samples] = u
+    return np.moveaxis(padded.reshape(ports, count, size), 0, 1).reshape(count, ports * size)
+
+
+def _samples(blocks: Array, ports: int) -> Array:
+    """Undo `_blocks`: shape (m, count size)."""
+    count, width = blocks.shape
+    return np.moveaxis(blocks.reshape(count, ports, width // ports), 1, 0).reshape(ports, -1)
+
+
+def _carry(push: ComplexArray, leap: ComplexArray, start: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """All `x_k` of `x_(k+1) = leap x_k + push_k`, and the last: in groups of blocks, all groups at once.
+
+    The exact powers of the leap, (group + 1, N), let rounding add up over the groups only.
+    """
+    (count, N), group = push.shape, len(leap) - 1
+    inside = push.reshape(count // group, group, N)
+    for i in range(1, group):
+        inside[:, i] += leap[1] * inside[:, i - 1]
+    before = np.empty((len(inside), N), complex)
+    for k, whole in enumerate(inside[:, -1]):
+        before[k] = start
+        start = leap[group] * start + whole
+    states = before[:, None] * leap[:group]
+    states[:, 1:] += inside[:, :-1]
+    return states.reshape(count, N), start
 
 
 def unit_states(step: Step, signal: Array, *, block: int = _BLOCK) -> ComplexArray:
@@ -205,30 +275,22 @@ def unit_states(step: Step, signal: Array, *, block: int = _BLOCK) -> ComplexArr
     return X.reshape(N, count * size)[:, :samples]
 
 
-def _carry(P: ComplexArray, b: ComplexArray, blocks: Array, start: ComplexArray) -> ComplexArray:
-    """Modal states at the start of each block, shape (blocks, N)."""
-    count, size = blocks.shape[1:]
-    reach = P[:, size - 1 :: -1] if size > 1 else P[:, :1]
-    driven = np.zeros((count, len(P)), complex)
-    for j, samples in enumerate(blocks):
-        weights = (b[:, j, None] * reach).T
-        driven += samples @ weights.real + 1j * (samples @ weights.imag)
-    carried = np.empty_like(driven)
-    state, leap = start, P[:, size]
-    for k in range(count):
-        carried[k] = state
-        state = leap * state + driven[k]
-    return carried
-
-
-def _all_states(
-    P: ComplexArray, lam: ComplexArray, b: ComplexArray, blocks: Array, carried: ComplexArray
-) -> ComplexArray:
-    """States at every sample, shape (N, T): the carried part and a first-order filter inside each block."""
-    count, size = blocks.shape[1:]
-    x = np.empty((len(P), count, size), complex)
-    for mode in range(len(P)):
-        drive = np.tensordot(b[mode], blocks, axes=(0, 0))
-        x[mode] = lfilter([0.0, 1.0], [1.0, -lam[mode]], drive, axis=-1)
-        x[mode] += np.multiply.outer(carried[:, mode], P[mode, :size])
-    return x.reshape(len(P), count * size)
+def _all_states(step: Step, b: ComplexArray, u: Array, start: ComplexArray) -> ComplexArray:
+    """States at every sample, shape (N, T): what was carried, turned, and what the block itself has contributed."""
+    (ports, samples), N = u.shape, len(start)
+    size = min(_SHORT, samples)
+    P = _powers_below(step, size)
+    x = np.empty((N, samples), complex)
+    inside = np.zeros((N, ports * size, size), complex)
+    for mode in range(N):
+        for j in range(ports):
+            inside[mode, j * size : (j + 1) * size] = toeplitz(
+                np.zeros(size), np.r_[0.0, b[mode, j] * P[mode, : size - 1]]
+            )
+            inside[mode, range(j * size, (j + 1) * size), range(size)] = step.b1[mode, j]
+    for here, blocks, carried in _segments(step, b, u, start, size):
+        for mode in range(N):
+            part = (blocks @ inside[mode].view(float)).view(complex)
+            part += carried[:, mode, None] * P[mode]
+            x[mode, here] = part.ravel()[: here.stop - here.start]
+    return x

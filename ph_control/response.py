@@ -49,8 +49,8 @@ def forced_response(
     initial_state : array_like, shape (2n,), or a number
         State `z` at the first instant.
     transpose, return_states, squeeze
-        As in `control.forced_response`; `return_states=False` also saves computing the states, of which the
-        response then has none.
+        As in `control.forced_response`.  States are computed when first looked at, or at once with
+        `return_states=True`; with `return_states=False` the response has none.
     method : {'exact', 'midpoint', 'euler'}
         Exact solution, implicit midpoint rule (symplectic), or explicit Euler (not lossless: energy grows).
     intersample : {'zoh', 'foh'}
@@ -278,11 +278,11 @@ def initial_response(
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         picked, one = _selected("output", named, sys.noutputs)
-        u = np.zeros((sys.ninputs, t.size))
-        y, states = _solve(sys, t, u, named["initial_state"], method, "zoh", True)
-        return TimeResponseData(
-            t, y[picked], states, issiso=sys.issiso() or one, output_labels=sys.output_labels[picked],
-            state_labels=sys.state_labels, title="Initial response for " + sys.name, transpose=transpose,
+        problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), named["initial_state"], method, "zoh")
+        return _Response(
+            problem.states, sys, t, problem.outputs()[picked], issiso=sys.issiso() or one,
+            output_labels=sys.output_labels[picked],
+            title="Initial response for " + sys.name, transpose=transpose,
             return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
         )  # fmt: skip
 
@@ -344,14 +344,12 @@ def _forced(
     keep: bool | None, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
     u = _input_signal(inputs, sys.ninputs, t.size, transpose)
-    y, states = _solve(sys, t, u, initial_state, method, intersample, keep is not False)
-    # no rows rather than None, on which `states` of TimeResponseData fails
-    shown, labels = (np.zeros((0, t.size)), None) if states is None else (states, sys.state_labels)
-    return TimeResponseData(
-        t, y, shown, u, issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
-        state_labels=labels, title="Forced response for " + sys.name,
-        transpose=transpose, return_x=bool(keep), squeeze=squeeze, sysname=sys.name, trace_types=["forced"],
-        plot_inputs=True,
+    problem = _Problem(sys, t, u, initial_state, method, intersample)
+    return _Response(
+        None if keep is False else problem.states, sys, t, problem.outputs(), inputs=u, issiso=sys.issiso(),
+        output_labels=sys.output_labels, input_labels=sys.input_labels,
+        title="Forced response for " + sys.name, transpose=transpose, return_x=bool(keep), squeeze=squeeze,
+        sysname=sys.name, trace_types=["forced"], plot_inputs=True,
     )  # fmt: skip
 
 
@@ -363,17 +361,13 @@ def _traces(
     rows, one_output = _selected("output", named, sys.noutputs)
     shown, one_input = _selected("input", named, sys.ninputs)
     ports = range(sys.ninputs)[shown]
-    y, x, u = [], [], []
-    for port in ports:
-        drive, state = one(port)
-        out, states = _solve(sys, t, drive, state, method, intersample, True)
-        y.append(out[rows])
-        x.append(np.zeros((sys.nstates, t.size)) if states is None else states)
-        u.append(drive[shown] if kind == "Step" else np.zeros_like(drive[shown]))
-    return TimeResponseData(
-        t, np.stack(y, axis=1), np.stack(x, axis=1), np.stack(u, axis=1),
-        issiso=sys.issiso() or (one_output and one_input),
-        output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown], state_labels=sys.state_labels,
+    problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
+    y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
+    drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
+    return _Response(
+        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, y,
+        inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
+        output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
         title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(named["return_states"]),
         squeeze=squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
         trace_types=[kind.lower()] * len(ports), plot_inputs=False,
@@ -415,16 +409,63 @@ def _initial_state(value: Any, size: int) -> Array:
     return z.ravel()
 
 
-def _solve(
-    sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str, states: bool
-) -> tuple[Array, Array | None]:
-    """Outputs (m, T) and, on request, states (2n, T)."""
-    _checks.choice("method", method, METHODS)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
-    rule = Rule(time_step(t), method, intersample)
-    z0 = _initial_state(initial_state, sys.nstates)
-    with np.errstate(over="ignore", invalid="ignore"):
-        y, z = trajectory(sys, u, z0, rule, states=states)
-    fastest = sys.modes.d.max(initial=0.0)
-    check_finite(y, z, float(np.hypot(1.0, rule.h * fastest)) if method == "euler" else 1.0, rule)
-    return y, z
+class _Problem:
+    """One input and one initial state for one system; outputs and states are separate work."""
+
+    def __init__(self, sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str):
+        _checks.choice("method", method, METHODS)
+        _checks.choice("intersample", intersample, INTERSAMPLE)
+        self.sys, self.u, self.rule = sys, u, Rule(time_step(t), method, intersample)
+        self.z0 = _initial_state(initial_state, sys.nstates)
+
+    def outputs(self) -> Array:
+        """Outputs, shape (m, T)."""
+        return self._solved(False)[0]
+
+    def states(self) -> Array:
+        """States, shape (2n, T)."""
+        states = self._solved(True)[1]
+        return np.zeros((self.sys.nstates, self.u.shape[1])) if states is None else states
+
+    def _solved(self, states: bool) -> tuple[Array, Array | None]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            y, z = trajectory(self.sys, self.u, self.z0, self.rule, states=states)
+        growth = float(np.hypot(1.0, self.rule.h * self.sys.modes.d.max(initial=0.0)))
+        check_finite(y, z, growth if self.rule.method == "euler" else 1.0, self.rule)
+        return y, z
+
+
+class _Response(TimeResponseData):
+    """Response whose states are computed when first looked at; without a function for them it has none."""
+
+    def __init__(
+        self, compute: Callable[[], Array] | None, sys: LosslessSystem, t: Array, y: Array, **described: Any
+    ) -> None:
+        self._compute, self._states = None, None
+        # no rows rather than None, on which `states` of TimeResponseData fails
+        none = np.zeros((0, *y.shape[1:]))
+        super().__init__(t, y, none, **described)
+        if compute is not None:
+            self._compute, self.nstates, self.state_labels = compute, sys.nstates, list(sys.state_labels)
+            if self.return_x:
+                self.x  # noqa: B018  # asked for
+
+    @property
+    def x(self) -> Any:
+        """States as computed."""
+        if self._compute is not None:
+            self._states, self._compute = self._compute(), None
+        return self._states
+
+    @x.setter
+    def x(self, value: Any) -> None:
+        self._states, self._compute = value, None
+
+    def __copy__(self) -> _Response:
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.x  # noqa: B018  # a function cannot be pickled, what it gives can
+        return self.__dict__
