@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..exceptions import StructureError
+from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from .experiment import Experiment, Rows
 from .forward import mapped
@@ -26,6 +26,7 @@ from .solver import Problem, Projection, refine
 
 Array = NDArray[np.float64]
 
+_OFF = 0.3  # standard errors by which an estimate may miss the minimum of its loss
 _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which a refit takes its last step
 
 
@@ -188,6 +189,9 @@ class Resampled:
         ------
         StructureError
             If `k`, `rng` or `workers` is not of this form.
+        IdentificationError
+            If the estimate is not a minimum of the loss, as after an interruption, or where the frequencies were
+            taken from elsewhere because the record contradicts the model: refits would scatter about another one.
 
         Notes
         -----
@@ -215,20 +219,41 @@ class Resampled:
         count, random = draws_from(k, rng)
         if count == 0:
             raise StructureError("k is 0; a bootstrap needs at least one resample, and 200 for standard errors")
+        checked_workers(workers)
+        refit = _Refit.of(self)
+        _refuse_off_minimum(refit.problem.project(refit.start), self.noise_variance)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
-        found = list(mapped(_Refit.of(self), seeds, checked_workers(workers)))
+        found = list(mapped(refit, seeds, workers))
         d, r, state, offset, active = (
             np.stack([getattr(one, name) for one in found]) for name in ("d", "r", "state", "offset", "active")
         )
         return Bootstrap(d, r, state, offset, active, failed=sum(not one.converged for one in found))
 
 
-def checked_workers(workers: Any) -> Any:
+def checked_workers(workers: Any) -> None:
     """Check that this is a number of processes, -1 for all, or a map-like callable."""
     whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
     if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
         raise StructureError(f"workers is {workers!r}; it must be a number of processes, -1 for all, or a map")
-    return workers
+
+
+def _refuse_off_minimum(at: Projection, variance: float) -> None:
+    """Refuse an estimate from which refits would go elsewhere; of noise-free data the minimum is not told."""
+    largest = max((one.largest for one in at.problem.experiments), default=0.0)
+    rounding = at.problem.samples * (_checks.EPS * at.problem.samples * largest) ** 2
+    if at.loss <= rounding or not len(at.d):
+        return
+    scale = np.sqrt(np.diag(at.gram))
+    scale = np.where(scale > 0, scale, 1.0)
+    slope = at.gradient / scale
+    curvature = np.linalg.pinv(at.gram / np.outer(scale, scale), rcond=len(scale) * _checks.EPS, hermitian=True)
+    off = float(np.sqrt(max(0.0, slope @ curvature @ slope) / variance))
+    if off > _OFF:
+        raise IdentificationError(
+            f"the estimate is not a minimum of its loss: the frequencies are {off:.2g} standard errors from one, "
+            f"allowed {_OFF:g}; refits would scatter about another model: fit again from initial_guess=result.system, "
+            "or see in result.message what contradicts the model"
+        )
 
 
 @dataclass(frozen=True)
@@ -275,14 +300,18 @@ class _Refit:
             _with_output(one, predicted, random.choice(noise, len(noise)))
             for one, predicted, noise in zip(self.problem.experiments, self.predicted, self.noise, strict=True)
         )
-        start = self.modes.d[: self.shown]
         try:
-            end = refine(replace(self.problem, experiments=rows), start, rtol=_EXACT / self.problem.samples)
+            end = refine(replace(self.problem, experiments=rows), self.start, rtol=_EXACT / self.problem.samples)
         except (np.linalg.LinAlgError, RuntimeError):  # of a decomposition or of nnls that does not converge
             return self._nothing()
         if end.interrupted:
             raise KeyboardInterrupt
         return self._draw(end.projection) if end.converged else self._nothing()
+
+    @property
+    def start(self) -> Array:
+        """Frequencies of the estimate, without those that the data do not show."""
+        return self.modes.d[: self.shown]
 
     def _nothing(self) -> _Draw:
         """Stand-in for an estimate that was not reached."""
