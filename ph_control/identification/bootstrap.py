@@ -247,7 +247,7 @@ def _refuse_off_minimum(at: Projection, variance: float) -> None:
     scale = np.where(scale > 0, scale, 1.0)
     slope = at.gradient / scale
     curvature = np.linalg.pinv(at.gram / np.outer(scale, scale), rcond=len(scale) * _checks.EPS, hermitian=True)
-    off = float(np.sqrt(max(0.0, slope @ curvature @ slope) / variance))
+    off = float(np.sqrt(max(0.0, float(slope @ curvature @ slope)) / variance))
     if off > _OFF:
         raise IdentificationError(
             f"the estimate is not a minimum of its loss: the frequencies are {off:.2g} standard errors from one, "
