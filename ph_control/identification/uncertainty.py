@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import EPS
+from .experiment import Experiment
 from .regressors import output_weight
 from .solver import Projection
 
@@ -42,7 +43,9 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     moving = [count >= 2 * n for count in counts]
     # (d, kappa, alpha and beta of each record), sorted; NaN where a record starts at rest
     places = [rank, n + rank]
-    for start, moves in zip(starts, moving, strict=False):
+    for start, moves, rows in zip(starts, moving, at.problem.experiments, strict=False):
+        if not isinstance(rows, Experiment):
+            continue
         places += [start + rank, start + n + rank] if moves and n else [np.full(n, -1)] * 2
     index = np.concatenate(places)
     padded = np.pad(covariance, (0, 1), constant_values=np.nan)
@@ -68,7 +71,9 @@ def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int
 
     `r = kappa / d`, and `q + i p` is the free amplitude divided by `c sqrt(d kappa)`, `c` the weight in the output.
     """
-    n, records = len(at.d), len(at.own)
+    n = len(at.d)
+    states = [own for own, rows in zip(at.own, at.problem.experiments, strict=True) if isinstance(rows, Experiment)]
+    records = len(states)
     d, kappa, free = at.d[rank], at.kappa[rank], at.free[rank]
     driven = at.problem.driven
     held = ~free if driven else np.zeros(n, bool)
@@ -80,7 +85,7 @@ def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int
     factor = 1.0 / (output_weight(d, quantity)[0] * np.sqrt(d * safe))
     # without an input r is fixed, so that kappa turns with d
     by_d = (_TURN[quantity] - (0.0 if driven else 0.5)) / d
-    for record, own in enumerate(at.own):
+    for record, own in enumerate(states):
         amplitude = own[:n][rank] + 1j * own[n : 2 * n][rank] if len(own) >= 2 * n else np.zeros(n, complex)
         state = factor * amplitude
         q, p = 2 * n * (1 + record) + k, 2 * n * (1 + record) + n + k
