@@ -19,13 +19,16 @@ from .exceptions import (
 )
 from .files import load, read_csv, save
 from .groupoids import PortHamiltonianGroupoid, ReducedGroupoid
+from .identification.bootstrap import Bootstrap
 from .identification.excitation import excitation
 from .identification.excitation_report import Excitation
 from .identification.gradient import GradientResult, gradient_descent
 from .identification.orders import OrderSelection, order_selection
 from .identification.pem import pem, prediction_error_fit
+from .identification.prediction import FittedExperiment
 from .identification.residuals import ResidualAnalysis, residual_analysis
 from .identification.result import PEMResult
+from .identification.samples import ModeSamples
 from .identification.validation import Comparison, compare
 from .isomorphism import Verdict, are_isomorphic, system_isomorphism
 from .modal import ModalForm
