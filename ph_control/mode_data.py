@@ -159,6 +159,7 @@ def _cuts(marks: Array, poles: Array, count: int) -> list[float]:
     for target in np.arange(1, count) * len(poles) // count:
         near = poles[max(1, target - spread) : target + spread + 1]
         below = np.array([marks[marks < w].max(initial=0.0) for w in near])
-        widest = int(np.argmax(near - below))
-        cuts.append(0.5 * float(below[widest] + near[widest]))
+        if len(near):
+            widest = int(np.argmax(near - below))
+            cuts.append(0.5 * float(below[widest] + near[widest]))
     return sorted(set(cuts))

@@ -84,7 +84,7 @@ def step_plot(
     Modes of which the instants hold fewer than 8 samples a period are not sampled, which would show slower motions that
     are not there, but drawn as the envelope that they fill, and the legend says which; with instants of your own the
     samples are dots.  Lossless systems in plain form are recognised; of other systems that are too fast for 50 000
-    samples the beginning is drawn.  A band of more than 4e7 terms is drawn for the beginning, and the legend says
+    samples the beginning is drawn.  A band of more than 2e7 terms is drawn for the beginning, and the legend says
     how far.
 
     Responses of lossless systems are exact: O(n T), and for a band that times the number of models.

@@ -34,7 +34,7 @@ _LEAST = 501  # samples
 _MOST = 200_000
 _TABLE = 5_000_000  # entries of a (mode x instant) table, in all
 _MOST_STEPPED = 50_000  # samples of a system that is stepped from one to the next
-_MOST_IN_BAND = 40_000_000  # entries of a (model x mode x instant) table, in all
+_MOST_IN_BAND = 20_000_000  # entries of a (model x mode x instant) table, in all
 _GONE = 5.0  # time constants after which a motion is over
 
 
