@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -13,18 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..exceptions import IdentifiabilityWarning, IdentificationError, StructureError
+from ..exceptions import IdentificationError, StructureError
+from ..propagation import INTERSAMPLE, METHODS
 from ..validation_plots import order_plot
-from .data import Record, as_record
-from .pem import pem
-from .result import OrderRow
+from .document import REPRESENTATIONS
+from .experiment import Experiment
+from .experiments import as_experiments
+from .forward import grow
+from .frequency_data import FrequencyRecord
+from .frequency_rows import FrequencyRows
+from .holdout import HeldOut
+from .pem import Progress, _check_order, _check_signals, _guess, rounding_floor
+from .regressors import QUANTITIES, Hold
+from .response_search import ResponseSearch
+from .search import Report, Search, Step, TimeSearch
+from .selection import criteria
+from .solver import Problem
 
 Array = NDArray[np.float64]
 
 CRITERIA = ("aic", "aicc", "bic", "holdout")
 
 _LARGEST = 10  # by default
-_UNKNOWNS = 4  # of a mode, its initial state included
 _STABLE, _STABLE_BINS = 0.01, 2.0
 
 
@@ -41,15 +50,15 @@ class OrderSelection:
     aic, aicc, bic : ndarray, shape (k,)
         Criteria of Akaike, the same corrected for short records, and of Schwarz; the smallest is best.
     holdout : ndarray, shape (k,), or None
-        Mean squared error over the last part of the record, of models fitted to what comes before it.
+        Mean squared error over what was held out, of models fitted to the rest.
     frequencies : tuple of ndarray
         Natural frequencies of each order, ascending, rad per unit time.
     stable : tuple of ndarray of bool
         Which of them were there one order before already.
     samples : int
-        Observed output samples.
+        Observed output samples; of responses real and imaginary parts.
     held_out : int
-        How many of them are in the last part.
+        How many of them were held out.
     """
 
     orders: NDArray[np.intp]
@@ -83,7 +92,7 @@ class OrderSelection:
         Raises
         ------
         StructureError
-            If there is no such criterion, or no part of the record was held out.
+            If there is no such criterion, or no part of the data was held out.
 
         Examples
         --------
@@ -149,25 +158,27 @@ def order_selection(
     data: Any,
     orders: int | Sequence[int] | None = None,
     *,
-    dt: float | None = None,
+    dt: Any = None,
     holdout: float = 0.0,
     **options: Any,
 ) -> OrderSelection:
-    """Fit models of several orders, and show what speaks for each.
+    """Look for one mode after the other, and show what speaks for each number of them.
 
     Parameters
     ----------
-    data : control.TimeResponseData, or pair (u, y) of array_like, shape (T,) each
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
         As for `pem`.  Not modified.
     orders : int or sequence of int, optional
-        Largest number of modes, or those to choose from; by default 10, or what the record can carry if that is less.
+        Largest number of modes, or those to choose from; by default 10, or what the data can carry if that is less.
         The path begins with no mode at all, order 0.
-    dt : float, optional
+    dt : float, or sequence of float, one for each experiment, optional
         Time between samples; needed with arrays.
     holdout : float
-        Part of the record, at its end, to be foretold by models fitted to the rest: 0 for none, at most 0.9.
+        Part of the data to be foretold by models fitted to the rest: 0 for none, at most 0.9.  Of each record it is
+        the end, of a frequency response points all over it.
     **options
-        As for `pem`, except `order` and `max_order`.
+        `method`, `intersample`, `initial_state`, `offset`, `quantity`, `representation`, `initial_guess`, `weights` and
+        `callback`, as for `pem`.
 
     Returns
     -------
@@ -181,7 +192,7 @@ def order_selection(
     IdentificationError
         As `pem`, or if the part that is not held out is too short.
     TypeError
-        If a keyword is not one of `pem`, or `order` or `max_order` is given.
+        If a keyword is not one of these.
 
     See Also
     --------
@@ -189,14 +200,17 @@ def order_selection(
 
     Notes
     -----
-    A mode counts as stable if the path had one within 1 % or 2 bins of the Fourier transform of the record, `4 pi / T`,
-    one order before; modes are paired one to one.  The path keeps what it has found, so that a mode of noise may
-    stay as well: stability speaks against a mode that moves, and the criteria tell the rest apart.
+    A mode counts as stable if the path had one within 1 % or 2 bins of the Fourier transform of the longest record,
+    `4 pi / T`, one order before (of a response, 2 distances of its points); modes are paired one to one.  The path
+    keeps what it has found, so that a mode of noise may stay as well: stability speaks against a mode that moves, and
+    the criteria tell the rest apart.
 
     `AICc = AIC + 2 p (p + 1)/(N - p - 1)` for p parameters and N observed samples.  Criteria penalise by the number of
-    parameters and need white residuals; the hold-out loss needs neither, but part of the record.
+    parameters and need white residuals; the hold-out loss needs neither, but part of the data.  Its models know
+    nothing of what is held out: they are those of a path of their own through the rest.
 
-    One fit of the largest order; with `holdout` one of each order more.
+    One path, each order from the one before, O(T n^2) an order; with `holdout` as much once more.  The fits of `pem`
+    may be better yet where modes of the path have to be seated anew.
 
     Examples
     --------
@@ -212,43 +226,79 @@ def order_selection(
     (array([0.5, 2. ]), array([ True,  True, False]))
     >>> picture = selection.plot()
     """
-    for name in ("order", "max_order"):
+    for name in ("order", "max_order", "criterion"):
         if name in options:
             raise TypeError(f"unexpected keyword argument {name!r}: the orders to try are the argument orders")
-    record = as_record(data, dt)
-    wanted = _wanted(orders, record)
     part = _part(holdout)
-    path = _path(record, wanted[-1], options)
+    problem, guess, callback = _problem(data, dt, **options)
+    wanted = _wanted(orders, problem)
+    path = _path(problem, wanted[-1], guess, callback)
     # a path that ends in rounding has no higher orders
-    kept = [k for k, row in enumerate(path) if row.order in wanted]
+    kept = [k for k, step in enumerate(path) if len(step.d) in wanted]
     if not kept:
         raise StructureError(
-            f"the smallest order asked for is {wanted[0]}, and {path[-1].order} modes already reproduce the record to "
+            f"the smallest order asked for is {wanted[0]}, and {len(path[-1].d)} modes already reproduce the record to "
             "rounding; ask for lower orders"
         )
-    stable = _stable(path, 2 * np.pi / (record.samples * record.dt))
-    rows = [path[k] for k in kept]
-    aic, bic = np.array([row.aic for row in rows]), np.array([row.bic for row in rows])
-    samples = int(record.observed.sum())
-    held_out, losses = _holdout(record, rows, part, options) if part else (0, None)
+    stable = _stable(path, problem.bin)
+    steps = [path[k] for k in kept]
+    found = [criteria(problem, step.loss, len(step.d)) for step in steps]
+    ahead, losses = _holdout(problem, guess, [len(step.d) for step in steps], part) if part else (0, None)
     return OrderSelection(
-        orders=np.array([row.order for row in rows]),
-        loss=np.array([row.loss for row in rows]),
-        aic=aic,
-        aicc=_corrected(aic, bic, samples),
-        bic=bic,
+        orders=np.array([len(step.d) for step in steps]),
+        loss=np.array([step.loss / problem.samples for step in steps]),
+        aic=np.array([row.aic for row in found]),
+        aicc=np.array([row.aicc for row in found]),
+        bic=np.array([row.bic for row in found]),
         holdout=losses,
-        frequencies=tuple(np.sort(row.d) for row in rows),
+        frequencies=tuple(np.sort(step.d) for step in steps),
         stable=tuple(stable[k] for k in kept),
-        samples=samples,
-        held_out=held_out,
+        samples=problem.samples,
+        held_out=ahead,
     )
 
 
-def _wanted(orders: Any, record: Record) -> list[int]:
+def _problem(
+    data: Any,
+    dt: Any,
+    *,
+    method: str = "exact",
+    intersample: str = "zoh",
+    initial_state: str = "estimate",
+    offset: bool = False,
+    quantity: str = "velocity",
+    representation: str = "observable",
+    initial_guess: Any = None,
+    weights: Any = None,
+    callback: Callable[[Progress], Any] | None = None,
+) -> tuple[Problem, Array, Callable[[Progress], Any] | None]:
+    """The experiments as a fit would see them, and where the path starts."""
+    for name, value, allowed in (
+        ("method", method, METHODS),
+        ("intersample", intersample, INTERSAMPLE),
+        ("initial_state", initial_state, ("estimate", "zero")),
+        ("quantity", quantity, QUANTITIES),
+        ("representation", representation, REPRESENTATIONS),
+    ):
+        _checks.choice(name, value, allowed)
+    records = as_experiments(data, dt, weights=weights)
+
+    def rows(record: Any) -> Experiment | FrequencyRows:
+        if isinstance(record, FrequencyRecord):
+            return FrequencyRows(record, quantity)
+        hold, from_rest = Hold(record.dt, method, intersample), initial_state == "zero" and record.driven
+        return Experiment(record.u, record.y, record.observed, hold, from_rest, offset, quantity, record.driven)
+
+    problem = Problem(tuple(rows(record) for record in records), structured=representation == "controllable")
+    guess = _guess(initial_guess, problem)
+    _check_signals(problem, records)
+    return problem, guess, callback
+
+
+def _wanted(orders: Any, problem: Problem) -> list[int]:
     if orders is None:
-        carried = (int(record.observed.sum()) - 1) // _UNKNOWNS
-        orders = max(1, min(_LARGEST, carried))
+        none = problem.unknowns(0)
+        orders = max(1, min(_LARGEST, (problem.samples - 1 - none) // (problem.unknowns(1) - none)))
     several = isinstance(orders, Sequence | np.ndarray) and not isinstance(orders, str)
     wanted = list(orders) if several else [orders]
     if not wanted or not all(
@@ -266,22 +316,33 @@ def _part(holdout: Any) -> float:
     except (TypeError, ValueError):
         part = np.nan
     if isinstance(holdout, bool) or not 0 <= part <= 0.9:
-        raise StructureError(f"holdout is {holdout!r}; it must be the part of the record to hold out, from 0 to 0.9")
+        raise StructureError(f"holdout is {holdout!r}; it must be the part of the data to hold out, from 0 to 0.9")
     return part
 
 
-def _path(data: Any, order: int, options: dict[str, Any]) -> list[OrderRow]:
-    with warnings.catch_warnings():
-        # of the largest order, which nobody has chosen yet
-        warnings.simplefilter("ignore", IdentifiabilityWarning)
-        return list(pem(data, order, **options).order_table)
+def _path(problem: Problem, largest: int, guess: Array, callback: Callable[[Progress], Any] | None) -> list[Step]:
+    """One mode after the other, whatever the length of the record."""
+    _check_order(problem, largest, largest, guess)
+    search: Search = TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
+
+    def report(order: int) -> Report | None:
+        if callback is None:
+            return None
+        return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
+
+    rtol, floor = min(1e-4, 0.1 / problem.samples), rounding_floor(problem)
+    try:
+        first = search.step(guess, rtol, report(len(guess)))
+        return grow(search, first, largest, rtol=rtol, floor=floor, report=report)
+    except StopIteration:
+        raise IdentificationError("the callback ended the search before there was any mode") from None
 
 
-def _stable(path: list[OrderRow], bin_width: float) -> list[NDArray[np.bool_]]:
-    """Which frequencies of each row are those of the row before: nearest to one another, and near."""
-    marks = [np.zeros(path[0].order, bool)]
-    for before, row in pairwise(path):
-        old, new = np.sort(before.d), np.sort(row.d)
+def _stable(path: Sequence[Any], bin_width: float) -> list[NDArray[np.bool_]]:
+    """Which frequencies of each step are those of the step before: nearest to one another, and near."""
+    marks = [np.zeros(len(path[0].d), bool)]
+    for before, step in pairwise(path):
+        old, new = np.sort(before.d), np.sort(step.d)
         distance = np.abs(new[:, None] - old)
         mark = np.zeros(len(new), bool)
         if distance.size:
@@ -292,32 +353,19 @@ def _stable(path: list[OrderRow], bin_width: float) -> list[NDArray[np.bool_]]:
     return marks
 
 
-def _corrected(aic: Array, bic: Array, samples: int) -> Array:
-    """AICc; the number of parameters is what AIC and BIC differ by, infinite where the record cannot carry it."""
-    parameters = np.rint((bic - aic) / (np.log(samples) - 2))
-    spare = samples - parameters - 1
-    penalty = 2 * parameters * (parameters + 1) / np.where(spare > 0, spare, 1)
-    return np.where(spare > 0, aic + penalty, np.inf)
-
-
-def _holdout(record: Record, rows: list[OrderRow], part: float, options: dict[str, Any]) -> tuple[int, Array]:
-    """Number of samples held out, and the mean squared error of each order there."""
-    split = record.samples - max(1, round(part * record.samples))
-    ahead = record.observed[split:]
-    if split < 2 or not ahead.any() or not record.observed[:split].any():
+def _holdout(problem: Problem, guess: Array, orders: list[int], part: float) -> tuple[int, Array]:
+    """Number of samples held out, and the mean squared error of each order there; infinite if too few are left."""
+    rest = HeldOut.of(problem, part)
+    if not rest.ahead or not rest.training.samples:
         raise IdentificationError(
-            f"with holdout={part:g} the record has {int(record.observed[:split].sum())} observed outputs to fit and "
-            f"{int(ahead.sum())} to foretell; hold out another part"
+            f"with holdout={part:g} the data have {rest.training.samples} observed outputs to fit and {rest.ahead} to "
+            "foretell; hold out another part"
         )
-    first = (record.u[:split], record.y[:split])
-    target = record.y[split:][ahead]
-    losses = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", IdentifiabilityWarning)
-        for row in rows:
-            foretold = 0.0 * target
-            if row.order:
-                result = pem(first, row.order, dt=record.dt, **options)
-                foretold = np.reshape(result.predict(record.u[split:], initial_state="final").y, -1)[ahead]
-            losses.append(float(np.mean((target - foretold) ** 2)))
-    return len(target), np.array(losses)
+    # frequencies that were found in all of the data would know what is to be foretold
+    largest = min(orders[-1], rest.carried)
+    path = _path(rest.training, largest, guess, None) if largest else []
+    losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}
+    losses.setdefault(0, rest.loss(np.zeros(0)))
+    # a path that ended in rounding has no better model of higher order
+    last = rest.loss(path[-1].d) if path and len(path[-1].d) < largest else np.inf
+    return rest.ahead, np.array([losses.get(n, last if n <= largest else np.inf) for n in orders])
