@@ -16,6 +16,7 @@ from .contradiction import Contradiction, contradiction, is_crowded
 from .data import Record
 from .excitation import examine_fit
 from .experiment import Experiment
+from .fitted_directions import Directions, of_record, of_response
 from .frequency_data import FrequencyRecord
 from .information import Information, information_at
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
 _LAGS = 20
+_COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     measured = np.concatenate([one.measured[k] for one, k in zip(experiments, kept, strict=True)])
     residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
     noiseless = at.loss <= found.floor
-    whiteness = 1.0 if noiseless else _whiteness(experiments)
+    whiteness = 1.0 if noiseless else _whiteness(experiments, at, rank)
     fitted = fit_percent(measured, residuals)
     held = ~at.free[rank]
     if fit.contradiction is None and not noiseless and not found.interrupted:
@@ -176,16 +178,36 @@ def _experiments(
     return tuple(found)
 
 
-def _whiteness(experiments: tuple[FittedExperiment, ...]) -> float:
-    """Of the residuals in time; neighbouring points of a response follow one another as samples do."""
-    parts = []
-    for one in experiments:
-        if isinstance(one.record, Record):
-            parts.append(one.residuals)
+def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection, rank: NDArray[np.intp]) -> float:
+    """Of the residuals in time; neighbouring points of a response follow one another as samples do.
+
+    What was fitted is missing from the residuals, which short records feel.
+    """
+    parts, shared, local = [], [], []
+    n, samples = len(at.d), sum(one.record.samples for one in experiments)
+    counted = samples * (2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)) <= _COUNTED
+    for one, rows in zip(experiments, at.problem.experiments, strict=True):
+        found = _directions(one, rows, at, rank) if counted else Directions(*np.zeros((2, one.record.samples, 0)))
+        if isinstance(one.record, FrequencyRecord):
+            scale = np.sqrt(one.record.weights)
+            for take in (np.real, np.imag):
+                parts.append(take(one.residuals) * scale)
+                shared.append(take(found.shared) * scale[:, None])
+                local.append(take(found.local))
         else:
-            weighted = one.residuals * np.sqrt(one.record.weights)
-            parts += [weighted.real, weighted.imag]
-    return ljung_box(parts, _LAGS)
+            parts.append(one.residuals)
+            shared.append(found.shared)
+            local.append(found.local)
+    return ljung_box(parts, _LAGS, shared=shared, local=local)
+
+
+def _directions(one: FittedExperiment, rows: Any, at: Projection, rank: NDArray[np.intp]) -> Directions:
+    d, kappa, weighted = at.d[rank], at.kappa[rank], at.free[rank]
+    if isinstance(one.record, FrequencyRecord):
+        return of_response(one.record, d, kappa, weighted, rows.quantity)
+    moving = weighted if at.problem.structured else np.ones(len(d), bool)
+    free = one.free_amplitudes[: len(d)]
+    return of_record(one.record, d, kappa, free, weighted, moving, rows.hold, rows.quantity, rows.offset)
 
 
 def _finding(at: Projection, information: Information, variance: float) -> str:

@@ -12,9 +12,12 @@ from .. import _checks
 from .data import Record
 from .frequency_data import FrequencyRecord
 from .frequency_rows import modal_columns
-from .prediction import FittedExperiment
 from .regressors import Hold, regressors
 from .result import PEMResult
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -43,31 +46,40 @@ def same_data(one: Any, other: Any) -> bool:
 
 
 def fitted_directions(model: PEMResult, place: int) -> Directions:
-    """Derivatives of the prediction of one experiment by `(d, kappa)`, and by its own free motion and offset.
-
-    O(T n), and as much memory.
-    """
+    """Derivatives of the prediction of one experiment of a fit by `(d, kappa)`, and by its free motion and offset."""
     one = model.experiments[place]
     seen = [l for l in range(model.order) if l not in model.unseen]
-    weighted = [l not in model.active for l in seen]
+    weighted = np.array([l not in model.active for l in seen], bool)
+    d, kappa = model.d[seen], model.modes.kappa[seen]
     if isinstance(one.record, FrequencyRecord):
-        columns, slopes = modal_columns(model.d[seen], one.record.omega, model.quantity)
-        by_d = model.modes.kappa[seen][:, None] * slopes
-        return Directions(np.concatenate([by_d, columns[weighted]]).T, np.zeros((one.record.samples, 0)))
-    return _in_time(model, one, one.record, seen, weighted, bool(np.isfinite(model.offset_stderr[place])))
+        return of_response(one.record, d, kappa, weighted, model.quantity)
+    hold = Hold(one.record.dt, model.method, model.intersample)
+    moving = weighted if model.representation == "controllable" else np.ones(len(seen), bool)
+    offset = bool(np.isfinite(model.offset_stderr[place]))
+    return of_record(one.record, d, kappa, one.free_amplitudes[seen], weighted, moving, hold, model.quantity, offset)
 
 
-def _in_time(
-    model: PEMResult, one: FittedExperiment, record: Record, seen: list[int], weighted: list[bool], offset: bool
-) -> Directions:
-    d, kappa, free = model.d[seen], model.modes.kappa[seen], one.free_amplitudes[seen]
-    found = regressors(d, record.u, Hold(record.dt, model.method, model.intersample), model.quantity)
-    # without an input the forced columns are 0
-    by_d = kappa * found.forced_slope + free.real * found.cosine_slope + free.imag * found.sine_slope
-    shared = np.concatenate([by_d, found.forced[:, weighted]], axis=1)
-    parts = [np.zeros((record.samples, 0))]
+def of_response(record: FrequencyRecord, d: Array, kappa: Array, weighted: Mask, quantity: str) -> Directions:
+    """Of a frequency response, complex."""
+    columns, slopes = modal_columns(d, record.omega, quantity)
+    return Directions(np.concatenate([kappa[:, None] * slopes, columns[weighted]]).T, np.zeros((record.samples, 0)))
+
+
+def of_record(
+    record: Record, d: Array, kappa: Array, free: ComplexArray, weighted: Mask, moving: Mask, hold: Hold, quantity: str,
+    offset: bool,
+) -> Directions:  # fmt: skip
+    """Of a record in time, with free amplitudes at the output; O(T n), and as much memory.
+
+    `weighted` are the modes whose residue is not held at 0, `moving` those whose free motion was estimated.
+    """
+    shared, parts = np.zeros((record.samples, 0)), [np.zeros((record.samples, 0))]
+    if len(d):
+        found = regressors(d, record.u, hold, quantity)
+        # without an input the forced columns are 0
+        by_d = kappa * found.forced_slope + free.real * found.cosine_slope + free.imag * found.sine_slope
+        shared = np.concatenate([by_d, found.forced[:, weighted]], axis=1)
     if free.any():
-        moving = weighted if model.representation == "controllable" else [True] * len(seen)
         parts += [found.cosine[:, moving], found.sine[:, moving]]
     if offset:
         parts.append(np.ones((record.samples, 1)))

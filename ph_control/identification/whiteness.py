@@ -6,21 +6,36 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+
+from .residual_data import ResidualData
+from .residual_tests import autocorrelation
 
 Array = NDArray[np.float64]
 
+_SAMPLES_PER_LAG = 5
 
-def ljung_box(residuals: Sequence[Array], lags: int) -> float:
-    """p-value of the Ljung-Box test that residuals of several records are white; NaN residuals count as 0."""
-    statistic, used = 0.0, 0
-    for one in residuals:
-        e = np.where(np.isnan(one), 0.0, one)
-        power, samples = float(e @ e), len(e)
-        count = min(lags, samples // 5)
-        if power == 0 or count < 1:
-            continue
-        rho = np.array([float(e[k:] @ e[:-k]) for k in range(1, count + 1)]) / power
-        statistic += samples * (samples + 2) * float(np.sum(rho**2 / (samples - np.arange(1, count + 1))))
-        used += count
-    return float(chi2.sf(statistic, used)) if used else 1.0
+
+def ljung_box(
+    residuals: Sequence[Array],
+    lags: int,
+    *,
+    shared: Sequence[Array] | None = None,
+    local: Sequence[Array] | None = None,
+) -> float:
+    """p-value of the Ljung-Box test that residuals of several records, with NaN where missing, are white.
+
+    `shared` (T_k, s) and `local` (T_k, p_k) are the directions in which a model was fitted to each, to all of them and
+    to one alone: they are missing from the residuals.  1 where there is too little to tell.
+    """
+    lengths = tuple(len(one) for one in residuals)
+    joined = np.concatenate([np.zeros(0), *residuals])
+    largest = float(np.fmax.reduce(np.abs(joined), initial=0.0))
+    count = min(lags, int((~np.isnan(joined)).sum()) // _SAMPLES_PER_LAG, max(lengths, default=0) - 1)
+    if count < 1 or largest == 0:
+        return 1.0
+    directions = np.zeros((len(joined), 0)) if shared is None else np.concatenate(list(shared))
+    data = ResidualData(
+        joined / largest, np.zeros(len(joined)), directions, count, lengths, tuple(local) if local is not None else ()
+    )
+    p = autocorrelation(data, 0.95)[2]
+    return 1.0 if np.isnan(p) else p
