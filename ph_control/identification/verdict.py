@@ -49,7 +49,7 @@ class Verdict:
         # weights that leave no trace may come out as 0 and say nothing
         held = not self.blind and 2 * len(self.active) >= self.n
         poor = self.fit_percent < GOOD_FIT or self.at_limit or held
-        if (self.active or self._coloured or self.contradiction) and poor:
+        if (self._coloured or self.contradiction) and poor:
             return "NOT described by a collocated lossless model"
         if self.active or self._coloured or self.contradiction or self.blind or not self.converged:
             return "doubtful, see below"
@@ -93,10 +93,12 @@ class Verdict:
             )
         if self.active and not self.blind:
             listed = ", ".join(str(l + 1) for l in self.active)
-            parts.append(
-                f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: there the "
-                "record asks for a residue that no lossless model with input and output at the same port has."
+            asked = (
+                "there the record asks for a residue that no lossless model with input and output at the same port has."
+                if self._coloured or self.contradiction
+                else "noise hides whether the input reaches it."
             )
+            parts.append(f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: {asked}")
         if self.blind or self.remark:
             parts.append(self.blind or self.remark)
         if self.contradiction:
