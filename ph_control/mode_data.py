@@ -145,10 +145,12 @@ def strips(maps: Sequence[PoleZeroMap], count: int | None = None) -> list[tuple[
         count = max(1, -(-max(len(one.upper[0]) for one in maps) // _POLES_IN_STRIP))
     cuts = _cuts(marks, poles, count)
     low, high = float(marks[0]), float(marks[-1])
-    margin = 0.03 * (high - low) / count if high > low else 0.1 * high or 1.0
     # from 0 on, unless all are far from it
-    bottom = low - margin if low > 0.3 * high else -margin
-    edges = [bottom, *cuts, high + margin]
+    bottom = low if low > 0.3 * high else 0.0
+    inner = [bottom, *cuts, high]
+    margins = [0.03 * (inner[1] - inner[0]), 0.03 * (inner[-1] - inner[-2])]
+    least = 0.1 * high or 1.0
+    edges = [bottom - (margins[0] or least), *cuts, high + (margins[1] or least)]
     return list(itertools.pairwise(edges))
 
 

@@ -472,6 +472,7 @@ def test_a_hundred_modes_are_parted_into_strips_that_show_each_once():
         assert len(poles.get_xdata()) <= 26
         for w in (poles.get_xdata(), zeros.get_xdata()):
             assert np.all((w > low) & (w < high))
+    assert -0.05 * plot.axes[0, 0].get_xlim()[1] < plot.axes[0, 0].get_xlim()[0] < 0
     # the strips join
     limits = [axis.get_xlim() for axis in plot.axes[:, 0]]
     assert all(a[1] == b[0] for a, b in itertools.pairwise(limits))
