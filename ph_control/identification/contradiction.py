@@ -36,6 +36,7 @@ _PATIENCE = 3  # orders without a better criterion before the path ends
 _MOST = 20
 _TRIED = 3  # candidates for one more mode
 _MUCH = 0.25  # part of the loss that has to go, if what is left is not white
+_HALF = 50.0  # percent that have to be explained, if what is left is not white
 _WHITE = 1e-3
 _LAGS = 20
 _FILLINGS = 20  # rounds in which missing outputs are foretold
@@ -93,9 +94,9 @@ class Contradiction:
         if growing.any():
             parts.append(f"negative damping ratios of {_listed(self.damping_ratios, self.stderr, growing)}")
             causes.append("modes grow, so that energy is fed in")
-        if self.negative.all():
+        if self.negative.any() and not np.any(self.residues > _ERRORS * self.residue_stderr):
             parts.append("negative residues only")
-            causes.append("the polarity of the sensor is reversed")
+            causes.append("the polarity of the sensor is reversed, or displacement and acceleration are mixed up")
         elif self.negative.any():
             parts.append(f"residues of opposite sign ({_modes(self.negative)} negative)")
             causes.append("the sensor is not at the actuator")
@@ -306,9 +307,10 @@ def _significant(
 ) -> tuple[NDArray[np.bool_], Contradiction]:
     """Which modes contradict, and the parameters of all that are told of."""
     at, n = model.at, len(model.at.d)
-    variance = at.loss / max(1, at.rows - _unknowns(problem, n))
-    missing = _share_missing(problem)
-    errors = np.sqrt(np.diag(at.covariance(variance)) / (1.0 - missing))
+    # missing outputs, foretold by the model, leave nothing and tell nothing
+    observed = 1.0 - _share_missing(problem)
+    variance = at.loss / max(1.0, observed * at.rows - _unknowns(problem, n))
+    errors = np.sqrt(np.diag(at.covariance(variance)) / observed)
     errors = np.concatenate([errors, np.zeros(3 * n - len(errors))])
     evident = _evidence(search, model) > _EVIDENT * variance
     bound = float(norm.isf(norm.sf(_ERRORS) / max(1, n)))
@@ -335,7 +337,10 @@ def _explains(problem: Problem, search: DampedSearch, model: _Model, at: Project
     lossless = problem.samples * np.log(at.loss / problem.samples) + problem.unknowns(n) * np.log(problem.samples)
     if _criterion(problem, model) >= lossless:
         return False
-    return model.loss < (1 - _MUCH) * at.loss or _left_white(search, model)
+    if _left_white(search, model):
+        return True
+    better = len(model.at.d) < n or model.loss < (1 - _MUCH) * at.loss
+    return better and _fit_percent(problem, search, model) > _HALF
 
 
 def _left_white(search: DampedSearch, model: _Model) -> bool:

@@ -18,6 +18,7 @@ _PATIENCE = 3  # orders without a better criterion before the path ends
 _TOGETHER = 0.1  # of the strongest candidate's gain: others that join at the same step
 _APART = 8.0  # basins between modes that join together
 _BETTER = 1e-6  # relative decrease of the loss that counts
+_HOPELESS = 4  # modes held at 0, and half of all: no place cures a model that is wrong
 _DIVERGENT = 5  # candidates among which a random path chooses
 _RESTARTS = 4  # random paths where the first answer is doubtful
 
@@ -108,6 +109,8 @@ def reseat(
     A mode taken early, when others were still missing, may have ended in a wrong basin.
     """
     tried: set[float] = set()
+    if 2 * step.held.sum() >= max(len(step.d), 2 * _HOPELESS):
+        return step
     while step.loss > floor and not step.interrupted and (step.held.any() or search.unconvinced(step)):
         places = [k for k in np.argsort(step.weights, kind="stable") if float(step.d[k]) not in tried]
         if not places:

@@ -1,0 +1,252 @@
+"""A doubtful fit says what contradicts it: damping and residues of opposite sign, and nothing that is not there."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import ph_control as phc
+from ph_control.identification.contradiction import contradiction
+from ph_control.identification.damped import DampedProjection, DampedResponse, DampedTransform
+from ph_control.identification.experiment import Experiment
+from ph_control.identification.frequency_data import record_of_frequency_response
+from ph_control.identification.frequency_rows import FrequencyRows
+from ph_control.identification.regressors import Hold
+from ph_control.identification.solver import Problem, refine
+from ph_control.identification.spectrum import Spectrum
+
+D = np.array([0.5, 1.9, 2.6])
+H = 0.1
+SAMPLES = 1000
+
+
+def simulated(damping, residues, u, *, quantity="velocity", d=D, state=None):
+    """Output of second-order transfer functions under a held input, by the exponential of dense matrices."""
+    y = np.zeros(len(u))
+    for frequency, ratio, residue in zip(d, damping, residues, strict=True):
+        numerator = {"velocity": [residue, 0], "displacement": [residue], "acceleration": [residue, 0, 0]}[quantity]
+        plant = ct.ss(ct.tf(numerator, [1, 2 * ratio * frequency, frequency**2]))
+        step = expm(np.block([[plant.A * H, plant.B * H], [np.zeros((1, 3))]]))
+        x = np.zeros(2) if state is None else np.array(state)
+        for k, value in enumerate(u):
+            y[k] += (plant.C @ x + plant.D[0] * value)[0]
+            x = step[:2, :2] @ x + step[:2, 2] * value
+    return y
+
+
+def recording(damping, residues, *, seed=0, noise=0.1, quantity="velocity", samples=SAMPLES):
+    """White input, and the output of a plant with white noise of a part of its size."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(samples)
+    y = simulated(damping, residues, u, quantity=quantity)
+    return u, y + noise * np.std(y) * rng.standard_normal(samples)
+
+
+def examined(u, y, order, *, quantity="velocity"):
+    """The diagnosis of a fit that starts at the truth."""
+    experiment = Experiment(u, np.nan_to_num(y), ~np.isnan(y), Hold(H), quantity=quantity, driven=u.any())
+    problem = Problem((experiment,))
+    return contradiction(problem, refine(problem, D, rtol=1e-9).projection, order=order, doubtful=True)
+
+
+CLEAN = (0.0, 0.0, 0.0)
+POSITIVE = (1.0, 0.5, 0.7)
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.4])
+def test_lossless_records_with_white_noise_are_never_accused(noise):
+    for seed in range(6):
+        u, y = recording(CLEAN, POSITIVE, seed=seed, noise=noise)
+        assert examined(u, y, 3) is None
+        assert "would be explained" not in phc.pem((u, y), 3, dt=H).message
+
+
+def test_lossless_records_are_not_accused_where_the_order_is_too_low():
+    for seed in range(3):
+        u, y = recording(CLEAN, POSITIVE, seed=seed)
+        result = phc.pem((u, y), 1, dt=H)
+        assert "would be explained" not in result.message
+        assert "a higher one may fit better" in result.message
+
+
+def test_damping_is_estimated_within_its_standard_error():
+    errors = []
+    for seed in range(6):
+        found = examined(*recording((0.01, 0.01, 0.02), POSITIVE, seed=seed), 3)
+        assert found.damped.all() and not found.negative.any()
+        assert np.allclose(found.natural_frequencies, D, rtol=0.01)
+        errors.append((found.damping_ratios - [0.01, 0.01, 0.02]) / found.stderr)
+    assert np.abs(errors).max() < 4
+    # standard errors that mean something are neither far too small nor far too large
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.6
+
+
+def test_sensor_away_from_the_actuator_is_told_by_the_sign():
+    errors = []
+    for seed in range(5):
+        found = examined(*recording(CLEAN, (1.0, -0.5, 0.7), seed=seed), 3)
+        assert found.negative.tolist() == [False, True, False] and not found.damped.any()
+        assert found.signs.tolist() == [1, -1, 1]
+        errors.append((found.residues - [1.0, -0.5, 0.7]) / found.residue_stderr)
+    assert np.abs(errors).max() < 4
+    assert "residues of opposite sign (mode 2 negative)" in str(found)
+    assert str(found).endswith("the sensor is not at the actuator.") and "loses energy" not in str(found)
+
+
+@pytest.mark.parametrize(
+    "quantity, order", [("velocity", 3), ("displacement", 3), ("acceleration", 3), ("displacement", "auto")]
+)
+def test_both_are_told_and_the_frequencies_are_those_of_the_plant(quantity, order):
+    u, y = recording((0.01, 0.005, 0.02), (1.0, -0.5, 0.7), quantity=quantity)
+    result = phc.pem((u, y), order, dt=H, quantity=quantity)
+    assert result.order == 3
+    assert np.allclose(result.d, D, rtol=0.005)
+    assert result.active == (1,) and result.r[1] == 0
+    assert result.verdict == "NOT described by a collocated lossless model"
+    assert "the plant loses energy, and the sensor is not at the actuator" in result.message
+    assert "mode 2 negative" in result.message and "suspect" not in result.message
+    assert f"lossless {quantity} model" in result.message
+    share = float(re.search(r"([\d.]+) % would be explained", result.message)[1])
+    assert 88 < share < 92 and result.fit_percent < share - 5
+
+
+def test_damping_changes_no_frequency_by_the_modes_that_would_mimic_it():
+    u, y = recording((0.01, 0.01, 0.01), POSITIVE)
+    result = phc.pem((u, y), dt=H)
+    assert result.order == 3 and np.allclose(result.d, D, rtol=0.003)
+
+
+def test_reversed_sensor_is_told_as_such():
+    u, y = recording(CLEAN, POSITIVE)
+    found = examined(u, -y, 3)
+    assert found.negative.all() and not found.damped.any()
+    assert "the polarity of the sensor is reversed" in str(found) and "opposite" not in str(found)
+
+
+@pytest.mark.parametrize("taken, as_if", [("displacement", "velocity"), ("acceleration", "velocity")])
+def test_another_quantity_than_said_is_not_taken_for_damping(taken, as_if):
+    u, y = recording(CLEAN, POSITIVE, quantity=taken)
+    result = phc.pem((u, y), 3, dt=H, quantity=as_if)
+    assert "would be explained" not in result.message
+    assert "an output that is not the velocity (displacement, acceleration)" in result.message
+
+
+def test_a_residue_that_may_be_zero_is_no_opposite_of_negative_ones():
+    found = examined(*recording(CLEAN, (-1.0, -0.5, -0.7)), 3)
+    unsure = replace(found, residues=np.array([0.1, -0.5, -0.7]), residue_stderr=np.full(3, 0.1))
+    sure = replace(found, residues=np.array([0.5, -0.5, -0.7]), residue_stderr=np.full(3, 0.1))
+    assert "negative residues only" in str(unsure) and "displacement and acceleration are mixed up" in str(unsure)
+    assert "opposite sign" in str(sure) and "the sensor is not at the actuator" in str(sure)
+
+
+def test_growing_modes_are_told_as_such():
+    found = examined(*recording((-0.002, -0.002, -0.002), POSITIVE), 3)
+    assert np.all(found.damping_ratios[found.damped] < 0)
+    assert "energy is fed in" in str(found) and "loses" not in str(found)
+
+
+def test_one_more_mode_than_asked_for_is_not_told_of():
+    u, y = recording((0.01, 0.01, 0.01), (1.0, 0.3, 1.0))
+    found = examined(u, y, 2)
+    assert np.allclose(found.natural_frequencies, D[[0, 2]], rtol=0.01)
+    assert len(found.damping_ratios) == len(found.stderr) == len(found.residues) == 2
+
+
+def test_missing_outputs_do_not_change_what_is_found():
+    u, y = recording((0.01, 0.01, 0.02), (1.0, -0.5, 0.7))
+    whole = examined(u, y, 3)
+    holes = np.where(np.random.default_rng(1).random(len(y)) < 0.2, np.nan, y)
+    found = examined(u, holes, 3)
+    assert np.all(np.abs(found.damping_ratios - whole.damping_ratios) < 3 * found.stderr)
+    assert np.all(np.abs(found.damping_ratios - [0.01, 0.01, 0.02]) < 4 * found.stderr)
+    assert found.negative.tolist() == whole.negative.tolist()
+    assert np.mean(found.stderr / whole.stderr) > 1.03
+
+
+def test_several_records_are_told_of_together():
+    records = [recording((0.01, 0.01, 0.01), (1.0, -0.5, 0.7), seed=seed) for seed in (0, 1)]
+    together = phc.pem(records, 3, dt=H)
+    assert "mode 2 negative" in together.message
+    assert np.allclose(together.d, D, rtol=0.005)
+
+
+# --- free motion ---------------------------------------------------------------------------------------------------
+
+
+def motion(ratio, seed):
+    t = H * np.arange(SAMPLES)
+    rng = np.random.default_rng(seed)
+    parts = [(0.7, 1.0, 0.3), (2.1, 0.6, 1.0)]
+    clean = sum(a * np.exp(-ratio * d * t) * np.cos(d * np.sqrt(1 - ratio**2) * t + phase) for d, a, phase in parts)
+    return clean + 0.05 * rng.standard_normal(SAMPLES)
+
+
+@pytest.mark.parametrize("order", [2, "auto"])
+def test_a_free_motion_that_decays_is_said_to_with_its_damping(order):
+    for ratio in (0.003, 0.02):
+        result = phc.pem((None, motion(ratio, 0)), order, dt=H)
+        assert np.allclose(result.d, [0.7, 2.1], rtol=0.01)
+        told = re.search(r"damping ratios of (\S+) \+- (\S+) % and (\S+) \+- (\S+) %", result.message)
+        first, first_error, second, second_error = (float(one) for one in told.groups())
+        # two digits of a value are shown, and one of its error
+        assert abs(first - 100 * ratio) < 4 * first_error + 0.06 * 100 * ratio
+        assert abs(second - 100 * ratio) < 4 * second_error + 0.06 * 100 * ratio
+        assert "the motion decays" in result.message and "sensor" not in result.message
+
+
+def test_a_free_motion_that_does_not_decay_is_not_accused():
+    for seed in range(6):
+        for order in (2, "auto"):
+            assert "decays" not in phc.pem((None, motion(0.0, seed)), order, dt=H).message
+
+
+# --- the linear problem --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+@pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
+@pytest.mark.parametrize("state", [None, (0.3, -0.2)])
+def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, state):
+    d, ratio, kappa = np.array([1.3]), np.array([0.03]), 0.8
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(301)
+    if intersample == "zoh":
+        y = simulated(ratio, [kappa], u, quantity=quantity, d=d, state=state)
+    else:
+        numerator = {"velocity": [kappa, 0], "displacement": [kappa], "acceleration": [kappa, 0, 0]}[quantity]
+        plant = ct.ss(ct.tf(numerator, [1, 2 * ratio[0] * d[0], d[0] ** 2]))
+        y = ct.forced_response(plant, H * np.arange(301), u, 0.0 if state is None else state).outputs
+    experiment = Experiment(u, y, np.ones(301, bool), Hold(H, "exact", intersample), quantity=quantity)
+    spectrum = Spectrum.of(experiment)
+    at = DampedProjection([DampedTransform.about(spectrum, d, ratio * d)], d, ratio * d)
+    size = np.linalg.norm(spectrum.Y)
+    assert np.sqrt(at.loss) < 1e5 * np.finfo(float).eps * size
+    assert at.kappa == pytest.approx([kappa], rel=1e-8)
+    wrong = DampedProjection([DampedTransform.about(spectrum, d, ratio * d)], d, 1.1 * ratio * d)
+    assert np.sqrt(wrong.loss) > 1e-4 * size
+
+
+@pytest.mark.parametrize("kind", ["record", "response"])
+def test_gradient_of_the_damped_loss_is_that_of_differences(kind):
+    d, sigma = np.array([0.52, 1.93]), np.array([0.004, 0.02])
+    rng = np.random.default_rng(0)
+    if kind == "record":
+        u, y = recording((0.01, 0.01, 0.01), POSITIVE)
+        rows = DampedTransform.about(Spectrum.of(Experiment(u, y, np.ones(len(y), bool), Hold(H))), d, sigma)
+    else:
+        omega = np.linspace(0.1, 3.0, 60)
+        data = ct.frd(rng.standard_normal(60) + 1j * rng.standard_normal(60), omega)
+        rows = DampedResponse(FrequencyRows(record_of_frequency_response(data)))
+
+    def loss(x):
+        return DampedProjection([rows], x[:2], x[2:]).loss
+
+    residual, jacobian = DampedProjection([rows], d, sigma).condensed
+    x, nudge = np.concatenate([d, sigma]), 1e-6
+    differences = [(loss(x + nudge * one) - loss(x - nudge * one)) / (2 * nudge) for one in np.eye(4)]
+    assert np.allclose(2 * jacobian.T @ residual, differences, rtol=1e-4, atol=1e-6 * np.abs(differences).max())

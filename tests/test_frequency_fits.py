@@ -1,0 +1,201 @@
+"""Fits to frequency responses: maximum likelihood for lossless plants, the natural frequencies of real ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+import ph_control as phc
+
+MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured"
+PLANTS = {
+    1: ([1.03], [1.0]),
+    3: ([0.51, 1.93, 2.6], [1.0, 0.4, 0.7]),
+    6: ([0.31, 0.74, 1.13, 1.62, 2.21, 2.77], [1.0, 0.4, 0.7, 0.5, 0.8, 0.3]),
+}
+EPS = np.finfo(float).eps
+
+
+def response(d, r, omega, quantity="velocity", ratio=0.0):
+    factor = {"velocity": 1j * omega, "displacement": 1.0, "acceleration": -(omega**2)}[quantity]
+    parts = zip(d, r, strict=True)
+    return sum(weight * one * factor / (one**2 - omega**2 + 2j * ratio * one * omega) for one, weight in parts) + 0j
+
+
+def noise(size, seed):
+    rng = np.random.default_rng(seed)
+    return size * (rng.standard_normal(np.shape(size)) + 1j * rng.standard_normal(np.shape(size)))
+
+
+def is_at_the_optimum(result, d, r):
+    return bool(
+        np.all(np.abs(result.d - d) < 4 * result.stderr["d"]) and np.all(np.abs(result.r - r) < 4 * result.stderr["r"])
+    )
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
+@pytest.mark.parametrize("n", PLANTS)
+def test_noisy_responses_of_lossless_plants_are_fitted_to_within_their_errors(n, quantity):
+    d, r = PLANTS[n]
+    omega = np.linspace(0.05, 3.2, 60)
+    exact = response(d, r, omega, quantity)
+    for seed in range(4):
+        measured = exact + noise(0.01 * np.median(np.abs(exact)) * np.ones(60), seed)
+        result = phc.pem(ct.frd(measured, omega), n if seed % 2 else "auto", quantity=quantity)
+        assert is_at_the_optimum(result, d, r)
+        assert result.verdict == "consistent with the record" and "would be explained" not in result.message
+
+
+@pytest.mark.parametrize("n", PLANTS)
+def test_weights_make_the_estimate_that_of_the_noise_they_belong_to(n):
+    d, r = PLANTS[n]
+    omega = np.linspace(0.05, 3.2, 80)
+    exact = response(d, r, omega)
+    size = 0.01 * (np.median(np.abs(exact)) + np.abs(exact))
+    errors = []
+    for seed in range(4):
+        data = ct.frd(exact + noise(size, seed), omega)
+        weighted, plain = phc.pem(data, n, weights=1 / size**2), phc.pem(data, n)
+        assert is_at_the_optimum(weighted, d, r)
+        assert weighted.noise_variance == pytest.approx(1.0, rel=0.4)
+        errors.append([np.linalg.norm(weighted.r - r), np.linalg.norm(plain.r - r)])
+    weighted_error, plain_error = np.mean(errors, axis=0)
+    assert weighted_error < plain_error
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
+@pytest.mark.parametrize("n", PLANTS)
+@pytest.mark.parametrize("order", ["given", "auto"])
+def test_exact_responses_are_fitted_to_rounding(n, quantity, order):
+    d, r = PLANTS[n]
+    omega = np.linspace(0.05, 3.2, 60)
+    result = phc.pem(
+        ct.frd(response(d, r, omega, quantity), omega), n if order == "given" else "auto", quantity=quantity
+    )
+    assert result.order == n
+    assert np.allclose(result.d, d, rtol=1e3 * n * EPS, atol=0)
+    assert np.allclose(result.r, r, rtol=1e5 * n * EPS, atol=0)
+
+
+def test_modes_between_two_points_and_close_to_one_are_found():
+    omega = np.linspace(0.1, 3.0, 30)
+    step = omega[1] - omega[0]
+    for place in (0.5, 0.02, 0.97):
+        d, r = [omega[8] + place * step, omega[20] + 0.4 * step], [1.0, 0.5]
+        exact = response(d, r, omega)
+        result = phc.pem(ct.frd(exact + noise(0.01 * np.median(np.abs(exact)) * np.ones(30), 0), omega), 2)
+        assert is_at_the_optimum(result, d, r)
+
+
+def test_two_modes_between_the_same_two_points_are_told_apart_without_noise():
+    omega = np.linspace(0.1, 3.0, 30)
+    d = omega[10] + np.array([0.25, 0.8]) * (omega[1] - omega[0])
+    result = phc.pem(ct.frd(response(d, [1.0, 0.6], omega), omega), 2)
+    assert np.allclose(result.d, d, rtol=1e-8) and np.allclose(result.r, [1.0, 0.6], rtol=1e-6)
+
+
+def test_repeated_frequencies_count_as_repeated_measurements():
+    d, r = PLANTS[3]
+    once = np.linspace(0.05, 3.2, 40)
+    omega = np.repeat(once, 3)
+    exact = response(d, r, omega)
+    size = 0.02 * np.median(np.abs(exact))
+    many = phc.pem(ct.frd(exact + noise(size * np.ones(120), 0), omega), 3)
+    few = phc.pem(ct.frd((exact + noise(size * np.ones(120), 0))[::3], once), 3)
+    assert is_at_the_optimum(many, d, r)
+    assert np.allclose(few.stderr["d"] / many.stderr["d"], np.sqrt(3), rtol=0.4)
+
+
+@pytest.mark.parametrize("points", [2, 3, 5])
+def test_few_points_are_enough_for_a_mode(points):
+    omega = np.linspace(0.6, 1.6, points)
+    result = phc.pem(ct.frd(response([1.03], [0.7], omega), omega), 1)
+    assert result.d[0] == pytest.approx(1.03, rel=1e-9) and result.r[0] == pytest.approx(0.7, rel=1e-8)
+
+
+def test_several_responses_and_missing_points_are_one_fit():
+    d, r = PLANTS[3]
+    parts = [np.linspace(0.05, 1.7, 40), np.linspace(1.2, 3.2, 35)]
+    data = []
+    for seed, omega in enumerate(parts):
+        measured = response(d, r, omega) + noise(0.01 * np.ones(len(omega)), seed)
+        measured[::9] = np.nan
+        data.append(ct.frd(measured, omega))
+    result = phc.pem(data, 3)
+    assert is_at_the_optimum(result, d, r)
+    reversed_order = phc.pem(data[::-1], 3)
+    assert np.allclose(result.d, reversed_order.d, rtol=1e-9)
+
+
+def test_a_long_response_is_searched_everywhere():
+    d, r = PLANTS[6]
+    omega = np.linspace(0.05, 3.2, 4000)
+    exact = response(d, r, omega)
+    result = phc.pem(ct.frd(exact + noise(0.2 * np.median(np.abs(exact)) * np.ones(4000), 0), omega), 6)
+    assert is_at_the_optimum(result, d, r)
+
+
+def test_damped_response_is_told_with_its_damping():
+    d, r = PLANTS[3]
+    omega = np.linspace(0.05, 3.2, 200)
+    exact = response(d, r, omega, ratio=0.01)
+    result = phc.pem(ct.frd(exact + noise(0.02 * np.median(np.abs(exact)) * np.ones(200), 0), omega))
+    assert np.allclose(result.d, d, rtol=1e-3)
+    assert result.verdict == "NOT described by a collocated lossless model"
+    assert "damping ratios of 1 +- " in result.message and "the plant loses energy" in result.message
+    assert "negative" not in result.message and "intersample" not in result.message
+
+
+# --- recordings ----------------------------------------------------------------------------------------------------
+
+
+def recorded(name):
+    if not (MEASURED / name).exists():
+        pytest.skip("the third-party recordings are not beside the project")
+    return MEASURED / name
+
+
+@pytest.mark.parametrize("order", [2, "auto"])
+def test_both_modes_of_the_robot_arm_are_found_and_what_contradicts_is_said(order):
+    torque, acceleration = np.loadtxt(recorded("robot_arm.dat"), unpack=True)
+    result = phc.pem((torque, acceleration), order, dt=1.0, quantity="acceleration")
+    assert np.allclose(result.d / (2 * np.pi), [0.0583, 0.1267], rtol=0.01)
+    assert result.verdict == "NOT described by a collocated lossless model"
+    assert "residues of opposite sign (mode 1 negative)" in result.message
+    assert "the plant loses energy, and the sensor is not at the actuator" in result.message
+    assert result.active == (0,)
+
+
+@pytest.mark.parametrize("order", [3, "auto"])
+@pytest.mark.parametrize("column", [0, 1, 2])
+def test_all_three_modes_of_the_measured_receptances_are_found(column, order):
+    content = loadmat(recorded("mckiddat.mat"))
+    data = ct.frd(content["Recep"][:, column], 2 * np.pi * content["Freq"].ravel())
+    result = phc.pem(data, order, quantity="displacement")
+    assert np.allclose(result.d / (2 * np.pi), [0.1029, 0.1962, 0.3247], rtol=0.01)
+    assert result.verdict == "NOT described by a collocated lossless model"
+    assert "(modes 1, 2 and 3)" in result.message and "the plant loses energy" in result.message
+    assert ("opposite sign" in result.message) == (column > 0)
+
+
+@pytest.mark.parametrize("order", [6, "auto"])
+def test_all_six_modes_of_the_free_beam_are_found(order):
+    lines = recorded("meas_point_1.txt").read_text().split()
+    measured = np.array([complex(one) for one in lines])
+    frequency = np.arange(len(measured), dtype=float)
+    # the highest point within each peak, to the spacing of the points
+    size = np.abs(measured)
+    inside = (size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])
+    peaks = np.flatnonzero(inside & (size[1:-1] > 10 * np.median(size))) + 1
+    result = phc.pem(ct.frd(measured, 2 * np.pi * frequency), order, quantity="acceleration")
+    found = result.d / (2 * np.pi)
+    assert len(found) == 6
+    assert np.allclose(found, [51.5, 142.2, 278.7, 460.4, 687.2, 958.5], rtol=0.001)
+    assert all(np.abs(frequency[peaks] - one).min() <= 1.0 for one in found)
+    assert "residues of opposite sign (modes 2, 4 and 6 negative)" in result.message
+    assert "the plant loses energy" in result.message
+    assert result.active == (1, 3, 5) and "use an input with more frequencies" not in result.message
