@@ -163,9 +163,10 @@ def simulate(
     b = step.b0 + step.multiplier[:, None] * step.b1
     start = x0 - step.b1 @ u[:, 0]
     size = min(block or _block(len(x0)), u.shape[1])
-    forced, free = _output_weights(step, b, size)
+    P = _powers_below(step, size)
+    forced, free = _output_weights(step, b, P)
     y = np.empty(u.shape)
-    for here, blocks, carried in _segments(step, b, u, start, size):
+    for here, blocks, carried in _segments(step, b, u, start, P):
         out = blocks @ forced
         out += carried.view(float) @ free
         y[:, here] = _samples(out, len(u))[:, : here.stop - here.start]
@@ -177,10 +178,9 @@ def _block(modes: int) -> int:
     return 1 << int(np.clip(np.round(np.log2(np.sqrt(250.0 * max(1, modes)))), 5, 9))
 
 
-def _output_weights(step: Step, b: ComplexArray, size: int) -> tuple[Array, Array]:
+def _output_weights(step: Step, b: ComplexArray, P: ComplexArray) -> tuple[Array, Array]:
     """Outputs of a block from its inputs, (m size, m size), and from real and imaginary part of the state before it."""
-    P = _powers_below(step, size)
-    ports, N = step.c.shape
+    (ports, N), size = step.c.shape, P.shape[1]
     weights = step.c[:, :, None] * P
     forced = np.zeros((ports, size, ports, size))
     response = np.zeros((ports, ports, size))
@@ -201,11 +201,10 @@ def _powers_below(step: Step, size: int) -> ComplexArray:
 
 
 def _segments(
-    step: Step, b: ComplexArray, u: Array, start: ComplexArray, size: int
+    step: Step, b: ComplexArray, u: Array, start: ComplexArray, P: ComplexArray
 ) -> Iterator[tuple[slice, Array, ComplexArray]]:
     """Pieces of a record that fit a cache: where they are, inputs by blocks (count, m size), states before these."""
-    ports, samples = u.shape
-    P = _powers_below(step, size)
+    (ports, samples), size = u.shape, P.shape[1]
     push = (b.T[:, None, :] * P.T[None, ::-1, :]).reshape(ports * size, len(P)).copy().view(float)
     group = int(np.clip(np.sqrt(samples / size), 1, _GROUP))
     leap = np.ascontiguousarray(step.powers(size * np.arange(group + 1.0)).T)
@@ -288,7 +287,7 @@ def _all_states(step: Step, b: ComplexArray, u: Array, start: ComplexArray) -> C
                 np.zeros(size), np.r_[0.0, b[mode, j] * P[mode, : size - 1]]
             )
             inside[mode, range(j * size, (j + 1) * size), range(size)] = step.b1[mode, j]
-    for here, blocks, carried in _segments(step, b, u, start, size):
+    for here, blocks, carried in _segments(step, b, u, start, P):
         for mode in range(N):
             part = (blocks @ inside[mode].view(float)).view(complex)
             part += carried[:, mode, None] * P[mode]

@@ -441,7 +441,8 @@ class _Response(TimeResponseData):
     def __init__(
         self, compute: Callable[[], Array] | None, sys: LosslessSystem, t: Array, y: Array, **described: Any
     ) -> None:
-        self._compute, self._states = None, None
+        self._compute: Callable[[], Array] | None = None
+        self._states: Array | None = None
         # no rows rather than None, on which `states` of TimeResponseData fails
         none = np.zeros((0, *y.shape[1:]))
         super().__init__(t, y, none, **described)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import hessenberg, solve_triangular, svd
+from scipy.linalg import eigh_tridiagonal, hessenberg, solve_triangular, svd
+from scipy.linalg.lapack import dgehrd
 from scipy.sparse.csgraph import connected_components
 
 from . import _checks
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _LARGEST = 10**8  # degrees of freedom of a matrix that memory could be addressed for
+_MODERATE = 1e100  # entries of Q and B whose products stay in the range of doubles
+_SPREAD = 64.0  # largest frequency over the smallest, up to which errors relative to the largest are small enough
 _SLICES = 4  # of 21 bits or more each: twice the digits of a double with some to spare for terms that cancel
 
 
@@ -234,6 +237,36 @@ def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
     return d[order], np.concatenate(rotating)[order], np.concatenate(rigid)
 
 
+def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array] | None:
+    """Frequencies and residues `(d, kappa)` of one port, without the modes behind them: a fraction of their cost.
+
+    With `Q = F F^T` the transfer function is `b^T (s - K)^{-1} b`, `K = F^T J F` skew and `b = F^T B`.  Householder
+    reflections that begin with one of `b` make `K` tridiagonal; with it come frequencies, and as squares of the first
+    entries of its eigenvectors the residues.  Errors are of the size of `eps d_max`, so None where `d` is spread
+    wide, and for whatever else needs more care: parts that are not coupled, a semidefinite `Q`, sizes far from 1.
+    """
+    if Q.size == 0:
+        return None
+    size = np.abs(np.concatenate([np.diag(Q), B]))
+    moderate = size.max() < _MODERATE and np.diag(Q).min() > 1 / _MODERATE and size[len(Q) :].max() > 1 / _MODERATE
+    if not moderate or len(_decoupled(Q)) > 1 or not _checks.clearly_definite(Q):
+        return None
+    n = len(Q) // 2
+    F = np.linalg.cholesky(0.5 * (Q + Q.T))
+    half = F[:n].T @ F[n:]
+    K, b = half - half.T, F.T @ B
+    length = float(np.linalg.norm(b))
+    v = b.copy()
+    v[0] += np.copysign(length, v[0])
+    v /= np.linalg.norm(v)
+    turned = np.outer(2 * v, K @ v)
+    H, _, _ = dgehrd(K + (turned - turned.T), lwork=64 * len(K))
+    superdiagonal = 0.5 * np.abs(np.diag(H, 1) - np.diag(H, -1))
+    d, V = eigh_tridiagonal(np.zeros(2 * n), superdiagonal, lapack_driver="stevd")
+    d, first = d[n:], length * V[0, n:]
+    return (d, 2 * first**2) if d[0] * _SPREAD > d[-1] else None
+
+
 def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
     """`(d1, d2, S)` with `Q = S^T diag(d1, d2) S` for symmetric `Q >= 0`, `S` symplectic.
 
@@ -373,9 +406,12 @@ def _cyclic_pairs(rows: Array) -> tuple[Array, Array]:
 def _factor(Q: Array) -> tuple[Array, float]:
     """Return `F` of full column rank with `F F^T = Q`: Cholesky if definite, else by eigenvectors.
 
-    With it the smallest eigenvalue, of `Q` scaled to unit diagonal, that counts as more than zero.
+    With it the smallest eigenvalue, of `Q` scaled to unit diagonal, that counts as more than zero; of a definite `Q`,
+    where none is zero, at times only the bound 1.
     """
     scaled, scale = _checks.unit_diagonal(Q)
+    if _checks.clearly_definite(Q):
+        return scale[:, None] * np.linalg.cholesky(scaled), 1.0
     smallest, tolerance = _checks.smallest_scaled_eigenvalue(Q)
     if smallest > tolerance:
         return scale[:, None] * np.linalg.cholesky(scaled), smallest
