@@ -68,6 +68,7 @@ def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:
     """Safeguarded Newton steps on `sum kappa / (d^2 - w^2) = 0`, each root kept between its poles."""
     low, high = d[:-1], d[1:]
     w = np.where((w > low) & (w < high), w, 0.5 * (low + high))
+    poles = low, high
     for _ in range(100):
         gap = (d - w[:, None]) * (d + w[:, None])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -76,6 +77,10 @@ def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:
             newton = w - value / ((terms / gap).sum(axis=1) * 2 * w)
         low, high = np.where(value < 0, w, low), np.where(value < 0, high, w)
         new = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
+        # at a root rounding may lead a step out of the bracket; next to a pole a short step tells nothing
+        close = _checks.EPS * w
+        found = (np.abs(newton - w) <= 2 * close) & (np.minimum(w - poles[0], poles[1] - w) > 64 * close)
+        new = np.where(found, w, new)
         if np.all(np.abs(new - w) <= 2 * _checks.EPS * w):
             break
         w = new
