@@ -1,0 +1,316 @@
+"""What the package does with a system, beside what others do with the same one: the tasks of the report.
+
+A task builds its data once and gives one function for each contender, ours first, and a reference that none of them
+computes.  Everything is seeded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import control as ct
+import mpmath as mp
+import numpy as np
+import scipy.signal
+
+import ph_control as phc
+
+OURS = "ph_control"
+
+
+@dataclass
+class Task:
+    """One row of the report.
+
+    `runs` maps a contender to a call without arguments; `error` takes its result to an error against the reference,
+    where there is one; `needed` maps a contender to the ratio that ours must reach.
+    """
+
+    name: str
+    size: str
+    runs: dict[str, Callable[[], Any]]
+    error: Callable[[Any], float] | None = None
+    needed: dict[str, float] = field(default_factory=dict)
+    growth: float = 0.0  # what the time is drawn against
+
+
+def dense_hamiltonian(n: int, condition: float = 100.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A full positive definite matrix with eigenvalues spread evenly on a logarithmic axis, and an input vector."""
+    rng = np.random.default_rng(seed)
+    X, _ = np.linalg.qr(rng.standard_normal((2 * n, 2 * n)))
+    Q = (X * np.logspace(0, np.log10(condition), 2 * n)) @ X.T
+    return 0.5 * (Q + Q.T), rng.standard_normal(2 * n)
+
+
+def matrices(Q: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Matrices `J Q`, `B`, `B^T Q`, 0 of the plain state-space system."""
+    n = len(Q) // 2
+    return np.concatenate([Q[n:], -Q[:n]]), B[:, None], (B @ Q)[None], np.zeros((1, 1))
+
+
+def modal_plant(n: int, low: float = 0.5, high: float = 50.0, seed: int = 0) -> phc.PortHamiltonian:
+    rng = np.random.default_rng(seed)
+    return phc.ph(phc.modes(np.sort(rng.uniform(low, high, n)), rng.uniform(0.1, 1.0, n)))
+
+
+def plain(system: phc.PortHamiltonian) -> ct.StateSpace:
+    """The same system without its structure."""
+    return ct.StateSpace(*(np.array(M) for M in (system.A, system.B, system.C, system.D)))
+
+
+# --- references -------------------------------------------------------------------------------------------------
+
+
+def exact_response(d: np.ndarray, r: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """`G(i w) / i` of the modes as given, with 40 digits."""
+    with mp.workdps(40):
+        pairs = [(mp.mpf(float(a)), mp.mpf(float(b))) for a, b in zip(d, r, strict=True)]
+        return np.array([float(sum(a * b * x / ((a - x) * (a + x)) for a, b in pairs)) for x in map(mp.mpf, w)])
+
+
+def exact_outputs(d: np.ndarray, r: np.ndarray, h: float, u: np.ndarray, intersample: str) -> np.ndarray:
+    """Outputs from rest under a held or interpolated input, by a recursion in long doubles."""
+    d, kappa = d.astype(np.longdouble), (d * r).astype(np.longdouble)
+    z = -1j * (d * np.longdouble(h))
+    turn = np.exp(z)
+    whole, late = (turn - 1) / z * h * kappa, (turn - 1 - z) / z**2 * h * kappa
+    now, then = (whole, 0 * whole) if intersample == "zoh" else (whole - late, late)
+    x, y = np.zeros(len(d), np.clongdouble), np.empty(len(u))
+    for k in range(len(u)):
+        y[k] = float(x.real.sum())
+        x = turn * x + now * u[k] + then * u[min(k + 1, len(u) - 1)]
+    return y
+
+
+def exact_coefficients(d: np.ndarray) -> list[mp.mpf]:
+    """Coefficients of `prod (x + d^2)`, ascending, with 60 digits."""
+    with mp.workdps(60):
+        P = [mp.mpf(1)]
+        for x in (mp.mpf(float(v)) ** 2 for v in d):
+            P = [x * a + b for a, b in zip([*P, mp.mpf(0)], [mp.mpf(0), *P], strict=True)]
+        return P
+
+
+def relative(found: np.ndarray, truth: np.ndarray) -> float:
+    """Largest error relative to each entry."""
+    return float(np.max(np.abs(np.asarray(found) - truth) / np.abs(truth)))
+
+
+# --- tasks ------------------------------------------------------------------------------------------------------
+
+
+def frequency_response(n: int, points: int = 1000) -> Task:
+    """A system that has been looked at before, at 1000 frequencies across its band and beyond."""
+    system = modal_plant(n)
+    w = np.linspace(0.1, 60.0, points)
+    other, s = plain(system), 1j * w
+    few = slice(None, None, max(1, points // 100))
+    truth = exact_response(system.d, system.r, w[few])
+    runs = {OURS: lambda: system(s), "python-control": lambda: other(s)}
+    if n <= 100:
+        runs["scipy.signal"] = lambda: scipy.signal.freqresp((other.A, other.B, other.C, other.D), w)[1]
+        pymor = _pymor(other) if points == 1000 and n <= 50 else None
+        if pymor is not None:
+            runs["pyMOR"] = lambda: pymor.transfer_function.freq_resp(w)
+    needed = {"python-control": 300.0 if n >= 200 else 25.0} if points == 1000 else {}
+
+    def error(values: np.ndarray) -> float:
+        values = np.ravel(values)
+        return relative(values[few].imag, truth)
+
+    name = "frequency response, warm" if points == 1000 else "frequency response, N frequencies"
+    return Task(name, f"n = {n}, N = {points}", runs, error, needed, points if points != 1000 else n)
+
+
+def cold_frequency_response(n: int) -> Task:
+    """From a dense `Q` to 1000 values."""
+    Q, B = dense_hamiltonian(n)
+    A, B_, C, D = matrices(Q, B)
+    w = np.linspace(0.1, 110.0, 1000)
+    runs = {OURS: lambda: phc.ph(Q, B)(1j * w), "python-control": lambda: ct.ss(A, B_, C, D)(1j * w)}
+    return Task("frequency response, from dense Q", f"n = {n}", runs, None, {"python-control": 9.0}, n)
+
+
+def simulation(n: int, samples: int, intersample: str = "zoh", *, peers: bool = True) -> Task:
+    """White input from rest; python-control interpolates its input whatever one asks."""
+    system = modal_plant(n)
+    h, u = 0.02, np.random.default_rng(1).standard_normal(samples)
+    t, other = h * np.arange(samples), plain(system)
+    runs = {OURS: lambda: phc.forced_response(system, t, u, intersample=intersample).outputs}
+    if peers:
+        runs["python-control"] = lambda: ct.forced_response(other, t, u).outputs
+    needed = {"python-control": 600.0 if n >= 500 else 250.0 if samples >= 100_000 else 60.0}
+    truth = exact_outputs(system.d, system.r, h, u, intersample)
+
+    def error(y: np.ndarray) -> float:
+        found = float(np.abs(np.asarray(y) - truth).max() / np.abs(truth).max())
+        # a held input is another task than the interpolated one of python-control
+        return found if found < 1e-3 else np.nan
+
+    return Task(f"simulation, {intersample}", f"n = {n}, T = {samples}", runs, error, needed, samples)
+
+
+def million_samples() -> Task:
+    rng = np.random.default_rng(0)
+    u, t = rng.standard_normal(10**6), np.arange(10.0**6)
+    system = phc.ph(phc.modes(np.sort(rng.uniform(0.1, 2.8, 50)), rng.uniform(0.1, 1.0, 50)))
+    runs = {
+        OURS: lambda: phc.forced_response(system, t, u).outputs,
+        "one biquad, lfilter": lambda: scipy.signal.lfilter([0.0, 0.1, 0.2], [1.0, -1.2, 0.99], u),
+    }
+    return Task("a million samples", "n = 50, T = 1000000", runs, None, {"one biquad, lfilter": 0.2}, 10**6)
+
+
+def williamson(n: int) -> Task:
+    Q, _ = dense_hamiltonian(n, 1e12)
+    runs: dict[str, Callable[[], Any]] = {OURS: lambda: phc.williamson(Q)}
+    try:
+        from thewalrus.decompositions import williamson as theirs
+    except ImportError:
+        pass
+    else:
+        runs["thewalrus"] = lambda: theirs(Q)
+    J = phc.symplectic_form(n)
+
+    def error(found: tuple[np.ndarray, np.ndarray]) -> float:
+        """How far `S` is from symplectic, relative to the square of its size."""
+        S = found[1]
+        return float(np.abs(S.T @ J @ S - J).max() / max(1.0, np.linalg.norm(S, 2) ** 2))
+
+    return Task("Williamson, cond 1e12", f"n = {n}", runs, error, {"thewalrus": 3.0}, n)
+
+
+def mechanical(n: int) -> Task:
+    """`diag(K, M^-1)` beside a matrix of the same size that couples positions with momenta."""
+    rng = np.random.default_rng(0)
+    X, Y = rng.standard_normal((2, n, n))
+    K, inverse = X @ X.T + n * np.eye(n), Y @ Y.T / n + np.eye(n)
+    Q = np.block([[K, np.zeros((n, n))], [np.zeros((n, n)), inverse]])
+    coupled, _ = dense_hamiltonian(n)
+
+    def error(found: tuple[np.ndarray, np.ndarray]) -> float:
+        d, S = found
+        return float(np.abs((S.T * np.concatenate([d, d])) @ S - Q).max() / np.abs(Q).max()) if len(d) else np.nan
+
+    runs = {OURS: lambda: phc.williamson(Q), "general path": lambda: phc.williamson(coupled)}
+    return Task("mechanical Williamson", f"n = {n}", runs, error, {"general path": 5.0}, n)
+
+
+def frequencies_and_weights(n: int) -> Task:
+    Q, B = dense_hamiltonian(n)
+    other = ct.ss(*matrices(Q, B))
+
+    def ours() -> phc.ModalForm:
+        return phc.ph(Q, B).modes
+
+    runs = {OURS: ours, "ct.poles": other.poles, "ct.modal_form": lambda: ct.modal_form(other)}
+    return Task("modes (d, nu) of dense Q", f"n = {n}", runs, None, {"ct.poles": 2.0, "ct.modal_form": 2.0}, n)
+
+
+def coefficients(n: int) -> Task:
+    system = modal_plant(n, 0.5, 2.0)
+    modes, other = system.modes, plain(system)
+    runs = {
+        OURS: lambda: modes.coefficients()[0][::2],
+        "python-control": lambda: ct.ss2tf(other).den[0][0][:0:-1][::2],
+        "scipy.signal": lambda: scipy.signal.ss2tf(other.A, other.B, other.C, other.D)[1][:0:-1][::2],
+    }
+    truth = np.array([float(a) for a in exact_coefficients(modes.d)[:-1]])
+    return Task("coefficients", f"n = {n}", runs, lambda a: relative(a, truth), {"python-control": 10.0}, n)
+
+
+def zeros(n: int) -> Task:
+    system = modal_plant(n)
+    other = plain(system)
+    runs: dict[str, Callable[[], Any]] = {OURS: lambda: phc.modes(system.d, system.r).zeros}
+    if n <= 200:
+        runs["python-control"] = other.zeros
+
+    def error(found: np.ndarray) -> float:
+        """Distance from the imaginary axis, relative to the largest zero."""
+        return float(np.abs(found.real).max() / np.abs(found).max())
+
+    return Task("zeros", f"n = {n}", runs, error, {"python-control": 5.0}, n)
+
+
+def reducible(n: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """A dense `Q` with repeated frequencies and unreached modes, an input, and the number of states that count."""
+    rng = np.random.default_rng(0)
+    d = np.linspace(1.0, 2.0, n)
+    d[1::5] = d[0::5][: len(d[1::5])]
+    nu = rng.standard_normal((2, n))
+    nu[:, 2::3] = 0.0
+    X = np.eye(n) + 0.3 * rng.standard_normal((n, n)) / np.sqrt(n)
+    zero = np.zeros((n, n))
+    S = np.block([[X, zero], [zero, np.linalg.inv(X).T]])
+    Q = (S.T * np.concatenate([d, d])) @ S
+    order = 2 * len(np.unique(d[np.abs(nu).max(axis=0) > 0]))
+    return 0.5 * (Q + Q.T), np.linalg.solve(S, nu.ravel()), order
+
+
+def minimal(n: int) -> Task:
+    Q, B, order = reducible(n)
+    other = ct.StateSpace(*matrices(Q, B), remove_useless_states=False)
+    runs = {
+        OURS: lambda: phc.minreal(phc.ph(Q, B)).nstates,
+        "Kalman (ours)": lambda: phc.kalman_decomposition(phc.ph(Q, B)).reachable.nstates,
+        "slycot": lambda: ct.minreal(other, verbose=False).nstates,
+    }
+    return Task("minimal realisation", f"n = {n}", runs, lambda k: float(abs(k - order)), {"slycot": 5.0}, n)
+
+
+def construction(n: int) -> Task:
+    import pickle
+
+    Q, B = dense_hamiltonian(n)
+    system, parts, modal = phc.ph(Q, B), matrices(Q, B), modal_plant(n).modes
+    runs = {
+        OURS: lambda: phc.ph(Q, B),
+        "from modes (ours)": lambda: phc.ph(modal),
+        "pickle (ours)": lambda: pickle.loads(pickle.dumps(system)),
+        "python-control": lambda: ct.ss(*parts),
+    }
+    return Task("building a system", f"n = {n}", runs, None, {}, n)
+
+
+def _pymor(system: ct.StateSpace) -> Any:
+    try:
+        from pymor.core.cache import disable_caching
+        from pymor.core.logger import set_log_levels
+        from pymor.models.iosys import LTIModel
+    except ImportError:
+        return None
+    disable_caching()
+    set_log_levels({"pymor": "ERROR"})
+    return LTIModel.from_matrices(system.A, system.B, system.C)
+
+
+FAMILIES: dict[str, tuple[Callable[..., Task], list[tuple[Any, ...]]]] = {
+    "frequency": (frequency_response, [(5,), (20,), (50,), (100,), (200,), (500,)]),
+    "points": (frequency_response, [(50, 100), (50, 10_000), (50, 100_000)]),
+    "cold": (cold_frequency_response, [(100,), (200,), (500,)]),
+    "simulation": (
+        simulation,
+        [(n, T, rule) for T in (10_000, 100_000) for n in (20, 100) for rule in ("zoh", "foh")],
+    ),
+    "large": (simulation, [(500, 100_000)]),
+    "million": (million_samples, [()]),
+    "williamson": (williamson, [(20,), (50,), (100,), (200,), (500,)]),
+    "mechanical": (mechanical, [(200,), (500,)]),
+    "modes": (frequencies_and_weights, [(50,), (100,), (200,), (500,)]),
+    "coefficients": (coefficients, [(5,), (20,), (50,), (100,), (200,)]),
+    "zeros": (zeros, [(5,), (20,), (50,), (100,), (200,), (500,)]),
+    "minimal": (minimal, [(5,), (20,), (50,), (100,), (200,)]),
+    "construction": (construction, [(1,), (10,), (100,), (500,)]),
+}
+
+
+def tasks(families: list[str] | None = None, largest: int | None = None) -> Iterator[tuple[str, Task]]:
+    """Build the tasks of the families one after the other, those with `n` up to `largest`."""
+    for family in families or FAMILIES:
+        make, sizes = FAMILIES[family]
+        for arguments in sizes:
+            if largest is None or not arguments or arguments[0] <= largest:
+                yield family, make(*arguments)
