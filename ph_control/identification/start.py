@@ -155,7 +155,7 @@ def _about(spectrum: Spectrum, d: Array) -> _Columns:
 
 
 def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _Columns:
-    forced, (plus, minus) = spectrum.columns(d, bins)[0]
+    forced, (plus, minus) = spectrum.columns(d, bins)
     columns = np.stack([forced, plus + minus, 1j * (plus - minus)], axis=2)
     scale = float(np.sqrt(2.0 / spectrum.length))
     return _Columns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)
