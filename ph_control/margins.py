@@ -106,7 +106,9 @@ def stability_margins(
     distance from -1 is 1, at each zero of the loop; without a positive zero, at 0 or at infinity, where it is
     approached.  The gain crossings are right to n roundings, with 90 degrees to spare on either side: -90, as
     python-control counts it, where the phase is +90.  The phase margin returned alone is the +90 at the lowest
-    frequency that has it.  O(n^2) for the crossings, O(n^3) for the zeros.
+    frequency that has it.  Loops of several ports are left to python-control, which refuses them.
+
+    O(n^2) for the crossings, O(n^3) for the zeros.
 
     Examples
     --------

@@ -480,6 +480,18 @@ def test_a_hundred_modes_are_parted_into_strips_that_show_each_once():
     assert len(strips([one], 2)) == 2
 
 
+def test_the_axis_is_parted_where_there_is_room():
+    # groups of five: equally many poles in each strip would part most of the groups that it meets
+    d = np.arange(1.0, 25.0).repeat(5) + np.tile(0.02 * np.arange(5), 24)
+    (one,), _ = pole_zero_maps(phc.modes(d, np.ones(120)), None)
+    ranges = strips([one])
+    assert len(ranges) == 5
+    marks = np.concatenate(one.upper)
+    for low, high in ranges:
+        assert np.abs(marks[:, None] - [low, high]).min() > 0.1
+        assert 18 <= np.count_nonzero((d > low) & (d < high)) <= 30
+
+
 def test_several_systems_have_a_row_each_with_their_names():
     systems = [phc.frenkel_kontorova(2, name="short"), phc.frenkel_kontorova(4, name="long")]
     plot = pole_zero_plot(systems)
