@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
 _LAGS = 20
+_SURELY_WHITE = 0.05  # p-value at which a record need not be asked again
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 
 
@@ -181,24 +182,29 @@ def _experiments(
 def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection, rank: NDArray[np.intp]) -> float:
     """Of the residuals in time; neighbouring points of a response follow one another as samples do.
 
-    What was fitted is missing from the residuals, which short records feel.
+    What was fitted is missing from the residuals; short records feel that, and are asked again if they look coloured.
     """
-    parts, shared, local = [], [], []
+    parts = [part for one in experiments for part in _in_parts(one, one.residuals)]
+    p = ljung_box(parts, _LAGS)
     n, samples = len(at.d), sum(one.record.samples for one in experiments)
-    counted = samples * (2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)) <= _COUNTED
+    unknowns = 2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)
+    if p >= _SURELY_WHITE or samples * unknowns > _COUNTED:
+        return p
+    shared: list[Array] = []
+    local: list[Array] = []
     for one, rows in zip(experiments, at.problem.experiments, strict=True):
-        found = _directions(one, rows, at, rank) if counted else Directions(*np.zeros((2, one.record.samples, 0)))
-        if isinstance(one.record, FrequencyRecord):
-            scale = np.sqrt(one.record.weights)
-            for take in (np.real, np.imag):
-                parts.append(take(one.residuals) * scale)
-                shared.append(take(found.shared) * scale[:, None])
-                local.append(take(found.local))
-        else:
-            parts.append(one.residuals)
-            shared.append(found.shared)
-            local.append(found.local)
+        found = _directions(one, rows, at, rank)
+        shared += _in_parts(one, found.shared)
+        local += _in_parts(one, found.local)
     return ljung_box(parts, _LAGS, shared=shared, local=local)
+
+
+def _in_parts(one: FittedExperiment, values: NDArray[Any]) -> list[Array]:
+    """Values (T, ...) of a record as they are; of a response their real and imaginary parts, weighted."""
+    if isinstance(one.record, Record):
+        return [values]
+    scaled = values * np.sqrt(one.record.weights).reshape(-1, *(1,) * (values.ndim - 1))
+    return [scaled.real, scaled.imag]
 
 
 def _directions(one: FittedExperiment, rows: Any, at: Projection, rank: NDArray[np.intp]) -> Directions:
