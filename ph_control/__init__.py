@@ -31,7 +31,9 @@ from .identification.result import PEMResult
 from .identification.samples import ModeSamples
 from .identification.validation import Comparison, compare
 from .isomorphism import Verdict, are_isomorphic, system_isomorphism
+from .margins import margin, stability_margins
 from .modal import ModalForm
+from .mode_plots import modes_plot, pole_zero_plot
 from .models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
 from .morphisms import (
     ExpressivePower,
@@ -58,3 +60,4 @@ from .semidefinite import semidefinite_coefficients, williamson_semidefinite
 from .spectra import spectral_estimate
 from .symplectic import is_hamiltonian_matrix, is_symplectic, symplectic_form, williamson
 from .systems import PortHamiltonian, modes, ph
+from .time_plots import energy_plot, impulse_plot, step_plot
