@@ -250,3 +250,15 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind):
     x, nudge = np.concatenate([d, sigma]), 1e-6
     differences = [(loss(x + nudge * one) - loss(x - nudge * one)) / (2 * nudge) for one in np.eye(4)]
     assert np.allclose(2 * jacobian.T @ residual, differences, rtol=1e-4, atol=1e-6 * np.abs(differences).max())
+
+
+def test_a_fit_that_nobody_doubts_is_looked_into_where_a_first_step_shows_damping():
+    # nobody called the fit doubtful: a plant without damping is let go, and one with it is looked into
+    told = []
+    for ratio in (0.0, 0.01):
+        u, y = recording(3 * (ratio,), POSITIVE, noise=0.3, seed=3)
+        problem = Problem((Experiment(u, y, np.ones(len(y), bool), Hold(H)),))
+        at = refine(problem, D, rtol=1e-9).projection
+        told.append(contradiction(problem, at, order=3, doubtful=False))
+    assert told[0] is None
+    assert told[1] is not None and told[1].damped.any()

@@ -30,6 +30,7 @@ Data = Records | Responses
 _ERRORS = 4.0  # standard errors beyond which something is said, with one mode
 _EVIDENT = 100.0  # energy of a mode in units of the noise: below, its shape is not judged
 _APART = 3.0  # basins between modes, their half-widths added: what is closer mends the shape of a peak
+_NEARLY_NONE = 1e-3  # basins: a decay rate that is none, and keeps off the poles
 _CROWDED = 0.5  # basins between modes of a lossless model that look like one with damping
 _BROADEST = 0.2  # damping ratio of what still counts as a mode
 _PATIENCE = 3  # orders without a better criterion before the path ends
@@ -141,17 +142,32 @@ def contradiction(
         return None
     # what foretells missing outputs is the model itself, so that it is fitted to the measured ones alone
     search = DampedSearch(problem, damped_data(problem, _filled(problem, at)))
-    if not doubtful and len(at.d):
-        model = _model(search, at.d)
-        if not _significant(problem, search, model, np.ones(len(at.d), bool))[0].any():
-            return None
+    if not doubtful and not _decays(problem, search, at.d):
+        return None
     model = _path(problem, search, _starts(problem, at), order, most)
     model = _settled(problem, search, model)
     if not len(model.at.d) or not _explains(problem, search, model, at):
         return None
     strong = _strongest(search, model, order)
-    _, parts = _significant(problem, search, model, strong)
-    return replace(parts, fit_percent=_fit_percent(problem, search, model)) if _any(parts) else None
+    found = _significant(problem, search, model, strong)
+    return replace(found, fit_percent=_fit_percent(problem, search, model)) if _any(found) else None
+
+
+def _decays(problem: Problem, search: DampedSearch, d: Array) -> bool:
+    """Whether a first step away from no damping would be a significant one for any mode (a score test)."""
+    n, none = len(d), np.full(len(d), _NEARLY_NONE * problem.bin)
+    at = DampedProjection(search.data.rows(d, none), d, none)
+    residual, J = at.condensed
+    inverse = np.linalg.pinv(J)
+    step = -(inverse @ residual)[n:]
+    variance = at.loss / max(1, at.rows - _unknowns(problem, n))
+    errors = np.sqrt(variance * np.sum(inverse[n:] ** 2, axis=1))
+    return bool(np.any(np.abs(step) > _bound(n) * errors))
+
+
+def _bound(n: int) -> float:
+    """Standard errors beyond which something is said of n modes: as improbable for all as `_ERRORS` for one."""
+    return float(norm.isf(norm.sf(_ERRORS) / max(1, n)))
 
 
 def _is_of_euler(problem: Problem) -> bool:
@@ -181,7 +197,7 @@ def _criterion(problem: Problem, model: _Model) -> float:
 
 
 def _filled(problem: Problem, at: Projection) -> list[Array | None] | None:
-    if not all(isinstance(one, Experiment) for one in problem.experiments):
+    if all(one.complete for one in problem.experiments if isinstance(one, Experiment)):
         return None
     return [np.asarray(one) for one in at.predicted()]
 
@@ -302,10 +318,8 @@ def _evidence(search: DampedSearch, model: _Model) -> Array:
     return np.array(without) - loss
 
 
-def _significant(
-    problem: Problem, search: DampedSearch, model: _Model, strong: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Contradiction]:
-    """Which modes contradict, and the parameters of all that are told of."""
+def _significant(problem: Problem, search: DampedSearch, model: _Model, strong: NDArray[np.bool_]) -> Contradiction:
+    """Parameters of the modes that are told of, and which of them stand out."""
     at, n = model.at, len(model.at.d)
     # missing outputs, foretold by the model, leave nothing and tell nothing
     observed = 1.0 - _share_missing(problem)
@@ -313,16 +327,15 @@ def _significant(
     errors = np.sqrt(np.diag(at.covariance(variance)) / observed)
     errors = np.concatenate([errors, np.zeros(3 * n - len(errors))])
     evident = _evidence(search, model) > _EVIDENT * variance
-    bound = float(norm.isf(norm.sf(_ERRORS) / max(1, n)))
+    bound = _bound(n)
     damped = evident & (np.abs(at.sigma) > bound * errors[n : 2 * n])
     negative = evident & (at.kappa < -bound * errors[2 * n :]) if problem.driven else np.zeros(n, bool)
     rank = np.argsort(at.d)[strong[np.argsort(at.d)]]
-    found = Contradiction(
+    return Contradiction(
         at.d[rank], (at.sigma / at.d)[rank], (errors[n : 2 * n] / at.d)[rank],
         at.kappa[rank] if problem.driven else np.zeros(len(rank)), errors[2 * n :][rank], 0.0,
         damped[rank], negative[rank],
     )  # fmt: skip
-    return damped | negative, found
 
 
 def _share_missing(problem: Problem) -> float:
