@@ -45,6 +45,7 @@ class Fit:
     order: int
     order_given: bool
     at_limit: bool
+    most: int
     contradiction: Contradiction | None = None
 
 
@@ -135,7 +136,9 @@ def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool) -> Fit:
     poor = fitted < GOOD_FIT
     if not (doubtful or (poor and len(at.d))):
         return fit
-    found = contradiction(fit.problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful)
+    found = contradiction(
+        fit.problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful, most=fit.most
+    )
     if found is None:
         return fit
     d = found.natural_frequencies

@@ -173,7 +173,7 @@ def pem(
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
-    fit = Fit(records, problem, found, wanted, order != "auto", at_limit)
+    fit = Fit(records, problem, found, wanted, order != "auto", at_limit, largest)
     return conclude(fit, method, intersample, quantity, representation)
 
 
