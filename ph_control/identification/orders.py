@@ -331,11 +331,8 @@ def _path(problem: Problem, largest: int, guess: Array, callback: Callable[[Prog
         return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
 
     rtol, floor = min(1e-4, 0.1 / problem.samples), rounding_floor(problem)
-    try:
-        first = search.step(guess, rtol, report(len(guess)))
-        return grow(search, first, largest, rtol=rtol, floor=floor, report=report)
-    except StopIteration:
-        raise IdentificationError("the callback ended the search before there was any mode") from None
+    first = search.step(guess, rtol, report(len(guess)))
+    return grow(search, first, largest, rtol=rtol, floor=floor, report=report)
 
 
 def _stable(path: Sequence[Any], bin_width: float) -> list[NDArray[np.bool_]]:

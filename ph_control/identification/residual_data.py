@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 RANK = 1e-8  # relative size of directions that a regression counts
 
+_QUIETEST = 1e-6  # noise of a record beside that of the loudest
 _SMALL = 1 << 15  # numbers of a matrix whose singular vectors cost next to nothing
 
 
@@ -25,7 +26,8 @@ class ResidualData:
     """Residuals (T,), NaN where missing, the input, and the directions that were fitted (T, k).
 
     With several records, one after the other, `lengths` are their samples, and `local` the directions (T_k, p_k) that
-    were fitted to each of them alone.
+    were fitted to each of them alone.  `level` is what a constant looks like, where the residuals are in a scale of
+    their own.
     """
 
     residuals: Array
@@ -34,6 +36,7 @@ class ResidualData:
     lags: int
     lengths: tuple[int, ...] = ()
     local: tuple[Array, ...] = ()
+    level: Array | None = None
 
     @cached_property
     def parts(self) -> list[slice]:
@@ -50,6 +53,11 @@ class ResidualData:
     def e(self) -> Array:
         """Residuals, 0 where missing."""
         return np.where(self.seen, self.residuals, 0.0)
+
+    @cached_property
+    def constant(self) -> Array:
+        """A constant in the scale of the residuals."""
+        return np.ones(len(self.residuals)) if self.level is None else self.level
 
     @cached_property
     def count(self) -> int:
@@ -93,7 +101,8 @@ class ResidualData:
     @cached_property
     def fitted_and_means(self) -> Basis:
         """The same with a constant in each record."""
-        return _basis(self, [np.column_stack([np.ones(len(columns)), columns]) for columns in self.own])
+        pairs = zip(self.parts, self.own, strict=True)
+        return _basis(self, [np.column_stack([self.constant[part], columns]) for part, columns in pairs])
 
     @cached_property
     def noise_covariance(self) -> Array:
@@ -107,6 +116,18 @@ class ResidualData:
         padded = np.concatenate([np.zeros(L), v, np.zeros(L)])
         view = np.lib.stride_tricks.sliding_window_view(padded, len(v))
         return np.asarray(view[L - lags] if rows is None else view[(L - lags)[:, None], rows])
+
+
+def noise_scales(residuals: Sequence[Array]) -> list[float]:
+    """Root mean square of the residuals of each of several records: sensors and levels of noise may differ.
+
+    None is taken as smaller than a millionth of the largest, nor a single record in other than its own unit.
+    """
+    if len(residuals) == 1:
+        return [1.0]
+    sizes = [float(np.sqrt(np.nanmean(one**2))) if (~np.isnan(one)).any() else 0.0 for one in residuals]
+    largest = max(sizes) or 1.0
+    return [max(size, _QUIETEST * largest) for size in sizes]
 
 
 @dataclass(frozen=True)

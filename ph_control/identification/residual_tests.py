@@ -273,7 +273,7 @@ def _record_factor(data: ResidualData, place: int, whitening: Array) -> tuple[Ar
 
     def columns(rows: NDArray[np.intp]) -> Array:
         means = np.zeros((len(data.parts), len(rows)))
-        means[place] = 1.0
+        means[place] = data.constant[part][rows]
         past = e[rows - np.arange(1, order + 1)[:, None]]
         return np.concatenate(
             [own[rows].T, shared[rows].T, past, means, data.shifted_inputs(part, lags, rows), e[None, rows]]

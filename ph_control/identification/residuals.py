@@ -28,7 +28,7 @@ from .measured import (
     values_of,
     which_of,
 )
-from .residual_data import ResidualData
+from .residual_data import ResidualData, noise_scales
 from .residual_tests import Correlation, autocorrelation, cross_correlation, influence
 from .simulation import Rules, Simulation
 from .validation import answer_to
@@ -320,8 +320,8 @@ def residual_analysis(
     regressors (Granger), so that long responses show too.  NaN stands for what the record cannot tell, such as a
     response under a constant input, or under none.
 
-    *Several experiments* are taken together, as noise of one variance: pairs of samples in each of them are added up,
-    and each may have a mean of its own.
+    *Several experiments* are taken together, each in the scale of its own residuals, since their noise may differ:
+    pairs of samples within each of them are added up, and each may have a mean of its own.
 
     *Frequency responses.*  Residuals are those of real and imaginary parts, weighted, and lags go from one point to the
     next.  Noise of neighbouring points is independent where they were measured one by one; spectral estimates with
@@ -423,28 +423,42 @@ def _none(lags: int) -> Correlation:
 
 
 def _means(data: ResidualData, unit: float, left: list[NDArray[Any]]) -> list[complex]:
-    """Mean of each experiment; of responses in the scale of their weights."""
-    means = [unit * data.e[part].sum() / max(1, int(data.seen[part].sum())) for part in data.parts]
-    return means if len(means) == len(left) else [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)]
+    """Mean of each experiment; of responses with their weights."""
+    levels = [np.where(data.seen[part], data.constant[part], 0.0) for part in data.parts]
+    means = [
+        unit * float(level @ data.e[part]) / float(level @ level or 1.0)
+        for level, part in zip(levels, data.parts, strict=True)
+    ]
+    if len(means) == len(left):
+        return list(means)
+    return [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)]
 
 
 def _over_time(
     records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
 ) -> tuple[ResidualData, float]:
-    """Records one after the other in units of their largest residual, and that unit."""
-    residuals = np.concatenate(left)
-    unit = float(np.nanmax(np.abs(residuals))) or 1.0
-    u = np.concatenate([record.u for record in records])
-    shared, local = _directions(answers, [1.0] * len(records))
+    """Records one after the other, each in the scale of its own noise, and the unit of all."""
+    unit = max(float(np.nanmax(np.abs(one))) for one in left) or 1.0
+    scales = noise_scales([one / unit for one in left])
     lengths = tuple(record.samples for record in records)
-    return ResidualData(residuals / unit, u / (np.max(np.abs(u)) or 1.0), shared, lags, lengths, tuple(local)), unit
+    level = np.repeat(1.0 / np.array(scales), lengths)
+    u = np.concatenate([record.u for record in records])
+    # least squares with these weights
+    u = u / (np.max(np.abs(u)) or 1.0) * level
+    shared, local = _directions(answers, [1.0 / scale for scale in scales])
+    residuals = np.concatenate(left) / unit * level
+    return ResidualData(residuals, u, shared, lags, lengths, tuple(local), level), unit
 
 
 def _over_frequency(
     records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
 ) -> tuple[ResidualData, float]:
-    """Real and imaginary parts of each response one after the other, in the scale of their weights."""
-    scales = [np.sqrt(record.weights / np.max([one.weights.max() for one in records])) for record in records]
+    """Real and imaginary parts of each response one after the other, in the scale of weights and noise; the unit."""
+    largest = max(float(np.max(record.weights)) for record in records)
+    scales = [np.sqrt(record.weights / largest) for record in records]
+    quiet = noise_scales([np.abs(scale * one) for scale, one in zip(scales, left, strict=True)])
+    size = max(quiet)
+    scales = [scale * (size / noise) for scale, noise in zip(scales, quiet, strict=True)]
     weighted = [scale * one for scale, one in zip(scales, left, strict=True)]
     residuals = np.concatenate([part for one in weighted for part in (one.real, one.imag)])
     unit = float(np.nanmax(np.abs(residuals))) or 1.0
@@ -456,7 +470,9 @@ def _over_frequency(
     residuals = np.clip(residuals, -limit, limit) if limit else residuals
     lengths = tuple(np.repeat([record.samples for record in records], 2).tolist())
     local = tuple(np.zeros((length, 0)) for length in lengths)
-    return ResidualData(residuals / unit, np.zeros(len(residuals)), shared, lags, lengths, local), unit
+    level = np.concatenate([part for scale in scales for part in (scale, scale)])
+    none = np.zeros(len(residuals))
+    return ResidualData(residuals / unit, none, shared, lags, lengths, local, level), unit
 
 
 def _directions(answers: list[Simulation], scales: list[Any]) -> tuple[NDArray[Any], list[Array]]:
