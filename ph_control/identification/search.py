@@ -24,7 +24,7 @@ ComplexArray = NDArray[np.complex128]
 
 Report = Callable[[int, float], None]  # iteration, loss
 
-_IN_TIME = 4096  # samples up to which every step is refined in time
+_IN_TIME = 1500  # samples up to which every step is refined in time
 _BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
 _HALF_WIDTH = 12  # bins on either side of a mode
 
