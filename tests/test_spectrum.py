@@ -9,7 +9,7 @@ from reference import EPS
 from ph_control.identification.experiment import Experiment
 from ph_control.identification.regressors import QUANTITIES, Hold, output_weight, regressors
 from ph_control.identification.solver import Problem
-from ph_control.identification.spectrum import Spectrum, Window
+from ph_control.identification.spectrum import SmoothColumns, Spectrum, Window
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 D, KAPPA = np.array([0.31, 0.9, 1.7]), np.array([1.0, 0.4, 0.7])
@@ -63,11 +63,11 @@ PARTS = ("forced", "plus", "minus")
 @pytest.mark.parametrize("hold", HOLDS)
 def test_slopes_of_the_columns_are_their_derivatives_on_bins_and_between(hold, quantity):
     spectrum = Spectrum.of(experiment_of(hold=hold, quantity=quantity)[0])
-    bins, step = np.arange(1, 100)[None], 1e-5
+    bins, step = np.arange(1, 100), 1e-5
     d = spectrum.frequency(np.array([4.0, 9.0 + 1e-6, 17.0 - 3e-4, 25.3, 31.5 - 1e-3]))
-    ahead, here, behind = (spectrum.smooth_columns(d + s, bins) for s in (step, 0.0, -step))
-    for part in PARTS:
-        column, slope = getattr(here, part), getattr(here, part + "_slope")
+    ahead, here, behind = (SmoothColumns(spectrum, d + s, bins) for s in (step, 0.0, -step))
+    for part, slope in zip(PARTS, here.slopes, strict=True):
+        column = getattr(here, part)
         difference = (getattr(ahead, part) - getattr(behind, part)) / (2 * step)
         # `plus` vanishes where `minus` peaks: they are two parts of one column
         size = np.abs(here.minus if part == "plus" else column).max(axis=1)
@@ -83,13 +83,13 @@ def test_slopes_of_the_columns_are_their_derivatives_on_bins_and_between(hold, q
 def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(hold, place):
     one, *_ = experiment_of(400, hold)
     spectrum = Spectrum.of(one)
-    d, bins = spectrum.frequency(np.array([place])), np.arange(5, 20)[None]
-    at = spectrum.smooth_columns(d, bins)
+    d, bins = spectrum.frequency(np.array([place])), np.arange(5, 20)
+    at = SmoothColumns(spectrum, d, bins)
     columns = np.concatenate([at.forced, at.plus + at.minus, 1j * (at.plus - at.minus)])
     real = np.concatenate([columns.real, columns.imag], axis=1).T
     real = real / np.linalg.norm(real, axis=0)
     assert np.linalg.cond(real) < 1e3
-    motions = np.fft.rfft(regressors(d, one.u, one.hold).columns(), axis=0)[bins[0]]
+    motions = np.fft.rfft(regressors(d, one.u, one.hold).columns(), axis=0)[bins]
     targets = np.concatenate([motions.real, motions.imag])
     left = targets - real @ np.linalg.lstsq(real, targets, rcond=None)[0]
     assert (np.linalg.norm(left, axis=0) <= 1e3 * 400 * EPS * np.linalg.norm(targets, axis=0)).all()
@@ -97,9 +97,9 @@ def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(h
 
 def test_columns_pass_smoothly_through_a_bin():
     spectrum = Spectrum.of(experiment_of(400)[0])
-    bins = np.arange(5, 20)[None]
+    bins = np.arange(5, 20)
     step = 5e-4
-    path = [spectrum.smooth_columns(spectrum.frequency(np.array([12 + k * step])), bins) for k in range(-20, 21)]
+    path = [SmoothColumns(spectrum, spectrum.frequency(np.array([12 + k * step])), bins) for k in range(-20, 21)]
     for part in PARTS:
         found = np.array([getattr(at, part)[0] for at in path])
         size = np.abs(path[0].minus if part == "plus" else found).max()

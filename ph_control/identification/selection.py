@@ -41,11 +41,11 @@ def criteria(problem: Problem, loss: float, n: int) -> Criteria:
     """Criteria of n modes that leave a sum of squares."""
     samples, parameters = problem.samples, problem.unknowns(n) + 1
     variance = max(loss / samples, np.finfo(float).tiny)
-    loglik = -0.5 * samples * (np.log(2 * np.pi * variance) + 1)
+    loglik = -0.5 * samples * float(np.log(2 * np.pi * variance) + 1)
     aic = 2 * parameters - 2 * loglik
     spare = samples - parameters - 1
     aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
-    return Criteria(loglik, aic, aicc, parameters * np.log(samples) - 2 * loglik)
+    return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
 
 
 def held_out_losses(problem: Problem, path: list[Step]) -> list[float]:

@@ -384,7 +384,8 @@ def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None
             return
     trial = problem.project(np.clip(current.d + step, 1e-3 * problem.bin, problem.ceiling))
     ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
-    if trial.loss < current.loss:
+    # the last step shortens the way to the minimum also where its gain drowns in the rounding of the loss
+    if trial.loss < current.loss or (state.converged and trial.loss <= current.loss * (1 + problem.samples * EPS)):
         state.current = trial
         state.damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         state.growth = 2.0

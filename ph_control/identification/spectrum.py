@@ -10,7 +10,7 @@ whatever the length of the record.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,33 +23,11 @@ from .regressors import output_weight
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Bins = NDArray[np.intp]
-Pair = tuple[ComplexArray, ComplexArray]  # a function and its derivative by the frequency
+Pair = tuple[ComplexArray, ComplexArray]
 
 _OFF_BIN = 1e-3  # bins: on a bin the columns of a mode become parallel, though their span does not
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
-_PIECE = 1 << 20  # numbers worked on at a time
-
-
-@dataclass(frozen=True)
-class Smooth:
-    """Columns (n, K) of modes, `plus` and `minus` belonging to a motion and its conjugate, and their derivatives."""
-
-    forced: ComplexArray
-    plus: ComplexArray
-    minus: ComplexArray
-    forced_slope: ComplexArray
-    plus_slope: ComplexArray
-    minus_slope: ComplexArray
-
-    def output(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
-        """Transform of a model."""
-        return np.asarray(kappa @ self.forced + motion @ self.plus + motion.conj() @ self.minus)
-
-    def sensitivity(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
-        """Its derivative by each frequency."""
-        motion = motion[:, None]
-        moved = motion * self.plus_slope + motion.conj() * self.minus_slope
-        return np.asarray(kappa[:, None] * self.forced_slope + moved)
+_PIECE = 1 << 18  # numbers worked on at a time
 
 
 @dataclass(frozen=True)
@@ -111,55 +89,6 @@ class Spectrum:
             forced = forced + U
         return forced, np.stack([z * right, z * left])
 
-    def smooth_columns(self, d: Array, bins: Bins) -> Smooth:
-        """Columns of the same span that pass smoothly through the bins, at bins (1, K), and their derivatives.
-
-        The ends are told by a motion, `tau = (1 - lambda^T) x + sigma kappa`: `sigma` takes from the column of `kappa`
-        its pole at the bin nearest to the mode, and `1 - lambda^T` has its zero there.
-        """
-        one, T = self.experiment, self.length
-        step, place = one.hold.step(d), self.place(d)
-        centre = np.rint(place).astype(int)
-        # log of conj(lambda) over the z of that bin, and of its derivative
-        apart, turn = step.growth + 2j * np.pi / T * (place - centre), one.hold.log_derivative(d)
-        z, z_0 = (np.exp(2j * np.pi / T * each) for each in (bins, centre[:, None]))
-        right, left, right_slope, left_slope = _poles(
-            z, step.multiplier[:, None], turn[:, None], bins == centre[:, None]
-        )
-        plus, minus, plus_slope, minus_slope = (z * part for part in (right, left, right_slope, left_slope))
-        if one.driven:
-            U, U_0 = self.U[bins], self.U[np.minimum(centre, T // 2)][:, None]
-            (gain, gain_slope), (mirrored, mirrored_slope) = self._gains(d, z)
-            sigma, sigma_slope = (part * U_0 / z_0 for part in self._gains(d, z_0)[1])
-            ahead, behind = U * gain - sigma.conj() * z, U * mirrored - sigma * z
-            forced = ahead * right + behind * left + (U if one.quantity == "acceleration" else 0.0)
-            slope = (U * gain_slope - sigma_slope.conj() * z) * right + (U * mirrored_slope - sigma_slope * z) * left
-            slope = slope + ahead * right_slope + behind * left_slope
-        else:
-            forced = slope = np.zeros(plus.shape, complex)
-        # times 1 - lambda^T, which is 0 where there is a pole: there it is a geometric sum
-        back = np.exp(T * apart).conj()[:, None]
-        zero, zero_slope = 1 - back, -T * turn[:, None] * back
-        plus, plus_slope = zero * plus, zero_slope * plus + zero * plus_slope
-        minus, minus_slope = zero.conj() * minus, zero_slope.conj() * minus + zero.conj() * minus_slope
-        total, by_apart = (0.5 * part[:, None] for part in _geometric(apart, T))
-        minus = np.where(bins == centre[:, None], total, minus)
-        minus_slope = np.where(bins == centre[:, None], by_apart * turn.conj()[:, None], minus_slope)
-        return Smooth(forced, plus, minus, slope, plus_slope, minus_slope)
-
-    def _gains(self, d: Array, z: ComplexArray) -> tuple[Pair, Pair]:
-        """What the input is multiplied by ahead of a pole, and of its mirror, with the derivatives."""
-        hold = self.experiment.hold
-        step, (db0, db1) = hold.step(d), (part[:, None] for part in hold.weight_derivatives(d))
-        weight, weight_slope = (part[:, None] for part in output_weight(d, self.experiment.quantity))
-
-        def at(z: ComplexArray) -> Pair:
-            through = step.b0 + step.b1 * z
-            return weight * through, weight_slope * through + weight * (db0 + db1 * z)
-
-        gain, mirrored = at(z), at(z.conj())
-        return gain, (mirrored[0].conj(), mirrored[1].conj())
-
     def _off_bin(self, d: Array, lam: ComplexArray) -> ComplexArray:
         """The multipliers, those on a bin moved a little off it."""
         place = self.place(d)
@@ -176,23 +105,103 @@ class Spectrum:
         size = max(1, _PIECE // max(1, n))
         for first in range(0, len(residual), size):
             bins = np.arange(first, min(first + size, len(residual)))
-            residual[bins] -= self.smooth_columns(d, bins[None, :]).output(kappa, ends)
+            residual[bins] -= SmoothColumns(self, d, bins).output(kappa, ends)
         return residual
 
 
-def _poles(
-    z: ComplexArray, lam: ComplexArray, turn: ComplexArray, skipped: NDArray[np.bool_]
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """Halves of `1 / (z - lambda)` and of its mirror, which is 0 where skipped, and their derivatives."""
-    right, left = 0.5 / (z - lam), np.where(skipped, 0.0, 0.5 / np.where(skipped, 1.0, z - lam.conj()))
-    slope = 2 * turn * lam
-    return right, left, slope * right**2, slope.conj() * left**2
+class SmoothColumns:
+    """Columns of modes (n,) at bins (K,), of the same span, that pass smoothly through the bins; and their derivatives.
+
+    The ends are told by a motion `x`: `tau = (1 - lambda^T) x - sigma kappa`.  The first factor has its zero, and
+    `sigma` takes from the column of `kappa` its pole, at the bin nearest to the mode.
+
+    Attributes
+    ----------
+    forced, plus, minus : ndarray, shape (n, K)
+        What belongs to `kappa`, to the motion and to its conjugate.
+    """
+
+    def __init__(self, spectrum: Spectrum, d: Array, bins: Bins) -> None:
+        one, T = spectrum.experiment, spectrum.length
+        self._one, self._d, self._step = one, d, one.hold.step(d)
+        place = spectrum.place(d)
+        centre = np.rint(place).astype(int)
+        self._at_centre = bins == centre[:, None]
+        self._z, self._z_0 = (np.exp(2j * np.pi / T * each) for each in (bins, centre[:, None]))
+        self._U, self._U_0 = spectrum.U[bins], spectrum.U[np.minimum(centre, T // 2)][:, None]
+        lam = self._step.multiplier[:, None]
+        self._right, self._left = 0.5 / (self._z - lam), 0.5 / np.where(self._at_centre, 1.0, self._z - lam.conj())
+        self._left[self._at_centre] = 0.0
+        # log of conj(lambda) over the z of the centre; lambda^T; and the sum that a pole with a zero upon it is
+        apart = self._step.growth + 2j * np.pi / T * (place - centre)
+        self._length, self._back = T, np.exp(T * apart).conj()[:, None]
+        self._total, self._total_slope = (0.5 * part[:, None] for part in _geometric(apart, T))
+        self.plus = (1 - self._back) * self._z * self._right
+        self.minus = np.where(self._at_centre, self._total, (1 - self._back).conj() * self._z * self._left)
+        self.forced = self._forced()
+
+    @cached_property
+    def _weights(self) -> tuple[tuple[Array | ComplexArray, ...], tuple[ComplexArray, ...]]:
+        """Weights of the output, and of the input now and a sample later; and their derivatives."""
+        step, (db0, db1) = self._step, self._one.hold.weight_derivatives(self._d)
+        weight, slope = output_weight(self._d, self._one.quantity)
+        return (weight[:, None], step.b0, step.b1), (slope[:, None], db0[:, None], db1[:, None])
+
+    def _gain(self, z: ComplexArray) -> ComplexArray:
+        """What the input is multiplied by ahead of a pole."""
+        weight, b0, b1 = self._weights[0]
+        return np.asarray(weight * (b0 + b1 * z))
+
+    def _gain_slope(self, z: ComplexArray) -> ComplexArray:
+        (weight, b0, b1), (weight_slope, db0, db1) = self._weights
+        return np.asarray(weight_slope * (b0 + b1 * z) + weight * (db0 + db1 * z))
+
+    def _numerators(self, gain: Callable[[ComplexArray], ComplexArray]) -> Pair:
+        """What stands over the pole and its mirror, 0 over the latter at the centre."""
+        sigma = gain(self._z_0.conj()).conj() * self._U_0 / self._z_0
+        return self._U * gain(self._z) - sigma.conj() * self._z, self._U * gain(self._z.conj()).conj() - sigma * self._z
+
+    @cached_property
+    def _over_poles(self) -> Pair:
+        return self._numerators(self._gain)
+
+    def _forced(self) -> ComplexArray:
+        if not self._one.driven:
+            return np.zeros(self.plus.shape, complex)
+        ahead, behind = self._over_poles
+        forced = ahead * self._right + behind * self._left
+        return forced + self._U if self._one.quantity == "acceleration" else forced
+
+    @cached_property
+    def slopes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Derivatives of `forced`, `plus` and `minus` by the frequency of each mode."""
+        turn = self._one.hold.log_derivative(self._d)[:, None]
+        moving = 2 * turn * self._step.multiplier[:, None]
+        right_slope, left_slope = moving * self._right**2, moving.conj() * self._left**2
+        zero, zero_slope = 1 - self._back, -self._length * turn * self._back
+        plus = self._z * (zero_slope * self._right + zero * right_slope)
+        minus = self._z * (zero_slope.conj() * self._left + zero.conj() * left_slope)
+        minus = np.where(self._at_centre, self._total_slope * turn.conj(), minus)
+        if not self._one.driven:
+            return np.zeros(plus.shape, complex), plus, minus
+        (ahead, behind), (ahead_slope, behind_slope) = self._over_poles, self._numerators(self._gain_slope)
+        forced = ahead_slope * self._right + behind_slope * self._left + ahead * right_slope + behind * left_slope
+        return forced, plus, minus
+
+    def output(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
+        """Transform of a model."""
+        return np.asarray(kappa @ self.forced + motion @ self.plus + motion.conj() @ self.minus)
+
+    def sensitivity(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
+        """Its derivative by each frequency."""
+        forced, plus, minus = self.slopes
+        return np.asarray(kappa[:, None] * forced + motion[:, None] * plus + motion.conj()[:, None] * minus)
 
 
 def _geometric(x: ComplexArray, count: int) -> tuple[ComplexArray, ComplexArray]:
     """`sum e^(k x), k < count`, and its derivative by `x`."""
     near = np.abs(count * x) < _NEAR
-    safe = np.where(near, 1.0, x)
+    safe = np.where(near, 1.0 / count, x)
     top, bottom = (2 * np.exp(half) * np.sinh(half) for half in (0.5 * count * safe, 0.5 * safe))
     sums = [count, count * (count - 1) / 2, count * (count - 1) * (2 * count - 1) / 6, (count * (count - 1) / 2) ** 2]
     total = sums[0] + x * (sums[1] + x / 2 * (sums[2] + x / 3 * sums[3]))
@@ -256,8 +265,8 @@ class WindowEvaluation:
         self._window, self._d = window, d
 
     @cached_property
-    def _columns(self) -> Smooth:
-        return self._window.spectrum.smooth_columns(self._d, self._window.bins[None, :])
+    def _columns(self) -> SmoothColumns:
+        return SmoothColumns(self._window.spectrum, self._d, self._window.bins)
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
