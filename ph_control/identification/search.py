@@ -25,6 +25,7 @@ ComplexArray = NDArray[np.complex128]
 Report = Callable[[int, float], None]  # iteration, loss
 
 _IN_TIME = 1500  # samples up to which every step is refined in time
+_TOGETHER = 512  # samples from which on several modes may join at one step
 _BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
 _HALF_WIDTH = 12  # bins on either side of a mode
 
@@ -79,7 +80,7 @@ class TimeSearch:
     @property
     def affords_batches(self) -> bool:
         """Whether several modes may join at once: where records are long enough to tell them apart."""
-        return self._windowed
+        return max(len(one.u) for one in self._experiments) >= _TOGETHER
 
     def unconvinced(self, step: Step) -> bool:
         """Whether what is left shows a mode that noise alone would hardly show anywhere."""
