@@ -167,7 +167,10 @@ class Projection:
         found = []
         for part, rows in self._pairs(self._solution[2]):
             rhs = part.above[:, -1] - (part.above[:, :-1] @ self.kappa if rows.driven else 0.0)
-            found.append(part.inverse @ rhs)
+            own = part.inverse @ rhs
+            if self.problem.structured and len(own) >= 2 * len(self.d):
+                own[np.flatnonzero(np.concatenate([~self.free, ~self.free]))] = 0.0
+            found.append(own)
         return found
 
     @property
