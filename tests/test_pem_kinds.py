@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 import ph_control as phc
 from ph_control.identification.experiment import Experiment
 from ph_control.identification.regressors import Hold
-from ph_control.identification.solver import Problem
+from ph_control.identification.solver import Problem, refine
 from ph_control.identification.start import Screen
 
 D, R = np.array([0.7, 2.0, 5.5]), np.array([1.0, 0.4, 0.2])
@@ -457,6 +457,11 @@ def test_without_its_weight_a_mode_has_no_column_in_the_controllable_representat
     assert np.allclose(at.own[0][[0, 1, 3, 4]], without.own[0], rtol=1e-10)
     assert np.allclose(at.kappa[:2], without.kappa, rtol=1e-10)
     assert Problem((one,)).project(np.array([0.7, 2.0, 3.3])).loss < 0.5 * at.loss
+    # a frequency that nothing shows is no parameter: it stays, and has no error
+    end = refine(Problem((one,), structured=True), np.array([0.7, 2.0, 3.3]), rtol=1e-15)
+    assert end.converged and end.projection.d[2] == 3.3 and not end.projection.free[2]
+    known = end.projection.jacobian()[1]
+    assert known.tolist() == 2 * [True, True, False] + 2 * [True, True, False]
 
 
 def test_representations_are_equal_where_all_weights_are_positive():
@@ -616,6 +621,8 @@ def test_summaries_of_every_kind_fit_on_a_page(kinds, kind):
         "nothing": "Nothing to model",
     }  # fmt: skip
     assert words[kind] in text
+    head = text.splitlines()[0]
+    assert ("in free motion" in head) == (kind == "free") and (" from " in head) == (kind != "free")
 
 
 def test_data_of_several_experiments_are_not_modified_and_may_be_locked():

@@ -122,6 +122,19 @@ def test_a_weight_held_at_zero_has_no_error_and_its_mode_no_state():
     assert np.isnan(clean["r"][3]).all() and np.isfinite(clean["d"]).all()
 
 
+@pytest.mark.parametrize("options", [{"initial_state": "zero"}, {"representation": "controllable"}])
+def test_a_mode_that_neither_answers_nor_moves_has_a_frequency_without_error(options):
+    # with the sign of the sensor reversed, nothing that a plant at rest can do helps
+    rng = np.random.default_rng(6)
+    u = rng.standard_normal(400)
+    y = predicted(D[:2], R[:2], np.zeros(4), u, 0.1) - 0.3 * predicted(D[2:], R[2:], np.zeros(2), u, 0.1)
+    result = phc.pem((u, y + 0.02 * rng.standard_normal(400)), 3, dt=0.1, initial_guess=(D, R), **options)
+    held = np.isin(np.arange(3), result.active)
+    assert held.any() and np.array_equal(np.isnan(result.stderr["d"]), held)
+    assert np.isfinite(result.stderr["d"][~held]).all() and np.isfinite(result.stderr["r"][~held]).all()
+    assert result.success
+
+
 def test_modes_that_were_asked_for_but_are_not_in_the_data_are_nan_in_their_places():
     rng = np.random.default_rng(2)
     u = rng.standard_normal(400)

@@ -15,9 +15,10 @@ def summary_of(result: Any) -> str:
     """Report of a fit for people, at most 100 characters wide."""
     first = result.experiments[0].record
     missing = sum(int((~one.record.observed).sum()) for one in result.experiments)
+    driven = [one.record for one in result.experiments if not isinstance(one.record, Record) or one.record.driven]
+    source = f" from {driven[0].input_label!r}" if driven else " in free motion"
     lines = [
-        f"Port-Hamiltonian model of {first.output_label!r} from {first.input_label!r}: "
-        f"{result.order} mode{'s' * (result.order != 1)}",
+        f"Port-Hamiltonian model of {first.output_label!r}{source}: {result.order} mode{'s' * (result.order != 1)}",
         f"  verdict         {result.verdict}",
         *_data_lines(result, missing),
         f"  fit             {result.fit_percent:.2f} %",

@@ -211,7 +211,20 @@ class Projection:
             U, sigma, _ = np.linalg.svd(shared, full_matrices=False)
             basis = U[:, sigma > _tolerance(self.problem.samples, n) * max(1.0, sigma.max(initial=0.0))]
             rest = rest - basis @ (basis.T @ rest)
-        return -rest[:, :n], rest[:, n]
+        # the frequency of a mode without any trace stays: its column would be rounding
+        return -rest[:, :n] * self._traced, rest[:, n]
+
+    @property
+    def _moving(self) -> NDArray[np.bool_]:
+        """Which modes may move freely in a record."""
+        return self.free if self.problem.structured else np.ones(len(self.d), bool)
+
+    @cached_property
+    def _traced(self) -> NDArray[np.bool_]:
+        """Which modes leave a trace in any experiment."""
+        n = len(self.d)
+        records = any(self._own(k) >= 2 * n for k in range(len(self.problem.experiments)))
+        return (self.free & self.problem.driven) | (self._moving & records)
 
     @cached_property
     def gradient(self) -> Array:
@@ -232,7 +245,7 @@ class Projection:
         n = len(self.d)
         counts = [self._own(k) for k in range(len(self.problem.experiments))]
         ends = np.cumsum([2 * n, *counts])
-        rows, known = [], [np.ones(n, bool), self.free & self.problem.driven]
+        rows, known = [], [self._traced, self.free & self.problem.driven]
         for k, (factor, one) in enumerate(zip(self._sensitive_factors, self.problem.experiments, strict=True)):
             s, f = counts[k], n if one.driven else 0
             part = np.zeros((len(factor), int(ends[-1])))
@@ -240,8 +253,8 @@ class Projection:
             part[:, n : n + f] = factor[:, s : s + f]
             part[:, :n] = factor[:, s + f : s + f + n]
             rows.append(part)
-            moving = self.free if self.problem.structured else np.ones(n, bool)
-            known.append(np.concatenate([moving, moving, np.ones(s - 2 * n, bool)]) if s >= 2 * n else np.ones(s, bool))
+            parts = [self._moving, self._moving, np.ones(s - 2 * n, bool)] if s >= 2 * n else [np.ones(s, bool)]
+            known.append(np.concatenate(parts))
         return np.concatenate(rows), np.concatenate(known)
 
     def column_lengths(self) -> Array:
