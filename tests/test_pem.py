@@ -348,9 +348,10 @@ def test_constraint_is_reported_where_it_acts():
 
 
 def test_callback_sees_every_iteration():
-    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
+    _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], samples=500)
     seen = []
     phc.pem((u, y), 2, dt=0.1, callback=seen.append)
+    # in a record this short the modes join one by one
     assert {progress.order for progress in seen} == {1, 2}
     assert all(progress.max_order == 2 and progress.loss > 0 for progress in seen)
     assert seen[-1].loss < 0.5 * seen[0].loss
