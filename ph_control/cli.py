@@ -15,7 +15,8 @@ import numpy as np
 from . import demo
 from .exceptions import IdentifiabilityWarning, OutputExistsError, PHControlError, StructureError
 from .files import load, read_csv, save
-from .identification.pem import Progress, pem
+from .identification.formulation import Progress
+from .identification.pem import pem
 from .identification.result import PEMResult
 from .modal import ModalForm
 from .propagation import INTERSAMPLE, METHODS

@@ -15,6 +15,7 @@ from .. import _checks
 from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from .experiment import Experiment, Rows
+from .formulation import check_workers, rounding_floor
 from .forward import mapped
 from .frequency_rows import FrequencyRows
 from .prediction import state_from_amplitudes
@@ -219,7 +220,7 @@ class Resampled:
         count, random = draws_from(k, rng)
         if count == 0:
             raise StructureError("k is 0; a bootstrap needs at least one resample, and 200 for standard errors")
-        checked_workers(workers)
+        check_workers(workers)
         refit = _Refit.of(self)
         _refuse_off_minimum(refit.problem.project(refit.start), self.noise_variance)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
@@ -230,18 +231,9 @@ class Resampled:
         return Bootstrap(d, r, state, offset, active, failed=sum(not one.converged for one in found))
 
 
-def checked_workers(workers: Any) -> None:
-    """Check that this is a number of processes, -1 for all, or a map-like callable."""
-    whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
-    if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
-        raise StructureError(f"workers is {workers!r}; it must be a number of processes, -1 for all, or a map")
-
-
 def _refuse_off_minimum(at: Projection, variance: float) -> None:
     """Refuse an estimate from which refits would go elsewhere; of noise-free data the minimum is not told."""
-    largest = max((one.largest for one in at.problem.experiments), default=0.0)
-    rounding = at.problem.samples * (_checks.EPS * at.problem.samples * largest) ** 2
-    if at.loss <= rounding or not len(at.d):
+    if at.loss <= rounding_floor(at.problem) or not len(at.d):
         return
     scale = np.sqrt(np.diag(at.gram))
     scale = np.where(scale > 0, scale, 1.0)

@@ -12,14 +12,13 @@ from ..exceptions import StructureError
 from ..files import Codec, register, system_from_dict, system_to_dict
 from ..propagation import INTERSAMPLE, METHODS
 from .data import Record
+from .formulation import REPRESENTATIONS
 from .forward import Start
 from .frequency_data import FrequencyRecord
 from .information import Information
 from .prediction import FittedExperiment
 from .regressors import QUANTITIES
 from .result import OrderRow, PEMResult
-
-REPRESENTATIONS = ("observable", "controllable")
 
 _NUMBERS = ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "whiteness")
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..exceptions import IdentificationError
 from .experiment import Experiment, Rows
+from .formulation import Formulation
 from .frequency_rows import FrequencyRows
+from .search import Step
 from .solver import Problem, refine
 
 Array = NDArray[np.float64]
@@ -47,6 +50,31 @@ class HeldOut:
         at = refine(self.training, d, rtol=_POLISH).projection
         found = [errors(at.d, at.kappa, own) for errors, own in zip(self.errors, at.own, strict=True)]
         return float(np.mean(np.concatenate(found) ** 2))
+
+
+def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], part: float) -> tuple[int, Array]:
+    """Number of equations held out, and the mean squared error of each order there; infinite if too few are left.
+
+    The models are those of a path of their own: frequencies found in all of the data would know what is to be foretold.
+    """
+    rest = HeldOut.of(posed.problem, part)
+    if not rest.ahead or not rest.training.samples:
+        raise IdentificationError(
+            f"with {part:.3g} of the data held out there are {rest.training.samples} observed outputs to fit and "
+            f"{rest.ahead} to foretell; hold out another part, or choose by 'bic'"
+        )
+    largest = min(max(orders), rest.carried)
+    path: list[Step] = []
+    if largest:
+        posed = replace(posed, problem=rest.training)
+        path = posed.path(guess, posed.largest_order(largest, largest, guess))
+    if path and path[-1].interrupted:
+        raise KeyboardInterrupt
+    losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}
+    losses.setdefault(0, rest.loss(np.zeros(0)))
+    # a path that ended in rounding has no better model of higher order
+    last = rest.loss(path[-1].d) if path and len(path[-1].d) < largest else np.inf
+    return rest.ahead, np.array([losses.get(n, last if n <= largest else np.inf) for n in orders])
 
 
 def _split(one: Rows, part: float) -> tuple[Rows, int, Callable[[Array, Array, Array], Array]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -12,20 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..exceptions import IdentificationError, StructureError
-from ..propagation import INTERSAMPLE, METHODS
+from ..exceptions import StructureError
 from ..validation_plots import order_plot
-from .document import REPRESENTATIONS
-from .experiment import Experiment
-from .experiments import as_experiments
-from .forward import grow
-from .frequency_data import FrequencyRecord
-from .frequency_rows import FrequencyRows
-from .holdout import HeldOut
-from .pem import Progress, _check_order, _check_signals, _guess, rounding_floor
-from .regressors import QUANTITIES, Hold
-from .response_search import ResponseSearch
-from .search import Report, Search, Step, TimeSearch
+from .formulation import Callback, Formulation, reporter
+from .holdout import held_out_losses
 from .selection import criteria
 from .solver import Problem
 
@@ -160,6 +150,9 @@ def order_selection(
     *,
     dt: Any = None,
     holdout: float = 0.0,
+    initial_guess: Any = None,
+    weights: Any = None,
+    callback: Callback | None = None,
     **options: Any,
 ) -> OrderSelection:
     """Look for one mode after the other, and show what speaks for each number of them.
@@ -176,9 +169,10 @@ def order_selection(
     holdout : float
         Part of the data to be foretold by models fitted to the rest: 0 for none, at most 0.9.  Of each record it is
         the end, of a frequency response points all over it.
+    initial_guess, weights, callback : optional
+        As for `pem`.
     **options
-        `method`, `intersample`, `initial_state`, `offset`, `quantity`, `representation`, `initial_guess`, `weights` and
-        `callback`, as for `pem`.
+        `method`, `intersample`, `initial_state`, `offset`, `quantity` and `representation`, as for `pem`.
 
     Returns
     -------
@@ -230,9 +224,12 @@ def order_selection(
         if name in options:
             raise TypeError(f"unexpected keyword argument {name!r}: the orders to try are the argument orders")
     part = _part(holdout)
-    problem, guess, callback = _problem(data, dt, **options)
+    posed = Formulation.of(data, dt, weights, **options)
+    problem, guess = posed.problem, posed.guess(initial_guess)
+    posed.check_signals()
     wanted = _wanted(orders, problem)
-    path = _path(problem, wanted[-1], guess, callback)
+    largest = posed.largest_order(wanted[-1], wanted[-1], guess)
+    path = posed.path(guess, largest, report=reporter(problem, largest, callback))
     # a path that ends in rounding has no higher orders
     kept = [k for k, step in enumerate(path) if len(step.d) in wanted]
     if not kept:
@@ -243,7 +240,7 @@ def order_selection(
     stable = _stable(path, problem.bin)
     steps = [path[k] for k in kept]
     found = [criteria(problem, step.loss, len(step.d)) for step in steps]
-    ahead, losses = _holdout(problem, guess, [len(step.d) for step in steps], part) if part else (0, None)
+    ahead, losses = held_out_losses(posed, guess, [len(step.d) for step in steps], part) if part else (0, None)
     return OrderSelection(
         orders=np.array([len(step.d) for step in steps]),
         loss=np.array([step.loss / problem.samples for step in steps]),
@@ -256,43 +253,6 @@ def order_selection(
         samples=problem.samples,
         held_out=ahead,
     )
-
-
-def _problem(
-    data: Any,
-    dt: Any,
-    *,
-    method: str = "exact",
-    intersample: str = "zoh",
-    initial_state: str = "estimate",
-    offset: bool = False,
-    quantity: str = "velocity",
-    representation: str = "observable",
-    initial_guess: Any = None,
-    weights: Any = None,
-    callback: Callable[[Progress], Any] | None = None,
-) -> tuple[Problem, Array, Callable[[Progress], Any] | None]:
-    """The experiments as a fit would see them, and where the path starts."""
-    for name, value, allowed in (
-        ("method", method, METHODS),
-        ("intersample", intersample, INTERSAMPLE),
-        ("initial_state", initial_state, ("estimate", "zero")),
-        ("quantity", quantity, QUANTITIES),
-        ("representation", representation, REPRESENTATIONS),
-    ):
-        _checks.choice(name, value, allowed)
-    records = as_experiments(data, dt, weights=weights)
-
-    def rows(record: Any) -> Experiment | FrequencyRows:
-        if isinstance(record, FrequencyRecord):
-            return FrequencyRows(record, quantity)
-        hold, from_rest = Hold(record.dt, method, intersample), initial_state == "zero" and record.driven
-        return Experiment(record.u, record.y, record.observed, hold, from_rest, offset, quantity, record.driven)
-
-    problem = Problem(tuple(rows(record) for record in records), structured=representation == "controllable")
-    guess = _guess(initial_guess, problem)
-    _check_signals(problem, records)
-    return problem, guess, callback
 
 
 def _wanted(orders: Any, problem: Problem) -> list[int]:
@@ -320,21 +280,6 @@ def _part(holdout: Any) -> float:
     return part
 
 
-def _path(problem: Problem, largest: int, guess: Array, callback: Callable[[Progress], Any] | None) -> list[Step]:
-    """One mode after the other, whatever the length of the record."""
-    _check_order(problem, largest, largest, guess)
-    search: Search = TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
-
-    def report(order: int) -> Report | None:
-        if callback is None:
-            return None
-        return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
-
-    rtol, floor = min(1e-4, 0.1 / problem.samples), rounding_floor(problem)
-    first = search.step(guess, rtol, report(len(guess)))
-    return grow(search, first, largest, rtol=rtol, floor=floor, report=report)
-
-
 def _stable(path: Sequence[Any], bin_width: float) -> list[NDArray[np.bool_]]:
     """Which frequencies of each step are those of the step before: nearest to one another, and near."""
     marks = [np.zeros(len(path[0].d), bool)]
@@ -348,21 +293,3 @@ def _stable(path: Sequence[Any], bin_width: float) -> list[NDArray[np.bool_]]:
             mark = mutual & (distance.min(axis=1) <= np.maximum(_STABLE * new, _STABLE_BINS * bin_width))
         marks.append(mark)
     return marks
-
-
-def _holdout(problem: Problem, guess: Array, orders: list[int], part: float) -> tuple[int, Array]:
-    """Number of samples held out, and the mean squared error of each order there; infinite if too few are left."""
-    rest = HeldOut.of(problem, part)
-    if not rest.ahead or not rest.training.samples:
-        raise IdentificationError(
-            f"with holdout={part:g} the data have {rest.training.samples} observed outputs to fit and {rest.ahead} to "
-            "foretell; hold out another part"
-        )
-    # frequencies that were found in all of the data would know what is to be foretold
-    largest = min(orders[-1], rest.carried)
-    path = _path(rest.training, largest, guess, None) if largest else []
-    losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}
-    losses.setdefault(0, rest.loss(np.zeros(0)))
-    # a path that ended in rounding has no better model of higher order
-    last = rest.loss(path[-1].d) if path and len(path[-1].d) < largest else np.inf
-    return rest.ahead, np.array([losses.get(n, last if n <= largest else np.inf) for n in orders])

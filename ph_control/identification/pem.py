@@ -10,38 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..exceptions import IdentificationError, StructureError
-from ..modal import ModalForm
-from ..propagation import INTERSAMPLE, METHODS
-from ..systems import modes
 from .conclusion import Fit, conclude
-from .data import Record
-from .document import REPRESENTATIONS
-from .experiment import Experiment
-from .experiments import as_experiments
-from .forward import Start, grow, reseat, restart, stop_of
-from .frequency_data import FrequencyRecord
-from .frequency_rows import FrequencyRows
-from .regressors import QUANTITIES, Hold
-from .response_search import ResponseSearch
+from .formulation import Callback, Formulation, check_workers, reporter, rounding_floor
+from .forward import Start, reseat, restart, stop_of
+from .holdout import held_out_losses
 from .result import OrderRow, PEMResult
-from .search import Report, Search, Step, TimeSearch
-from .selection import CRITERIA, criteria, held_out_losses, significant
+from .search import Report, Search, Step
+from .selection import CRITERIA, criteria, significant
 from .solver import Problem, refine
 
 Array = NDArray[np.float64]
 
+_HELD_OUT = 1 / 3  # of each record, by the criterion of that name
 _POLISH = 1e-15  # relative decrease of the loss at which the last refinement ends
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a callback is told after each iteration."""
-
-    order: int
-    max_order: int
-    iteration: int
-    loss: float
 
 
 def pem(
@@ -61,7 +42,7 @@ def pem(
     max_order: int = 20,
     workers: Any = 1,
     rng: Any = None,
-    callback: Callable[[Progress], Any] | None = None,
+    callback: Callback | None = None,
 ) -> PEMResult:
     """Fit a lossless model to recordings, by prediction-error minimisation.
 
@@ -146,62 +127,40 @@ def pem(
     >>> result.d.round(3)
     array([0.5, 2. ])
     """
-    for name, value, allowed in (
-        ("method", method, METHODS),
-        ("intersample", intersample, INTERSAMPLE),
-        ("initial_state", initial_state, ("estimate", "zero")),
-        ("quantity", quantity, QUANTITIES),
-        ("representation", representation, REPRESENTATIONS),
-        ("criterion", criterion, CRITERIA),
-    ):
-        _checks.choice(name, value, allowed)
-    _check_workers(workers)
-    records = as_experiments(data, dt, weights=weights)
-
-    def rows(record: Record | FrequencyRecord) -> Experiment | FrequencyRows:
-        if isinstance(record, FrequencyRecord):
-            return FrequencyRows(record, quantity)
-        hold = Hold(record.dt, method, intersample)
-        from_rest = initial_state == "zero" and record.driven
-        return Experiment(record.u, record.y, record.observed, hold, from_rest, offset, quantity, record.driven)
-
-    problem = Problem(tuple(rows(record) for record in records), structured=representation == "controllable")
-    guess = _guess(initial_guess, problem)
-    largest = _check_order(problem, order, max_order, guess)
-    _check_signals(problem, records)
-    found = _found(problem, order, largest, guess, criterion, workers, rng, callback)
+    _checks.choice("criterion", criterion, CRITERIA)
+    check_workers(workers)
+    posed = Formulation.of(
+        data, dt, weights, method=method, intersample=intersample, initial_state=initial_state, offset=offset,
+        quantity=quantity, representation=representation,
+    )  # fmt: skip
+    guess = posed.guess(initial_guess)
+    largest = posed.largest_order(order, max_order, guess)
+    posed.check_signals()
+    found = _found(posed, order, largest, guess, criterion, workers, rng, callback)
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
-    fit = Fit(records, problem, found, wanted, order != "auto", at_limit, largest)
+    fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest)
     return conclude(fit, method, intersample, quantity, representation)
 
 
 def _found(
-    problem: Problem, order: Any, largest: int, guess: Array, criterion: str, workers: Any, rng: Any, callback: Any
-) -> Found:
+    posed: Formulation, order: Any, largest: int, guess: Array, criterion: str, workers: Any, rng: Any,
+    callback: Callback | None,
+) -> Found:  # fmt: skip
     """Search, selection, and the last refinement."""
-    search: Search = TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
-    # what the criteria do not feel is left to the last polish
-    rtol, floor = min(1e-4, 0.1 / problem.samples), rounding_floor(problem)
+    problem, search, rtol = posed.problem, posed.search, posed.rtol
+    floor, report = rounding_floor(problem), reporter(problem, largest, callback)
     automatic = order == "auto"
-
-    def report(order: int) -> Report | None:
-        if callback is None:
-            return None
-        return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
-
-    first = search.step(guess, rtol, report(len(guess)))
-    path = grow(
-        search, first, largest, rtol=rtol, floor=floor, report=report,
-        together=not automatic and search.affords_batches,
+    path = posed.path(
+        guess, largest, report=report, together=not automatic and search.affords_batches,
         stop=stop_of(lambda step: criteria(problem, step.loss, len(step.d)).by_name(criterion)) if automatic else None,
     )  # fmt: skip
     interrupted = path[-1].interrupted
     values = [criteria(problem, step.loss, len(step.d)).by_name(criterion) for step in path]
     if automatic and criterion == "holdout" and not interrupted:
         try:
-            values = held_out_losses(problem, path)
+            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
         except KeyboardInterrupt:
             interrupted = True
     place = int(np.argmin(values)) if automatic else len(path) - 1
@@ -274,93 +233,6 @@ def _row(problem: Problem, step: Step) -> OrderRow:
     found = criteria(problem, step.loss, len(step.d))
     d = _checks.readonly(np.sort(step.d))
     return OrderRow(len(d), step.loss / problem.samples, found.aic, found.bic, d)
-
-
-def rounding_floor(problem: Problem) -> float:
-    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
-    largest = max(one.largest for one in problem.experiments)
-    return float(problem.samples * (_checks.EPS * problem.samples * largest) ** 2)
-
-
-# --- checks ----------------------------------------------------------------------------------------------------------
-
-
-def _check_workers(workers: Any) -> None:
-    whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
-    if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
-        raise StructureError(f"workers is {workers!r}; it must be a number of processes, -1 for all, or a map")
-
-
-def _guess(initial_guess: Any, problem: Problem) -> Array:
-    """Frequencies to start from."""
-    if initial_guess is None:
-        return np.zeros(0)
-    if isinstance(initial_guess, tuple | list) and len(initial_guess) == 2:
-        model = modes(*initial_guess)
-    elif isinstance(own := getattr(initial_guess, "modes", None), ModalForm):
-        model = own
-    elif isinstance(initial_guess, ModalForm):
-        model = initial_guess
-    else:
-        raise StructureError(
-            f"initial_guess is a {type(initial_guess).__name__}; pass a pair (d, r), a ModalForm or a system"
-        )
-    if model.nports != 1 or not len(model.d):
-        raise StructureError(
-            f"initial_guess has {model.nports} ports and {len(model.d)} oscillating modes; needed one port and a mode"
-        )
-    if model.d.max() > problem.ceiling:
-        raise StructureError(
-            f"initial_guess has a mode at {model.d.max():.6g} rad/time; what the data can show ends at "
-            f"{problem.ceiling:.6g}"
-        )
-    return np.array(model.d)
-
-
-def _check_order(problem: Problem, order: int | str, max_order: int, guess: Array) -> int:
-    """Largest order to try."""
-    own = problem.unknowns(0)
-    per_mode = problem.unknowns(1) - own
-    carried = max(0, (problem.samples - 1 - own) // per_mode)
-    for name, value in (("order", order), ("max_order", max_order)):
-        whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
-        if not (whole or (name == "order" and value == "auto")):
-            allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
-            raise StructureError(f"{name} is {value!r}; it must be {allowed}")
-    what = "observed output samples" if isinstance(problem.experiments[0], Experiment) else "real and imaginary parts"
-    if carried == 0:
-        raise IdentificationError(
-            f"the record has {problem.samples} {what}; one mode alone has {per_mode + own} unknowns, so "
-            f"at least {per_mode + own + 1} are needed"
-        )
-    if order == "auto":
-        if len(guess) > min(max_order, carried):
-            raise StructureError(
-                f"initial_guess has {len(guess)} modes, more than the {min(max_order, carried)} that 'auto' may take"
-            )
-        return int(min(max_order, carried))
-    if int(order) > carried:
-        raise IdentificationError(
-            f"order {order} has {per_mode * int(order) + own} unknowns, more than the {problem.samples} {what} can "
-            f"carry; the largest order for this record is {carried}"
-        )
-    if len(guess) > int(order):
-        raise StructureError(f"initial_guess has {len(guess)} modes, more than the {order} of the order")
-    return int(order)
-
-
-def _check_signals(problem: Problem, records: tuple[Record, ...] | tuple[FrequencyRecord, ...]) -> None:
-    if not any(one.largest for one in problem.experiments):
-        raise IdentificationError("the output is zero throughout the record; there is nothing to model")
-    in_time = [one for one in problem.experiments if isinstance(one, Experiment) and one.driven]
-    constant = [float(one.u[0]) for one in in_time if np.all(one.u == one.u[0])]
-    at_rest = any(one.from_rest and one.u[0] != 0 for one in in_time)
-    if in_time and len(constant) == len(in_time) and not at_rest:
-        raise IdentificationError(
-            f"the input is constant ({constant[0]:g}) throughout the record: a lossless model answers it like a free "
-            "motion, so no weight r can be told from the initial state; record with an input that varies, pass "
-            "initial_state='zero' if a step was applied to a plant at rest, or (None, y) if a free motion is meant"
-        )
 
 
 prediction_error_fit = pem

@@ -7,23 +7,8 @@ from typing import Any
 import numpy as np
 
 from .data import Record
-from .experiment import Experiment
-from .frequency_data import FrequencyRecord
-from .frequency_rows import FrequencyRows
-from .regressors import Hold
+from .formulation import rows_of
 from .solver import Problem
-
-
-def rows_of(
-    record: Record | FrequencyRecord, hold: Hold | None, quantity: str, *, from_rest: bool, offset: bool
-) -> Any:
-    """What one record offers to the solver; a frequency response has no hold."""
-    if isinstance(record, FrequencyRecord):
-        return FrequencyRows(record, quantity)
-    if hold is None:
-        raise ValueError("a record in time needs a hold")
-    rest = from_rest and record.driven
-    return Experiment(record.u, record.y, record.observed, hold, rest, offset, quantity, record.driven)
 
 
 def problem_of(result: Any) -> Problem:
@@ -32,9 +17,9 @@ def problem_of(result: Any) -> Problem:
     rest = starts_from_rest(result)
     rows = []
     for one in result.experiments:
-        record = one.record
-        hold = Hold(record.dt, result.method, result.intersample) if isinstance(record, Record) else None
-        rows.append(rows_of(record, hold, result.quantity, from_rest=rest, offset=offset))
+        rows.append(
+            rows_of(one.record, result.method, result.intersample, result.quantity, from_rest=rest, offset=offset)
+        )
     return Problem(tuple(rows), structured=result.representation == "controllable")
 
 

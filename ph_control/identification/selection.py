@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from .experiment import Experiment, Rows
-from .frequency_rows import FrequencyRows
-from .search import Step
-from .solver import Problem, Projection, Refinement, refine
+from .solver import Problem, Projection, Refinement
 
 Array = NDArray[np.float64]
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 
-_HELD_OUT = 1 / 3  # of each record
 _BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
 
 
@@ -46,51 +41,6 @@ def criteria(problem: Problem, loss: float, n: int) -> Criteria:
     spare = samples - parameters - 1
     aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
     return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
-
-
-def held_out_losses(problem: Problem, path: list[Step]) -> list[float]:
-    """Mean squared error over what is held out, of models refined on the rest; infinite where that is too little."""
-    parts = [_split(one) for one in problem.experiments]
-    training = replace(problem, experiments=tuple(first for first, _ in parts))
-    losses = []
-    for step in path:
-        if training.samples <= training.unknowns(len(step.d)):
-            losses.append(np.inf)
-            continue
-        at = refine(training, step.d, rtol=1e-9).projection
-        errors = [whole(at.d, at.kappa, own) for (_, whole), own in zip(parts, at.own, strict=True)]
-        losses.append(float(np.mean(np.concatenate(errors) ** 2)))
-    return losses
-
-
-def _split(one: Rows) -> tuple[Rows, Callable[[Array, Array, Array], Array]]:
-    """The part of an experiment to fit to, and the errors of a model over the rest."""
-    if isinstance(one, FrequencyRows):
-        return _thinned(one)
-    one = cast(Experiment, one)
-    cut = len(one.u) - max(1, round(_HELD_OUT * len(one.u)))
-    first = replace(one, u=one.u[:cut], y=one.y[:cut], observed=one.observed[:cut])
-    kept = one.observed[cut:]
-
-    def errors(d: Array, kappa: Array, own: Array) -> Array:
-        return (one.y - one.at(d).predict(kappa, own))[cut:][kept]
-
-    return first, errors
-
-
-def _thinned(one: FrequencyRows) -> tuple[Rows, Callable[[Array, Array, Array], Array]]:
-    """Every third point of a response is held out: neighbours foretell it."""
-    record = one.record
-    out = np.flatnonzero(record.observed)[1 :: round(1 / _HELD_OUT)]
-    response = record.response.copy()
-    response[out] = np.nan
-    first = replace(one, record=replace(record, response=response))
-
-    def errors(d: Array, kappa: Array, own: Array) -> Array:
-        left = ((record.response - one.at(d).predict(kappa, own)) * np.sqrt(record.weights))[out]
-        return np.concatenate([left.real, left.imag])
-
-    return first, errors
 
 
 def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:
