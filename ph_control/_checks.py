@@ -393,3 +393,18 @@ def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
     if not (isinstance(value, str) and value in allowed):
         raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
     return str(value)
+
+
+def level(name: str, value: Any) -> float:
+    """Check a level of confidence."""
+    if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 < value < 1):
+        raise StructureError(f"{name} is {shown(value)}; it must be a number between 0 and 1, such as 0.95")
+    return float(value)
+
+
+def random_generator(rng: Any) -> np.random.Generator:
+    """Check where random numbers come from."""
+    try:
+        return np.random.default_rng(rng)
+    except (TypeError, ValueError):
+        raise StructureError(f"rng is {shown(rng)}; pass a numpy Generator, a seed >= 0, or None") from None

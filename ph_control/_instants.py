@@ -67,3 +67,20 @@ def time_step(t: Array) -> float:
     first = float(t[1] - t[0])
     made_of_it = _checks.distance_from_grid(t, first) <= 2 * _checks.EPS * max(abs(float(t[0])), abs(float(t[-1])))
     return first if made_of_it else float((t[-1] - t[0]) / (t.size - 1))
+
+
+def printed_step(t: Array) -> float:
+    """Step of instants on a line: the shortest decimal step or rate within the uncertainty of the slope."""
+    k = np.arange(len(t)) - 0.5 * (len(t) - 1)
+    spread = float(k @ k)
+    centred = t - t.mean()
+    slope = float(k @ centred) / spread
+    residual = centred - slope * k
+    deviation = np.sqrt(float(residual @ residual) / max(1, len(t) - 2) / spread)
+    # the instants are doubles: each is wrong by half an eps of its size
+    rounding = 8 * _checks.EPS * float(np.abs(t).max()) / (len(t) - 1)
+    for digits in range(1, 17):
+        for candidate in (float(f"{slope:.{digits}g}"), 1.0 / float(f"{1.0 / slope:.{digits}g}")):
+            if abs(candidate - slope) <= 3 * deviation + rounding:
+                return candidate
+    return slope

@@ -155,6 +155,12 @@ class Table:
         return []
 
 
+def is_time_label(label: str) -> bool:
+    """Whether a column of this label holds instants; a capital T is as often a temperature or a torque."""
+    bare = without_unit(label)
+    return bare in ("t", "t_s") or bare.casefold() in ("time", "times", "timestamp", "time_s")
+
+
 def without_unit(label: str) -> str:
     """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
     return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._documents import Fields, as_path, compose, decompose, plain, read_bytes, write_atomically
-from ._tables import Table, read_table, without_unit
+from ._instants import printed_step
+from ._tables import Table, is_time_label, read_table
 from .affine import AffineHamiltonian
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .exceptions import FileFormatError, StructureError
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Column = int | str
 
-_TIME_LABELS = ("time", "times", "timestamp", "time_s")
 _DRIFT = 0.01  # of a step: how far two grids may part over the record and still be the same
 
 
@@ -152,7 +152,7 @@ def _time_column(table: Table, time: Any, step: float | None) -> int | None:
     """Number of the time column, or None where `dt` takes its place."""
     if time is not None and time is not False:
         return table.find(time, "time")
-    found = [] if time is False else [j for j in range(table.width) if table.labels and _is_time(table.labels[j])]
+    found = [] if time is False else [j for j in range(table.width) if table.labels and is_time_label(table.labels[j])]
     if len(found) > 1:
         names = " and ".join(table.name(j) for j in found)
         raise StructureError(f"{table.path}: {names} may both be the time; choose with time=")
@@ -164,11 +164,6 @@ def _time_column(table: Table, time: Any, step: float | None) -> int | None:
             f"({table.listing()})"
         )
     return None
-
-
-def _is_time(label: str) -> bool:
-    # a capital T is as often a temperature or a torque
-    return without_unit(label) in ("t", "t_s") or without_unit(label).casefold() in _TIME_LABELS
 
 
 def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) -> tuple[list[int], list[int]]:
@@ -233,7 +228,7 @@ def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) 
         _checks.time_vector(instants)
     except StructureError:
         raise FileFormatError(_why_not_uniform(table, instants, column)) from None
-    step, count = _step(instants), len(instants)
+    step, count = printed_step(instants), len(instants)
     if dt is not None:
         if abs(dt - step) * (count - 1) > _DRIFT * step:
             raise StructureError(
@@ -242,23 +237,6 @@ def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) 
             )
         step = dt
     return instants[0] + step * np.arange(count)
-
-
-def _step(t: Array) -> float:
-    """Step of instants on a line: the shortest decimal step or rate within the uncertainty of the slope."""
-    k = np.arange(len(t)) - 0.5 * (len(t) - 1)
-    spread = float(k @ k)
-    centred = t - t.mean()
-    slope = float(k @ centred) / spread
-    residual = centred - slope * k
-    deviation = np.sqrt(float(residual @ residual) / max(1, len(t) - 2) / spread)
-    # the instants are doubles: each is wrong by half an eps of its size
-    rounding = 8 * _checks.EPS * float(np.abs(t).max()) / (len(t) - 1)
-    for digits in range(1, 17):
-        for candidate in (float(f"{slope:.{digits}g}"), 1.0 / float(f"{1.0 / slope:.{digits}g}")):
-            if abs(candidate - slope) <= 3 * deviation + rounding:
-                return candidate
-    return slope
 
 
 def _why_not_uniform(table: Table, t: Array, column: int) -> str:

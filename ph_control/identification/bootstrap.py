@@ -20,9 +20,7 @@ from .forward import mapped
 from .frequency_rows import FrequencyRows
 from .prediction import state_from_amplitudes
 from .refit import problem_of
-from .samples import ModeSamples
-from .samples import _draws_from as draws_from
-from .samples import _tail as tail_of
+from .samples import ModeSamples, draws_from, tail_of
 from .solver import Problem, Projection, refine
 
 Array = NDArray[np.float64]

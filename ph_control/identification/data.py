@@ -16,8 +16,8 @@ from control import TimeResponseData
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._instants import printed_step
 from ..exceptions import IdentificationError, StructureError
-from ..files import _step as printed_step
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from .. import _checks
+from .._tables import is_time_label
 from ..exceptions import StructureError
-from ..files import _is_time as is_time_label
 from .data import Record, checked_record, instants, refuse_short, signal, uniform_time
 
 _SHOWN = 30  # labels of columns listed in a message

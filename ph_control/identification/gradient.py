@@ -339,10 +339,7 @@ def _random_start(problem: Problem, rng: Any) -> Array:
     Frequencies up to twice the mean frequency of the output, weights in the ratio of the signals, and modes that
     together move as much as the output does.
     """
-    try:
-        random = np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise StructureError(f"rng is {rng!r}; it must be a numpy.random.Generator, a seed >= 0, or None") from None
+    random = _checks.random_generator(rng)
     n, u, y = problem.n, problem.u[: problem.samples], problem.y[: problem.samples]
     size, drive = np.sqrt(np.mean(y**2)), np.sqrt(np.mean(u**2))
     mean = np.linalg.norm(np.diff(y)) / problem.h / np.linalg.norm(y)

@@ -348,7 +348,7 @@ def residual_analysis(
     records = experiments_to_hold_against(data, dt, [model], weights)
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)
-    level = _level(confidence)
+    level = _checks.level("confidence", confidence)
     rules = Rules(method, intersample, initial_state, offset)
     answers = []
     for place, record in enumerate(records):
@@ -365,16 +365,6 @@ def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
     if not (isinstance(lags, int | np.integer) and not isinstance(lags, bool) and 1 <= lags < longest):
         raise StructureError(f"lags is {lags!r}; it must be a whole number from 1 to {longest - 1}")
     return int(lags)
-
-
-def _level(confidence: Any) -> float:
-    try:
-        level = float(confidence)
-    except (TypeError, ValueError):
-        level = np.nan
-    if not 0 < level < 1:
-        raise StructureError(f"confidence is {confidence!r}; it must be a number between 0 and 1, such as 0.99")
-    return level
 
 
 def _analysed(

@@ -67,7 +67,7 @@ def normal_interval(
     array([[0.804, 1.196],
            [0.   , 0.296]])
     """
-    centre, deviation, tail = np.asarray(value, float), np.asarray(stderr, float), _tail(level)
+    centre, deviation, tail = np.asarray(value, float), np.asarray(stderr, float), tail_of(level)
     if (deviation < 0).any() or (dof is not None and not dof > 0):
         least = np.fmin.reduce(deviation, axis=None, initial=np.inf)
         raise StructureError(f"the least stderr is {least:.3g}, needed >= 0; dof is {dof}, needed > 0 or None")
@@ -76,11 +76,9 @@ def normal_interval(
     return np.maximum(ends, np.asarray(lower, float)[..., None])
 
 
-def _tail(level: Any) -> float:
+def tail_of(level: Any) -> float:
     """Probability on either side of a two-sided interval of the given level."""
-    if not (isinstance(level, int | float | np.floating) and 0 < level < 1):
-        raise StructureError(f"level is {_checks.shown(level)}; it must be a number between 0 and 1, such as 0.95")
-    return 0.5 * (1 - float(level))
+    return 0.5 * (1 - _checks.level("level", level))
 
 
 def draw(
@@ -127,7 +125,7 @@ def draw(
     >>> x.shape, bool(x[:, 0].min() >= 0)
     ((1000, 2), True)
     """
-    centre, (count, random) = _checks.real_array("mean", mean, 1), _draws_from(k, rng)
+    centre, (count, random) = _checks.real_array("mean", mean, 1), draws_from(k, rng)
     weak, strict = (np.asarray(False if mask is None else mask) for mask in (nonnegative, positive))
     bound = np.where(strict, _checks.EPS * centre, np.where(weak, 0.0, -np.inf))
     if (wrong := (centre < bound) | (strict & (centre <= 0))).any():
@@ -139,14 +137,11 @@ def draw(
     return draws
 
 
-def _draws_from(k: Any, rng: Any) -> tuple[int, np.random.Generator]:
+def draws_from(k: Any, rng: Any) -> tuple[int, np.random.Generator]:
     """Check how many draws are wanted, and from where."""
     if isinstance(k, bool) or not isinstance(k, int | np.integer) or k < 0:
         raise StructureError(f"k is {_checks.shown(k)}; it must be a whole number of draws, 0 or more")
-    try:
-        return int(k), np.random.default_rng(rng)
-    except (TypeError, ValueError):
-        raise StructureError(f"rng is {_checks.shown(rng)}; pass a numpy Generator, a seed >= 0, or None") from None
+    return int(k), _checks.random_generator(rng)
 
 
 def _factor(covariance: Array, size: int) -> tuple[NDArray[np.bool_], Array, Array]:
@@ -454,7 +449,7 @@ class ModeSamples:
 
     def _band(self, name: str, points: ArrayLike, values: Callable[[Array], Array], level: float) -> Array:
         """Percentiles of a table (point x sample), a block of points at a time."""
-        at, tail = _checks.real_array(name, points, 1), _tail(level)
+        at, tail = _checks.real_array(name, points, 1), tail_of(level)
         _checks.in_range(name, at)
         if not len(self):
             raise StructureError("there are no samples, so they have no percentiles; draw at least one")
