@@ -253,6 +253,14 @@ def test_free_motions_of_every_sensor_are_those_of_the_observed_system(quantity)
     assert np.abs(again.outputs - y).max() <= 1e4 * EPS * np.abs(y).max()
 
 
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_a_free_motion_is_predicted_on_from_its_own_beginning(quantity):
+    y, _ = free_record(400, 5, 0.0)
+    result = phc.pem((None, y[:250]), 3, dt=0.1, quantity=quantity)
+    ahead = result.predict((None, y[250:]))
+    assert np.abs(ahead.outputs - y[250:]).max() < 1e5 * EPS * np.abs(y).max()
+
+
 def test_several_free_motions_share_their_frequencies_and_may_join_driven_records():
     free = [(None, free_record(T, seed, 0.1)[0]) for T, seed in [(250, 1), (400, 2)]]
     together, alone = phc.pem(free, 3, dt=[0.1, 0.1]), phc.pem(free[1], 3, dt=0.1)
@@ -395,6 +403,7 @@ def test_an_interrupted_fit_gives_the_best_so_far_and_says_so(order, sign, error
         result = phc.pem((u, sign * y), order, dt=0.1, callback=callback)
         assert calls == allowed + 1, "no call after the one that ended the fit"
         assert not result.success and "interrupted" in result.message and result.unseen == ()
+        assert result.verdict == "none, the fit was interrupted" and "suspect" not in result.message
         assert 1 <= result.order and np.isfinite(result.stderr["d"]).all()
         losses.append(result.loss)
         assert result.summary() and repr(result)

@@ -75,8 +75,8 @@ class Record:
         )  # fmt: skip
 
 
-def as_record(data: Any, dt: float | None = None, *, output_needed: bool = True) -> Record:
-    """Make one driven `Record` of `(u, y)` with `dt`, or of a `control.TimeResponseData`; nothing is modified."""
+def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
+    """Make one `Record` of `(u, y)` with `dt`, or of a `control.TimeResponseData`; nothing is modified."""
     if isinstance(data, Record):
         return data
     if isinstance(data, TimeResponseData):
@@ -93,9 +93,9 @@ def as_record(data: Any, dt: float | None = None, *, output_needed: bool = True)
         raise StructureError(
             f"data is a {type(data).__name__}; pass a control.TimeResponseData, or the pair (u, y) together with dt"
         )
-    if not record.driven:
+    if input_needed and not record.driven:
         raise StructureError(
-            "the record has no input; pem needs one that varies (the free motion is estimated along with it)"
+            "the record has no input; needed one that varies (a free motion is estimated along with it)"
         )
     return record
 

@@ -348,7 +348,7 @@ class PEMResult(Resampled, InCoordinates):
         Parameters
         ----------
         data : TimeResponseData, pair (u, y), or array of inputs (T,)
-            Inputs, with the step of the record that was fitted.
+            Inputs, with the step of the record that was fitted; `(None, y)` is a free motion.
         initial_state : array_like, shape (2n,), or {'estimate', 'fitted', 'final', 'zero'}, optional
             State at the first sample.  'estimate' fits it to the outputs of `data`, 'fitted' takes the one of this
             result, 'final' goes on where the fitted record ended.  Default: 'estimate' if `data` has outputs, else
@@ -387,7 +387,7 @@ class PEMResult(Resampled, InCoordinates):
             data = (data, None)
         first = self.experiments[0].record
         fitted_dt = first.dt if isinstance(first, Record) else None
-        record = as_record(data, fitted_dt if dt is None else dt, output_needed=False)
+        record = as_record(data, fitted_dt if dt is None else dt, input_needed=False, output_needed=False)
         hold = self._hold(record.dt)
         if initial_state is None:
             fallback = "fitted" if isinstance(first, Record) else "zero"

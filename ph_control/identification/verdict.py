@@ -44,6 +44,8 @@ class Verdict:
         """Verdict in a line."""
         if self.n == 0:
             return "nothing to model"
+        if self.interrupted:
+            return "none, the fit was interrupted"
         if self.silent and self.driven and not self.blind:
             return "NOT a model: it does not respond to the input"
         # weights that leave no trace may come out as 0 and say nothing
