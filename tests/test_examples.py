@@ -13,6 +13,9 @@ from scripts import ROOT, run
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
+# in one process: each example runs once for all tests
+pytestmark = pytest.mark.xdist_group("examples")
+
 Finished = tuple[subprocess.CompletedProcess[str], Path]
 
 
