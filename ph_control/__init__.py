@@ -17,7 +17,7 @@ from .exceptions import (
     ResolutionWarning,
     StructureError,
 )
-from .files import load, read_csv, save
+from .files import load, save
 from .groupoids import PortHamiltonianGroupoid, ReducedGroupoid
 from .identification.bootstrap import Bootstrap
 from .identification.excitation import excitation
@@ -54,6 +54,7 @@ from .realization import (
     lift,
     minreal,
 )
+from .recordings import read_csv
 from .response import forced_response, impulse_response, initial_response, step_response
 from .sampling import EnergyBalance, energy_balance, sample
 from .semidefinite import semidefinite_coefficients, williamson_semidefinite

@@ -307,6 +307,11 @@ def as_path(path: Any) -> Path:
         raise StructureError(f"path is {path!r}; it must be the name of a file, as a string or pathlib.Path") from None
 
 
+def source_name(source: Any) -> str:
+    """Name of what is read, for errors and titles: that of the file, also of one that is open already."""
+    return str(getattr(source, "name", "the stream") if hasattr(source, "read") else source)
+
+
 def _no_file_name(path: Path, error: Exception) -> StructureError:
     """Error for a name that the operating system takes for no file: too long, or with characters it does not allow."""
     name = str(path)
@@ -327,8 +332,12 @@ def _mode(path: Path) -> int | None:
         raise _no_file_name(path, error) from None
 
 
-def read_bytes(path: Path) -> bytes:
-    """Content of a file."""
+def read_bytes(source: Any) -> bytes:
+    """Content of a file: of that name, or open already, for bytes or for text."""
+    if hasattr(source, "read"):
+        content = source.read()
+        return content.encode() if isinstance(content, str) else bytes(content)
+    path = as_path(source)
     mode = _mode(path)
     if mode is not None and stat.S_ISDIR(mode):
         raise FileFormatError(f"{path} is a folder; pass the file in it")

@@ -14,13 +14,12 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._documents import as_path, read_bytes
+from ._documents import read_bytes, source_name
 from .exceptions import FileFormatError, StructureError
 
 Array = NDArray[np.float64]
@@ -168,7 +167,8 @@ def without_unit(label: str) -> str:
 
 def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
-    name, lines = str(path), _lines(as_path(path))
+    name = source_name(path)
+    lines = _lines(read_bytes(path), name)
     content = _content(lines, None)
     if not content:
         found = "holds only comments" if any(line.strip() for line in lines) else "is empty"
@@ -210,13 +210,12 @@ def _content(lines: list[str], blanks: str | None) -> list[int]:
     return [k for k, line in enumerate(lines) if line.strip(blanks) and not line.lstrip().startswith(_COMMENTS)]
 
 
-def _lines(path: Path) -> list[str]:
-    data = read_bytes(path)
+def _lines(data: bytes, name: str) -> list[str]:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         with suppress(UnicodeDecodeError):
             data = data.decode("utf-16").encode()
     if len(data.translate(None, _CONTROL)) < len(data):
-        raise FileFormatError(f"{path} is not a text file: it holds bytes that no text has; export it as CSV")
+        raise FileFormatError(f"{name} is not a text file: it holds bytes that no text has; export it as CSV")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

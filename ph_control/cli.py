@@ -14,12 +14,13 @@ import numpy as np
 
 from . import demo
 from .exceptions import IdentifiabilityWarning, OutputExistsError, PHControlError, StructureError
-from .files import load, read_csv, save
+from .files import load, save
 from .identification.formulation import Progress
 from .identification.pem import pem
 from .identification.result import PEMResult
 from .modal import ModalForm
 from .propagation import INTERSAMPLE, METHODS
+from .recordings import read_csv
 from .systems import PortHamiltonian
 
 

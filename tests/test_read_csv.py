@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import io
 import math
 import os
 from fractions import Fraction
@@ -15,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ph_control.exceptions import FileFormatError, PHControlError, StructureError
-from ph_control.files import read_csv
+from ph_control.recordings import read_csv
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 EPS = np.finfo(float).eps
@@ -693,3 +694,13 @@ def test_recording_of_the_flexible_robot_arm():
     assert reference.shape == (1024, 2)
     assert (data.inputs == reference[:, 0]).all() and (data.outputs == reference[:, 1]).all()
     assert (data.time == np.arange(1024)).all()
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, lambda text: io.BytesIO(text.encode())])
+def test_an_open_file_is_read_like_one_of_that_name(stream):
+    data = read_csv(stream("t,u,y\n0,1,2\n0.5,3,4\n"))
+    assert data.time.tolist() == [0.0, 0.5] and data.inputs.tolist() == [1.0, 3.0] and data.outputs.tolist() == [2, 4]
+    named = stream("t,u,y\n0,1,2\n0.5,x,4\n")
+    named.name = "the pipe"
+    with pytest.raises(FileFormatError, match=r"^the pipe, line 3, column 1 \('u'\): 'x' is not a number"):
+        read_csv(named)

@@ -7,6 +7,7 @@ import functools
 import json
 import math
 import os
+import re
 import stat
 import tempfile
 from dataclasses import dataclass, field
@@ -792,3 +793,14 @@ def test_fields_of_a_further_kind_are_checked_the_same_way(path, model, reports,
 def test_numpy_values_become_plain_json_values():
     found = _documents.plain({"a": np.float64(1.5), "b": (np.int64(2), np.True_), "c": 1 - 2j, "d": np.zeros((0, 2))})
     assert json.dumps(found) == '{"a": 1.5, "b": [2, true], "c": [1.0, -2.0], "d": []}'
+
+
+@pytest.mark.parametrize("mode", ["r", "rb"])
+def test_an_open_file_is_loaded_like_one_of_that_name(tmp_path, mode):
+    path = tmp_path / "model.json"
+    save(phc.modes([1.0, 2.0], [3.0, 4.0]), path)
+    with open(path, mode) as stream:
+        assert_same_bits(load(stream).d, load(path).d)
+    path.write_text("{")
+    with open(path, mode) as stream, pytest.raises(FileFormatError, match=re.escape(str(path))):
+        load(stream)
