@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh_tridiagonal, hessenberg, solve_triangular, svd
+from scipy.linalg import hessenberg, solve_triangular, svd
 from scipy.linalg.lapack import dgehrd
 from scipy.sparse.csgraph import connected_components
 
 from . import _checks
+from ._lapack import bidiagonal_components
 from ._twofloat import Pair, divide, two_prod, two_sum
 from .exceptions import StructureError
 
@@ -262,9 +263,11 @@ def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array] | None:
     turned = np.outer(2 * v, K @ v)
     H, _, _ = dgehrd(K + (turned - turned.T), lwork=64 * len(K))
     superdiagonal = 0.5 * np.abs(np.diag(H, 1) - np.diag(H, -1))
-    d, V = eigh_tridiagonal(np.zeros(2 * n), superdiagonal, lapack_driver="stevd")
-    d, first = d[n:], length * V[0, n:]
-    return (d, 2 * first**2) if d[0] * _SPREAD > d[-1] else None
+    # of the tridiagonal matrix, even places meet odd ones only: a bidiagonal one whose first column is that of `b`
+    along = np.zeros(n)
+    along[0] = length
+    d, first, _ = bidiagonal_components(superdiagonal[0::2], superdiagonal[1::2], along)
+    return (d[::-1].copy(), first[::-1] ** 2) if d[-1] * _SPREAD > d[0] else None
 
 
 def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
