@@ -24,7 +24,7 @@ default_role = "literal"
 
 def _write_reference(folder: Path) -> None:
     """Write one page that lists every public name, so that no list has to be kept by hand."""
-    public = {name: value for name, value in vars(ph_control).items() if not name.startswith("_")}
+    public = {name: getattr(ph_control, name) for name in ph_control.__all__}
     errors = {n for n, v in public.items() if inspect.isclass(v) and issubclass(v, BaseException)}
     classes = {n for n, v in public.items() if inspect.isclass(v)} - errors
     functions = {n for n, v in public.items() if inspect.isfunction(v)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, BinaryIO, TextIO
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._documents import Fields, as_path, compose, decompose, plain, read_bytes, source_name, write_atomically
-from .affine import AffineHamiltonian
+from .affine_system import AffineHamiltonian
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .exceptions import FileFormatError, StructureError
 from .modal import ModalForm
@@ -108,18 +109,19 @@ def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
     return AffineHamiltonian(*matrices, **_names_from_dict(fields))
 
 
-_CODECS = [
-    Codec("PortHamiltonian", PortHamiltonian, system_to_dict, system_from_dict),
-    Codec("ModalForm", ModalForm, _modes_to_dict, _modes_from_dict),
-    _parameters_codec(ControllableHamiltonian),
-    _parameters_codec(ObservableHamiltonian),
-    Codec("AffineHamiltonian", AffineHamiltonian, _affine_to_dict, _affine_from_dict),
-]
+# how each kind is written, or the module above this one that tells it, imported when the kind is first met
+_CODECS: dict[str, Codec | str] = {
+    "PortHamiltonian": Codec("PortHamiltonian", PortHamiltonian, system_to_dict, system_from_dict),
+    "ModalForm": Codec("ModalForm", ModalForm, _modes_to_dict, _modes_from_dict),
+    "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
+    "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),
+    "AffineHamiltonian": Codec("AffineHamiltonian", AffineHamiltonian, _affine_to_dict, _affine_from_dict),
+    "PEMResult": ".identification.document",
+}
 
 
-def register(codec: Codec) -> None:
-    """Teach `save` and `load` a further kind; for modules above this one."""
-    _CODECS.append(codec)
+def _codec(kind: str) -> Codec | None:
+    return import_module(found, __package__).CODEC if isinstance(found := _CODECS.get(kind), str) else found
 
 
 def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -166,11 +168,10 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
 def document_of(obj: Any) -> str:
     """Text that `save` writes."""
     # the class itself: a subclass would come back as its base
-    codec = next((codec for codec in _CODECS if type(obj) is codec.type), None)
-    if codec is None:
-        kinds = ", ".join(codec.kind for codec in _CODECS)
+    codec = _codec(type(obj).__name__)
+    if codec is None or type(obj) is not codec.type:
         raise StructureError(
-            f"an object of type {type(obj).__name__} cannot be saved, only {kinds}; "
+            f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
             "a lossless system of another type can be converted with ph(sys)"
         )
     text = compose(codec.kind, plain(codec.to_dict(obj)))
@@ -217,10 +218,9 @@ def load(path: str | os.PathLike[str] | BinaryIO | TextIO) -> Any:
 def restore(content: bytes, name: str) -> Any:
     """Object of a document; `name` is its file, for the errors."""
     kind, fields = decompose(content, name)
-    codec = next((codec for codec in _CODECS if codec.kind == kind), None)
+    codec = _codec(kind)
     if codec is None:
-        kinds = ", ".join(repr(codec.kind) for codec in _CODECS)
-        raise FileFormatError(f"{name} holds a {kind!r}; this version of ph_control reads {kinds}")
+        raise FileFormatError(f"{name} holds a {kind!r}; this version of ph_control reads {str([*_CODECS])[1:-1]}")
     try:
         restored = codec.from_dict(fields)
     except FileFormatError:

@@ -13,7 +13,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from .affine import AffineHamiltonian
+from .affine_system import AffineHamiltonian
 from .exceptions import PHControlError
 from .modal import ModalForm
 from .systems import PortHamiltonian, ph

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm, solve_triangular
 
-from .affine import AffineHamiltonian
+from .affine_system import AffineHamiltonian
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .coefficients import cofactors
 from .exceptions import StructureError

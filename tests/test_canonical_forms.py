@@ -175,7 +175,7 @@ def test_a_form_is_a_state_space_that_copies_pickles_and_prints_itself(make):
         pickle.loads(pickle.dumps(sys)),
         copy.copy(sys),
         copy.deepcopy(sys),
-        eval(repr(sys), vars(np) | vars(phc)),
+        eval(repr(sys), vars(np) | {name: getattr(phc, name) for name in phc.__all__}),
     ):
         assert type(twin) is type(sys)
         assert np.array_equal(twin.d, sys.d) and np.array_equal(twin.v, sys.v)

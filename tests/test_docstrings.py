@@ -10,7 +10,6 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -24,11 +23,7 @@ Section = dict[str, tuple[str, str]]  # entry -> its type, its description
 
 
 def public_names() -> dict[str, Any]:
-    return {
-        name: value
-        for name, value in vars(phc).items()
-        if not name.startswith("_") and not isinstance(value, ModuleType) and name != "annotations"
-    }
+    return {name: getattr(phc, name) for name in phc.__all__}
 
 
 def public_functions() -> dict[str, Callable[..., Any]]:

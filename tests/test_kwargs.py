@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any
 
 import control as ct
@@ -22,9 +22,8 @@ REFUSAL = "unexpected keyword|unrecognized keyword"
 def public_callables() -> dict[str, Callable[..., Any]]:
     """Functions, constructors and methods that a user can call, by their qualified names."""
     found: dict[str, Callable[..., Any]] = {}
-    for name, value in vars(phc).items():
-        if name.startswith("_") or isinstance(value, ModuleType):
-            continue
+    for name in phc.__all__:
+        value = getattr(phc, name)
         if inspect.isfunction(value):
             found[name] = value
         elif inspect.isclass(value) and not issubclass(value, Exception):

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 ORDER = (
     "exceptions", "_checks", "_twofloat", "_lapack", "_instants", "coefficients",
     "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "propagation",
-    "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine",
+    "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
     "realization", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
     "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
@@ -26,8 +26,11 @@ TOP = ("__init__", "__main__")
 
 
 def imported_modules(package: Path) -> dict[str, set[str]]:
-    """Every module of a package, as `a` or `a.b`, with the modules of the same package that it imports anywhere."""
-    files = {_module_name(file, package): file for file in sorted(package.rglob("*.py"))}
+    """Every module of a package, as `a` or `a.b`, with the modules of the same package that it imports anywhere.
+
+    A stub, where there is one, stands for its module: it says what is imported late.
+    """
+    files = {_module_name(file, package): file for file in sorted([*package.rglob("*.py"), *package.rglob("*.pyi")])}
     return {name: _imports(name, file, package.name, set(files)) for name, file in files.items()}
 
 
@@ -38,7 +41,7 @@ def _module_name(file: Path, package: Path) -> str:
 
 def _imports(name: str, file: Path, root: str, known: set[str]) -> set[str]:
     inside = [] if name == "__init__" else name.split(".")
-    if file.name != "__init__.py":
+    if file.stem != "__init__":
         inside = inside[:-1]
     found: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

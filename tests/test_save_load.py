@@ -743,8 +743,7 @@ def report_from_dict(fields):
 def reports(monkeypatch):
     """A further kind, added as its author would."""
     codec = files.Codec("Report", Report, report_to_dict, report_from_dict)
-    monkeypatch.setattr(files, "_CODECS", files._CODECS.copy())
-    files.register(codec)
+    monkeypatch.setitem(files._CODECS, "Report", codec)
 
 
 def test_kind_that_was_never_registered_is_refused(path, model):

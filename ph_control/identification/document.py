@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .._documents import Fields
 from ..exceptions import StructureError
-from ..files import Codec, register, system_from_dict, system_to_dict
+from ..files import Codec, system_from_dict, system_to_dict
 from ..propagation import INTERSAMPLE, METHODS
 from .data import Record
 from .formulation import REPRESENTATIONS
@@ -202,4 +202,4 @@ def _one_of(fields: Fields, name: str, allowed: tuple[str, ...]) -> str:
     return found
 
 
-register(Codec("PEMResult", PEMResult, _to_dict, _from_dict))
+CODEC = Codec("PEMResult", PEMResult, _to_dict, _from_dict)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
-from ..affine import AffineHamiltonian
+from ..affine_system import AffineHamiltonian
 from ..canonical_forms import ObservableHamiltonian
 from ..exceptions import StructureError
 from ..lossless_system import LosslessSystem

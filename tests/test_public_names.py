@@ -1,0 +1,134 @@
+"""The public names are imported when first asked for, and nobody who uses them notices."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from scripts import run
+
+import ph_control as phc
+
+PACKAGE = Path(phc.__file__).parent
+STUB = ast.parse((PACKAGE / "__init__.pyi").read_text(encoding="utf-8"))
+
+
+def in_a_new_process(folder, code):
+    done = run(folder, "-c", code)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_what_a_type_checker_reads_is_what_python_finds():
+    stated = {
+        alias.asname: (node.module, alias.name)
+        for node in STUB.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert list(stated) == phc.__all__ and len(stated) > 80
+    for name, (module, original) in stated.items():
+        # without `as` of the same name a stub keeps what it imports to itself
+        assert original == name
+        assert getattr(phc, name) is getattr(importlib.import_module(f"ph_control.{module}"), name)
+    others = [node for node in STUB.body if not isinstance(node, ast.ImportFrom)]
+    assert len(others) == 1 and ast.get_docstring(STUB)
+
+
+def test_the_import_of_the_package_imports_none_of_its_modules(tmp_path):
+    code = "import sys, ph_control; print([name for name in sys.modules if name.startswith('ph_control.')])"
+    assert in_a_new_process(tmp_path, code) == "[]\n"
+
+
+def test_a_name_imports_what_it_needs_and_is_then_an_attribute(tmp_path):
+    code = """if True:
+        import sys, ph_control as phc
+        assert "ph" not in vars(phc)
+        phc.ph
+        assert "ph" in vars(phc) and "ph_control.systems" in sys.modules
+        print([name for name in sys.modules if name.startswith(("ph_control.identification", "ph_control.plots"))])
+    """
+    assert in_a_new_process(tmp_path, code) == "[]\n"
+
+
+@pytest.mark.parametrize("order", ["sorted(modules)", "sorted(modules, reverse=True)"])
+def test_modules_may_be_imported_in_any_order_and_hide_no_public_name(tmp_path, order):
+    code = f"""if True:
+        import importlib, pkgutil, types, ph_control as phc
+        modules = [found.name for found in pkgutil.walk_packages(phc.__path__, "ph_control.")]
+        for name in {order}:
+            importlib.import_module(name)
+        print([name for name in phc.__all__ if isinstance(getattr(phc, name), types.ModuleType)])
+    """
+    assert in_a_new_process(tmp_path, code) == "[]\n"
+
+
+def test_a_star_import_gives_all_public_names_and_no_other(tmp_path):
+    code = "import json; before = set(dir()); from ph_control import *; print(json.dumps(sorted(set(dir()) - before)))"
+    assert set(json.loads(in_a_new_process(tmp_path, code))) - {"before"} == set(phc.__all__)
+
+
+def test_the_names_are_listed_before_they_are_imported(tmp_path):
+    listed = in_a_new_process(tmp_path, "import ph_control; print(*dir(ph_control))").split()
+    assert set(phc.__all__) == {name for name in listed if not name.startswith("__")}
+    assert {"__all__", "__doc__", "__path__"} <= set(listed)
+
+
+def test_the_modules_are_attributes_of_the_package_too(tmp_path):
+    code = "import ph_control as phc; print(phc.bode.__name__, phc.identification.__name__)"
+    assert in_a_new_process(tmp_path, code) == "ph_control.bode ph_control.identification\n"
+
+
+@pytest.mark.parametrize("name", ["wiliamson", "_wiliamson", "__wrapped__", "no such name"])
+def test_a_name_that_is_not_there_is_an_attribute_error(name):
+    with pytest.raises(AttributeError, match=f"module 'ph_control' has no attribute '{name}'"):
+        getattr(phc, name)
+    assert not hasattr(phc, name)
+
+
+def test_a_package_that_a_module_misses_is_not_taken_for_the_module(monkeypatch):
+    monkeypatch.delitem(sys.modules, "ph_control.bode")
+    monkeypatch.delattr(phc, "bode")
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(ModuleNotFoundError, match="control"):
+        phc.bode  # noqa: B018  # the look-up is what is tested
+
+
+def test_a_result_is_read_where_no_fit_was_made(tmp_path):
+    """In a process that has not imported what makes results."""
+    make = """if True:
+        import numpy as np, ph_control as phc
+        u = np.random.default_rng(0).standard_normal(200)
+        system = phc.ph(phc.modes([1.0], [0.5]))
+        response = phc.forced_response(system, 0.1 * np.arange(200), u)
+        result = phc.pem(response, 1)
+        result.save("fit.json")
+        print(result.d[0].hex(), result.loss.hex())
+    """
+    read = """if True:
+        import sys, ph_control as phc
+        assert not any(name.startswith("ph_control.identification") for name in sys.modules)
+        result = phc.load("fit.json")
+        print(result.d[0].hex(), result.loss.hex())
+        assert isinstance(result, phc.PEMResult)
+        phc.save(result, "again.json")
+    """
+    assert in_a_new_process(tmp_path, make) == in_a_new_process(tmp_path, read)
+    assert (tmp_path / "fit.json").read_text() == (tmp_path / "again.json").read_text()
+
+
+def test_a_pickle_is_read_where_nothing_was_asked_for_yet(tmp_path):
+    make = "import pathlib, pickle, ph_control as phc; system = phc.ph([[2, 0], [0, 1]], [1, 0])"
+    in_a_new_process(tmp_path, f"{make}; pathlib.Path('pickled').write_bytes(pickle.dumps([system, phc.ph]))")
+    read = "import pathlib, pickle; system, ph = pickle.loads(pathlib.Path('pickled').read_bytes())"
+    assert in_a_new_process(tmp_path, f"{read}; print(type(system).__name__, ph.__name__)") == "PortHamiltonian ph\n"
+
+
+def test_a_wheel_holds_the_list_of_names():
+    """Without it the package has no names at all."""
+    text = (PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8")
+    assert '"*.pyi"' in text.partition("[tool.setuptools.package-data]")[2].partition("[tool.pytest")[0]
