@@ -267,7 +267,8 @@ def test_an_invertible_structure_has_nothing_to_split_off():
     Q, B = positive(4, rng), rng.standard_normal(4)
     split = split_casimirs(Q, B, J)
     for found, expected in zip((split.Q, split.B, split.T), normal_form(Q, B, J), strict=True):
-        assert np.array_equal(found, expected)
+        # the same products, in another order on some machines
+        assert np.abs(found - expected).max() <= 20 * EPS * np.abs(expected).max()
     assert "0 Casimirs" in split.report()
 
 

@@ -349,7 +349,9 @@ def test_the_frequencies_of_a_structure_are_those_of_its_eigenproblem(data_folde
     M, K = (matrix(data_folder, name) for name in names)
     squares = eigh(K, M, eigvals_only=True)
     found = from_second_order(M, K, np.eye(len(M))[0]).d ** 2
-    assert np.all(np.abs(found - squares) < 10 * EPS * squares.max() + EPS * np.linalg.cond(M) * squares)
+    # the eigenproblem is as good as its size allows
+    allowed = len(M) * EPS * squares.max() + EPS * np.linalg.cond(M) * squares
+    assert np.all(np.abs(found - squares) < allowed)
 
 
 def test_a_structure_with_massless_degrees_of_freedom_is_refused_with_the_reason_or_condensed(data_folder):
