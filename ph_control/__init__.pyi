@@ -17,6 +17,9 @@ from .casimirs import CasimirSplit as CasimirSplit
 from .casimirs import darboux as darboux
 from .casimirs import split_casimirs as split_casimirs
 from .coefficients import ScaledCoefficients as ScaledCoefficients
+from .energy import EnergyBalance as EnergyBalance
+from .energy import energy_balance as energy_balance
+from .energy import energy_plot as energy_plot
 from .equivalence import filter_coefficients as filter_coefficients
 from .equivalence import same_filter as same_filter
 from .equivalence import star_equivalent as star_equivalent
@@ -85,8 +88,9 @@ from .response import forced_response as forced_response
 from .response import impulse_response as impulse_response
 from .response import initial_response as initial_response
 from .response import step_response as step_response
-from .sampling import EnergyBalance as EnergyBalance
-from .sampling import energy_balance as energy_balance
+from .result_plots import compare_plot as compare_plot
+from .result_plots import order_plot as order_plot
+from .result_plots import residual_plot as residual_plot
 from .sampling import sample as sample
 from .semidefinite import semidefinite_coefficients as semidefinite_coefficients
 from .semidefinite import williamson_semidefinite as williamson_semidefinite
@@ -98,6 +102,5 @@ from .symplectic import williamson as williamson
 from .systems import PortHamiltonian as PortHamiltonian
 from .systems import modes as modes
 from .systems import ph as ph
-from .time_plots import energy_plot as energy_plot
 from .time_plots import impulse_plot as impulse_plot
 from .time_plots import step_plot as step_plot

@@ -56,9 +56,7 @@ class Curve:
 
     def magnitude(self, i: int, j: int) -> Array:
         """Decibels; NaN where infinite or zero."""
-        size = np.abs(self.response[i, j])
-        usable = np.isfinite(size) & (size > 0)
-        return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
+        return decibels(self.response[i, j])
 
     def phase(self, i: int, j: int, *, unwrap: bool = True) -> Array:
         """Degrees; NaN where the response is infinite or zero."""
@@ -155,6 +153,13 @@ def bode_data(
     first = systems[0]
     title = title_of("Bode plot", systems, label is not None)
     return BodeData(curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
+
+
+def decibels(values: ComplexArray) -> Array:
+    """Decibels; NaN where infinite or zero."""
+    size = np.abs(values)
+    usable = np.isfinite(size) & (size > 0)
+    return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
 
 
 def band_around(models: Any, omega: Array, level: float) -> Band:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import control as ct
 import matplotlib.pyplot as plt
@@ -20,12 +21,39 @@ Array = NDArray[np.float64]
 DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 STYLES = ("-", "--", "-.", ":")
 BAND: dict[str, Any] = {"alpha": 0.22, "linewidth": 0.0, "zorder": 1.5}
+ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
+# beneath what is held against it, and wide enough to be seen on both sides of it where they are equal
+MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
+SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
 MINOR = 0.35  # opacity of the grid lines between the main ones
+
+
+class FrameStyle(TypedDict, total=False):
+    """Keywords that every picture takes, with the meaning they have in python-control."""
+
+    title: str | None
+    grid: bool
+    show_legend: bool | None
+    legend_loc: str | bool | None
+    rcParams: dict[str, Any] | None
+
+
+class MarkStyle(FrameStyle, total=False):
+    """Those of pictures whose systems have a colour."""
+
+    color: Any
+
+
+class LineStyle(MarkStyle, total=False):
+    """Those of pictures whose systems have lines."""
+
+    linestyle: str | None
+    linewidth: float | None
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a picture is to look: the keywords that all pictures take, with the meaning they have in python-control."""
+    """How a picture is to look, as the keywords that all pictures take say it."""
 
     title: str | None = None
     grid: bool = True
@@ -35,14 +63,14 @@ class Look:
     line: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, title: str | None, grid: bool, show_legend: bool | None, legend_loc: str | bool | None,
-        rcParams: dict[str, Any] | None, color: Any, linestyle: str | None, linewidth: float | None,
-    ) -> Look:  # fmt: skip
-        """Style of these keywords; a property of lines that is None stays what it is."""
-        properties = {"color": color, "linestyle": linestyle, "linewidth": linewidth}
-        given = {name: value for name, value in properties.items() if value is not None}
-        return cls(title, grid, show_legend, legend_loc, rcParams, given)
+    def of(cls, style: Mapping[str, Any], known: type = LineStyle) -> Look:
+        """Style of these keywords, which `known` lists; one that is None stays what it is."""
+        unknown = [name for name in style if name not in known.__annotations__]
+        if unknown:
+            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; of style: {', '.join(known.__annotations__)}")
+        given = {name: value for name, value in style.items() if value is not None}
+        frame = {name: given.pop(name) for name in FrameStyle.__annotations__ if name in given}
+        return cls(**frame, line=given)
 
     def context(self) -> AbstractContextManager[None]:
         """Settings of matplotlib while the picture is drawn: those of python-control, then those given."""
@@ -89,9 +117,33 @@ def given_axes(ax: Any, shape: tuple[int, int], meaning: str = "") -> tuple[Figu
     """Axes that were passed, in the shape that the picture needs."""
     axes = np.array(ax, dtype=object)
     if axes.size != np.prod(shape):
-        raise StructureError(f"ax has {axes.size} axes; needed {shape}{meaning and ': ' + meaning}")
+        raise StructureError(
+            f"ax has {axes.size} axes; needed {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
+        )
     axes = axes.reshape(shape)
     return axes[0, 0].figure, axes
+
+
+def stacked(ax: Any, heights: list[float], *, share: str = "first", meaning: str = "") -> tuple[Figure, NDArray[Any]]:
+    """One column of axes; the second, or all of them, share the abscissa of the first, or none does."""
+    if ax is not None:
+        return given_axes(ax, (len(heights), 1), meaning)
+    tall = 0.8 + 2.3 * len(heights) if share == "none" else 1.2 + 0.75 * sum(heights)
+    figure = plt.figure(figsize=(7.2, tall), layout="constrained")
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    panels = [figure.add_subplot(grid[0])]
+    for k in range(1, len(heights)):
+        shared = share == "all" or (share == "first" and k == 1)
+        panels.append(figure.add_subplot(grid[k], sharex=panels[0] if shared else None))
+        if shared:
+            panels[k - 1].tick_params(labelbottom=False)
+    figure.align_ylabels(panels)
+    return figure, np.array(panels, dtype=object)[:, None]
+
+
+def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
+    """Label of an axis of decibels."""
+    return labelled(quantity, f"dB re 1 {gain_unit}" if gain_unit else "dB")
 
 
 def labelled(quantity: str, unit: str | None) -> str:

@@ -63,6 +63,13 @@ def fit_data(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike, detail:
     return FitData(t, y, p, chosen_part(t, detail))
 
 
+def percent(fit: float) -> str:
+    """Text of a fit; never rounded up to a perfect one, nor wider than it can be read."""
+    if 99.995 <= fit < 100.0:
+        return "above 99.99 %"
+    return f"{fit:.2f} %" if fit > -1e4 else f"{fit:.3g} %"
+
+
 def strongest_part(measured: Array, residual: Array) -> slice | None:
     """A few periods of the strongest oscillation, where the residual is largest; None if the record has few itself."""
     known = np.isfinite(measured)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from .drawing import Look, check_hertz, labelled, new_axes, plain
+from .drawing import LineStyle, Look, MarkStyle, check_hertz, labelled, new_axes, plain
 from .exceptions import StructureError
 from .mode_data import ModeTable, PoleZeroMap, mode_tables, pole_zero_maps, strips
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Array = NDArray[np.float64]
 
@@ -37,15 +40,8 @@ def modes_plot(
     time_unit: str = "s",
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    grid: bool = True,
-    show_legend: bool | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    color: Any = None,
-    linestyle: str | None = None,
-    linewidth: float | None = None,
     ax: Any = None,
+    **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Modes of lossless systems: a stem at each natural frequency, as high as its weight.
 
@@ -66,12 +62,11 @@ def modes_plot(
         Unit of the response, output over input, which is that of `r`.
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
-    title : str, optional
-        Title; by default from the names of the systems.
-    grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth
-        As in `control.bode_plot`; the last three are those of the stems.
     ax : array of matplotlib.axes.Axes, shape (m, 1), optional
         Axes to draw on, one for each port.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams` and, for the stems, `color`, `linestyle`, `linewidth`,
+        as in `control.bode_plot`.
 
     Returns
     -------
@@ -95,15 +90,14 @@ def modes_plot(
     --------
     >>> import ph_control as phc
     >>> import matplotlib.pyplot as plt
-    >>> from ph_control.mode_plots import modes_plot
-    >>> plot = modes_plot(phc.modes([1.0, 2.0], [1.0, 0.25]))
+    >>> plot = phc.modes_plot(phc.modes([1.0, 2.0], [1.0, 0.25]))
     >>> plot.lines[0, 0][0].get_ydata()
     array([1. , 0.5])
     >>> plt.close(plot.figure)
     """
     unit, unit_name = check_hertz(Hz, time_unit)
     tables, ports, default = mode_tables(sysdata, quantity, level, label)
-    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth)
+    look = Look.of(style)
     with look.context():
         size = (6.4, 3.4 if len(ports) == 1 else 2.2 * len(ports))
         figure, axes = new_axes(ax, (len(ports), 1), size, sharex=True)
@@ -208,13 +202,8 @@ def pole_zero_plot(
     Hz: bool = False,
     time_unit: str = "s",
     label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    grid: bool = True,
-    show_legend: bool | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    color: Any = None,
     ax: Any = None,
+    **style: Unpack[MarkStyle],
 ) -> ct.ControlPlot:
     """Poles and zeros; those of lossless systems along the imaginary axis, where they alternate.
 
@@ -228,12 +217,10 @@ def pole_zero_plot(
         Unit of time of the systems, for the labels.
     label : str or sequence of str, optional
         Names of the systems; by default their own, and "model" for a single `PortHamiltonian` without one.
-    title : str, optional
-        Title; by default from the names of the systems.
-    grid, show_legend, legend_loc, rcParams, color
-        As in `control.pole_zero_plot`.
     ax : array of matplotlib.axes.Axes, optional
         Axes to draw on: as many strips of the imaginary axis, or one complex plane.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`, `color`, as in `control.pole_zero_plot`.
 
     Returns
     -------
@@ -258,8 +245,7 @@ def pole_zero_plot(
     --------
     >>> import ph_control as phc
     >>> import matplotlib.pyplot as plt
-    >>> from ph_control.mode_plots import pole_zero_plot
-    >>> plot = pole_zero_plot(phc.frenkel_kontorova())
+    >>> plot = phc.pole_zero_plot(phc.frenkel_kontorova())
     >>> poles, zeros = plot.lines[0, 0]
     >>> zeros.get_xdata().round(6)
     array([0., 1.])
@@ -267,7 +253,7 @@ def pole_zero_plot(
     """
     unit, unit_name = check_hertz(Hz, time_unit)
     maps, default = pole_zero_maps(sysdata, label)
-    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, None, None)
+    look = Look.of(style, MarkStyle)
     with look.context():
         if all(one.on_axis for one in maps):
             figure, axes, lines = _draw_strips(ax, maps, unit, unit_name, look)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control as ct
-import matplotlib.pyplot as plt
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,19 +17,26 @@ from .bode import BodeData, Curve, bode_data, shown_range
 from .drawing import (
     BAND,
     DRAWN,
+    MEASURED,
+    SAMPLES,
+    ZERO,
+    FrameStyle,
+    LineStyle,
     Look,
     check_hertz,
     extremes,
+    gain_label,
     given_axes,
     labelled,
-    legend_above,
     new_axes,
     plain,
+    stacked,
 )
 from .exceptions import StructureError
-from .fit_data import FitData, fit_data
-from .fit_data import chosen_part as chosen_part  # the pictures of validation enlarge in the same way
-from .fit_data import strongest_part as strongest_part
+from .fit_data import FitData, fit_data, percent
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Array = NDArray[np.float64]
 
@@ -39,9 +46,6 @@ _MANY = 50  # poles and zeros
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
 _PALE_DOTS: dict[str, Any] = {**_DOTS, "markersize": 2.5, "color": "0.78"}
 _LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
-# beneath the prediction, and wide enough to be seen on both sides of it where they are equal
-_MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
-_SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
 _PREDICTED: dict[str, Any] = {"color": "C0", "linewidth": 1.0}
 _RESIDUAL: dict[str, Any] = {"color": "C3", "linewidth": 0.8}
 
@@ -66,15 +70,8 @@ def bode_plot(
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
-    title: str | None = None,
-    grid: bool = True,
-    show_legend: bool | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    color: Any = None,
-    linestyle: str | None = None,
-    linewidth: float | None = None,
     ax: Any = None,
+    **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Bode plot that shows every resonance and antiresonance, and measurements with it.
 
@@ -113,12 +110,11 @@ def bode_plot(
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
     data_label : str, optional
         Legend entry of the measurement.
-    title : str, optional
-        Title; by default from the names of the systems.
-    grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth
-        As in `control.bode_plot`; the last three are those of the curves.
     ax : array of matplotlib.axes.Axes, shape (2p, m), optional
         Axes to draw on, magnitude above phase for each of p outputs and m inputs.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams` and, for the curves, `color`, `linestyle`, `linewidth`,
+        as in `control.bode_plot`; the title is made of the names of the systems.
 
     Returns
     -------
@@ -155,6 +151,7 @@ def bode_plot(
     ('Magnitude [dB]', 'Phase [deg]', 'Frequency [rad/s]')
     >>> plt.close(plot.figure)
     """
+    look = Look.of(style)
     unit, unit_name = check_hertz(Hz, time_unit)
     rows = [name for name, wanted in (("magnitude", plot_magnitude), ("phase", plot_phase)) if wanted]
     if not rows:
@@ -163,7 +160,6 @@ def bode_plot(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
         omega_num=omega_num, Hz=Hz, confidence=confidence, level=level, label=label, data_label=data_label,
     )  # fmt: skip
-    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth)
     with look.context():
         figure, axes = _bode_axes(ax, len(numbers.output_labels), len(numbers.input_labels), len(rows))
         lines = np.empty(axes.shape, dtype=object)
@@ -173,7 +169,7 @@ def bode_plot(
                 lines[row, j] = _draw_phases(axis, numbers, i, j, unit, look, deg)
             else:
                 lines[row, j] = _draw_magnitudes(axis, numbers, i, j, unit, look, dB)
-                axis.set_ylabel(_gain_label(gain_unit, dB) if j == 0 else "")
+                axis.set_ylabel("" if j else gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit))
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
             look.lattice(axis, minor="x")
         _label_bode(axes, numbers, unit, unit_name, len(rows))
@@ -189,12 +185,6 @@ def _bode_axes(ax: Any, noutputs: int, ninputs: int, rows: int) -> tuple[Figure,
         return given_axes(ax, shape, "magnitude above phase for each output" if rows == 2 else "")
     height = (4.8 if rows == 2 else 3.2) if noutputs == 1 else 1.9 * rows * noutputs
     return new_axes(None, shape, (max(6.4, 3.8 * ninputs), height), sharex=True)
-
-
-def _gain_label(gain_unit: str | None, dB: bool) -> str:
-    if not dB:
-        return labelled("Magnitude", gain_unit)
-    return plain(f"Magnitude [dB re 1 {gain_unit}]") if gain_unit else "Magnitude [dB]"
 
 
 def _draw_magnitudes(
@@ -308,42 +298,42 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: s
 
 
 def fit_plot(
-    time: ArrayLike,
-    measured: ArrayLike,
-    predicted: ArrayLike,
+    time: Any,
+    measured: ArrayLike | None = None,
+    predicted: ArrayLike | None = None,
     *,
     fit_percent: float | None = None,
     time_unit: str = "s",
-    output_label: str = "Output",
+    output_label: str | None = None,
     output_unit: str | None = None,
     detail: str | ArrayLike | None = "auto",
-    title: str | None = None,
     ax: Any = None,
+    **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Measured and predicted output, the residual below, and a few periods enlarged.
 
     Parameters
     ----------
-    time : array_like, shape (T,)
-        Instants, ascending.
+    time : array_like, shape (T,), or PEMResult
+        Instants, ascending; or the result of a fit alone, for the picture that its `plot` gives.
     measured, predicted : array_like, shape (T,)
         Outputs at these instants; NaN samples are gaps.
     fit_percent : float, optional
         Fit to show in the legend, in percent.
     time_unit : str
         Unit of time, for the label of the axis.
-    output_label : str
-        Name of the output, for the labels.
+    output_label : str, optional
+        Name of the output, for the labels; by default "Output", or that of the fitted record.
     output_unit : str, optional
         Its unit, for the labels; by default they have none.
     detail : {'auto'}, or array_like of shape (2,), or None
         Part of the record to enlarge in a panel of its own: from one instant to another, or none.  By default about
         8 periods of the strongest oscillation where the residual is largest, at most a third of the record, if it has
         more than 10 periods or 3000 samples.
-    title : str, optional
-        Title of the picture.
     ax : array of matplotlib.axes.Axes, shape (2, 1) or (3, 1), optional
         Axes to draw on, the third for the detail; with two of them there is none.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`, as in `control.time_response_plot`.
 
     Returns
     -------
@@ -368,45 +358,41 @@ def fit_plot(
     ('Velocity [m/s]', 'Time [s]')
     >>> plt.close(plot.figure)
     """
+    look = Look.of(style, FrameStyle)
+    if measured is None and predicted is None and hasattr(time, "experiments"):
+        options = {"time_unit": time_unit, "output_label": output_label, "output_unit": output_unit, "ax": ax, **style}
+        if not isinstance(detail, str):
+            options["detail"] = detail
+        return time.plot(**{name: value for name, value in options.items() if value is not None or name == "detail"})
+    if measured is None or predicted is None:
+        raise StructureError("pass the time, the measured and the predicted output, or the result of a fit alone")
     numbers = fit_data(time, measured, predicted, None if ax is not None and np.size(ax) == 2 else detail)
-    suffix = f"[{output_unit}]" if output_unit else ""
-    quantity, residual = (plain(name.strip()) for name in (f"{output_label} {suffix}", f"Residual\n{suffix}"))
-    with plt.rc_context(ct.config.defaults["ctrlplot.rcParams"]):
-        figure, axes = _fit_axes(ax, numbers.detail is not None)
+    output = output_label or "Output"
+    quantity = labelled(output, output_unit)
+    residual = plain(f"Residual\n[{output_unit}]") if output_unit else "Residual"
+    with look.context():
+        heights = [3.0, 1.7] + [3.0] * (numbers.detail is not None)
+        figure, axes = stacked(ax, heights, meaning="the record above its residual, and the detail")
         lines = np.empty(axes.shape, dtype=object)
         lines[0, 0] = _draw_record(axes[0, 0], numbers, fit_percent)
         lines[1, 0] = _draw_residual(axes[1, 0], numbers, output_unit or "")
         for axis, name in zip(axes[:, 0], (quantity, residual, quantity), strict=False):
             axis.set_ylabel(name)
-            axis.grid(True, linewidth=0.5, alpha=0.6)
+            look.lattice(axis)
         if numbers.detail is not None:
             lines[2, 0] = _draw_detail(axes[2, 0], axes[0, 0], numbers, detail)
         for axis in axes[1:, 0]:
-            axis.set_xlabel(plain(f"Time [{time_unit}]"))
-        legend = np.array([[legend_above(axis)] for axis in axes[:, 0]], dtype=object)
-        Look(title=title).entitle(figure, ax, f"{output_label}, measured and predicted")
+            axis.set_xlabel(labelled("Time", time_unit))
+        legend = np.array([[look.legend(axis)] for axis in axes[:, 0]], dtype=object)
+        look.entitle(figure, ax, f"{output}, measured and predicted")
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
-def _fit_axes(ax: Any, detail: bool) -> tuple[Figure, NDArray[Any]]:
-    if ax is not None:
-        return given_axes(ax, (2 + detail, 1), "the record above its residual, and the detail")
-    figure = plt.figure(figsize=(7.2, 6.8 if detail else 4.8), layout="constrained")
-    grid = figure.add_gridspec(2 + detail, 1, height_ratios=[3.0, 1.7, 3.0][: 2 + detail])
-    top = figure.add_subplot(grid[0])
-    panels = [top, figure.add_subplot(grid[1], sharex=top)]
-    top.tick_params(labelbottom=False)
-    if detail:
-        panels.append(figure.add_subplot(grid[2]))
-    figure.align_ylabels(panels)
-    return figure, np.array(panels, dtype=object)[:, None]
-
-
 def _draw_record(axis: Axes, numbers: FitData, fit_percent: float | None) -> list[Any]:
-    label = "predicted" if fit_percent is None else f"predicted (fit {_percent(fit_percent)})"
+    label = "predicted" if fit_percent is None else f"predicted (fit {percent(fit_percent)})"
     axis.set_xlim(numbers.time[0], numbers.time[-1])
     return [
-        *axis.plot(*extremes(numbers.time, numbers.measured, DRAWN), label="measured", **_MEASURED),
+        *axis.plot(*extremes(numbers.time, numbers.measured, DRAWN), label="measured", **MEASURED),
         *axis.plot(*extremes(numbers.time, numbers.predicted, DRAWN), label=label, **_PREDICTED),
     ]
 
@@ -415,9 +401,9 @@ def _draw_residual(axis: Axes, numbers: FitData, unit: str) -> list[Any]:
     size = plain(f"RMS {numbers.residual_rms:.3g} {unit}".strip())
     axis.text(
         0.995, 1.0, size, transform=axis.transAxes, ha="right", va="bottom",
-        fontsize=plt.rcParams["legend.fontsize"],
+        fontsize=mpl.rcParams["legend.fontsize"],
     )  # fmt: skip
-    axis.axhline(0.0, color="0.3", linewidth=0.6, zorder=1)
+    axis.axhline(0.0, **ZERO)
     return list(axis.plot(*extremes(numbers.time, numbers.residual, DRAWN), label="residual", **_RESIDUAL))
 
 
@@ -431,11 +417,6 @@ def _draw_detail(axis: Axes, top: Axes, numbers: FitData, detail: Any) -> list[A
     )
     axis.set_title(where, loc="left")
     return [
-        *axis.plot(*extremes(t, numbers.measured[part], DRAWN), label="measured", **_SAMPLES),
+        *axis.plot(*extremes(t, numbers.measured[part], DRAWN), label="measured", **SAMPLES),
         *axis.plot(*extremes(t, numbers.predicted[part], DRAWN), label="predicted", **_PREDICTED),
     ]
-
-
-def _percent(fit: float) -> str:
-    """Never rounded up to a perfect fit."""
-    return "above 99.99 %" if 99.995 <= fit < 100.0 else f"{fit:.2f} %"

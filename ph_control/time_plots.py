@@ -1,9 +1,9 @@
-"""Pictures over time: responses to a step and an impulse, and the energy along a response."""
+"""Pictures of responses to a step and an impulse."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
@@ -11,14 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike, NDArray
 
-from .drawing import BAND, DRAWN, Look, extremes, labelled, new_axes, plain
-from .exceptions import StructureError
-from .sampling import EnergyBalance
+from .drawing import BAND, DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
 from .transients import Trace, TransientData, transient_data
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Array = NDArray[np.float64]
 
-_ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
 _ENVELOPE: dict[str, Any] = {"linewidth": 0.6, "zorder": 1.2, "hatch": "////"}
 
 
@@ -32,15 +32,8 @@ def step_plot(
     time_unit: str = "s",
     output_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    grid: bool = True,
-    show_legend: bool | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    color: Any = None,
-    linestyle: str | None = None,
-    linewidth: float | None = None,
     ax: Any = None,
+    **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Responses to a unit step, in which no motion is lost between samples.
 
@@ -61,12 +54,11 @@ def step_plot(
         Units, for the labels.
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
-    title : str, optional
-        Title; by default from the names of the systems.
-    grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth
-        As in `control.time_response_plot`; the last three are those of the curves.
     ax : array of matplotlib.axes.Axes, shape (p, m), optional
         Axes to draw on, outputs below one another, inputs side by side.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams` and, for the curves, `color`, `linestyle`, `linewidth`,
+        as in `control.time_response_plot`; the title is made of the names of the systems.
 
     Returns
     -------
@@ -93,8 +85,7 @@ def step_plot(
     --------
     >>> import ph_control as phc
     >>> import matplotlib.pyplot as plt
-    >>> from ph_control.time_plots import step_plot
-    >>> plot = step_plot(phc.frenkel_kontorova(name="chain"), output_unit="m/s")
+    >>> plot = phc.step_plot(phc.frenkel_kontorova(name="chain"), output_unit="m/s")
     >>> plot.axes[0, 0].get_ylabel(), plot.axes[0, 0].get_xlabel(), plot.figure.get_suptitle()
     ('v [m/s]', 'Time [s]', 'Step response of chain')
     >>> plt.close(plot.figure)
@@ -102,7 +93,7 @@ def step_plot(
     numbers = transient_data(
         sysdata, "step", timepts, timepts_num, confidence=confidence, level=level, label=label
     )  # fmt: skip
-    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth)
+    look = Look.of(style)
     return _draw(numbers, look, time_unit, output_unit, ax)
 
 
@@ -116,24 +107,15 @@ def impulse_plot(
     time_unit: str = "s",
     output_unit: str | None = None,
     label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    grid: bool = True,
-    show_legend: bool | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    color: Any = None,
-    linestyle: str | None = None,
-    linewidth: float | None = None,
     ax: Any = None,
+    **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
     """Responses to a unit impulse, in which no motion is lost between samples.
 
     Parameters
     ----------
-    sysdata, timepts, timepts_num, confidence, level, time_unit, output_unit, label, title, ax
+    sysdata, timepts, timepts_num, confidence, level, time_unit, output_unit, label, ax, **style
         As in `step_plot`; the band is the `impulse_band` of the models.
-    grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth
-        As in `step_plot`.
 
     Returns
     -------
@@ -153,8 +135,7 @@ def impulse_plot(
     --------
     >>> import ph_control as phc
     >>> import matplotlib.pyplot as plt
-    >>> from ph_control.time_plots import impulse_plot
-    >>> plot = impulse_plot(phc.modes([1.0, 3.0], [1.0, 1.0]))
+    >>> plot = phc.impulse_plot(phc.modes([1.0, 3.0], [1.0, 1.0]))
     >>> float(plot.lines[0, 0][0].get_ydata()[0])
     4.0
     >>> plt.close(plot.figure)
@@ -162,7 +143,7 @@ def impulse_plot(
     numbers = transient_data(
         sysdata, "impulse", timepts, timepts_num, confidence=confidence, level=level, label=label
     )  # fmt: skip
-    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth)
+    look = Look.of(style)
     return _draw(numbers, look, time_unit, output_unit, ax)
 
 
@@ -176,7 +157,7 @@ def _draw(
         lines = np.empty(axes.shape, dtype=object)
         for (i, j), axis in np.ndenumerate(axes):
             lines[i, j] = _draw_responses(axis, numbers, i, j, look)
-            axis.axhline(0.0, **_ZERO)
+            axis.axhline(0.0, **ZERO)
             axis.set_xlim(0.0, numbers.end)
             look.lattice(axis)
             if j == 0:
@@ -228,106 +209,3 @@ def _draw_envelope(axis: Axes, trace: Trace, i: int, j: int, colour: Any) -> Non
         t, slow - reach, slow + reach, label=plain(trace.warning), facecolor=pale, edgecolor=to_rgba(colour, 0.45),
         **_ENVELOPE,
     )  # fmt: skip
-
-
-# --- energy ----------------------------------------------------------------------------------------------------------
-
-
-def energy_plot(
-    balance: EnergyBalance | Sequence[EnergyBalance],
-    *,
-    time_unit: str = "s",
-    energy_unit: str | None = "J",
-    label: str | Sequence[str] | None = None,
-    title: str | None = None,
-    grid: bool = True,
-    show_legend: bool | None = None,
-    legend_loc: str | bool | None = None,
-    rcParams: dict[str, Any] | None = None,
-    color: Any = None,
-    linestyle: str | None = None,
-    linewidth: float | None = None,
-    ax: Any = None,
-) -> ct.ControlPlot:
-    r"""Energy stored along a response and supplied to it, and the difference below.
-
-    Parameters
-    ----------
-    balance : EnergyBalance, or list of them
-        What `energy_balance` gives.
-    time_unit, energy_unit : str
-        Units, for the labels; None for none.
-    label : str or sequence of str, optional
-        Names of the balances for the legend, if there are several.
-    title : str, optional
-        Title of the picture.
-    grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth
-        As in `control.time_response_plot`; the last three are those of the curves.
-    ax : array of matplotlib.axes.Axes, shape (2, 1), optional
-        Axes to draw on.  By default a new figure.
-
-    Returns
-    -------
-    control.ControlPlot
-        `lines` and `axes` of shape (2, 1), `figure`, `legend`.  Above, for each balance the stored and the supplied
-        energy; below what was stored since the first instant less what was supplied.
-
-    Raises
-    ------
-    StructureError
-        If `balance` is none, or the labels are not one for each.
-
-    Notes
-    -----
-    The difference has a scale of its own: for an exact response it is rounding, a part in 1e-15 of the energy.  Long
-    records are drawn by the extremes of short bins, which gives the same picture.
-
-    Examples
-    --------
-    >>> import numpy as np, ph_control as phc
-    >>> import matplotlib.pyplot as plt
-    >>> from ph_control.time_plots import energy_plot
-    >>> sys, t = phc.frenkel_kontorova(), np.linspace(0.0, 30.0, 601)
-    >>> plot = energy_plot(phc.energy_balance(phc.forced_response(sys, t, np.sin(t)), sys))
-    >>> [axis.get_ylabel() for axis in plot.axes[:, 0]]
-    ['Energy [J]', 'Stored less\nsupplied [J]']
-    >>> plt.close(plot.figure)
-    """
-    balances: list[Any] = list(balance) if isinstance(balance, list | tuple) else [balance]
-    for one in balances:
-        if not isinstance(one, EnergyBalance):
-            raise StructureError(f"this is a {type(one).__name__}; pass what energy_balance(response, sys) gives")
-    names = [label] if isinstance(label, str) else list(label or [""] * len(balances))
-    if len(names) != len(balances) or not balances:
-        raise StructureError(f"{len(names)} labels for {len(balances)} balances; give one for each, and one at least")
-    look = Look.of(title, grid, show_legend, legend_loc, rcParams, color, linestyle, linewidth)
-    with look.context():
-        figure, axes = new_axes(ax, (2, 1), (6.4, 4.6), sharex=True, height_ratios=[2.0, 1.0])
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = _draw_energies(axes[0, 0], balances, names, look)
-        lines[1, 0] = []
-        for k, (one, name) in enumerate(zip(balances, names, strict=True)):
-            properties = {"color": f"C{2 * k}", "linewidth": 1.0, **look.line}
-            lines[1, 0] += axes[1, 0].plot(*extremes(one.time, one.defect, DRAWN), label=plain(name), **properties)
-        for axis in axes[:, 0]:
-            axis.axhline(0.0, **_ZERO)
-            axis.set_xlim(min(one.time[0] for one in balances), max(one.time[-1] for one in balances))
-            look.lattice(axis)
-        axes[0, 0].set_ylabel(labelled("Energy", energy_unit))
-        axes[1, 0].set_ylabel(labelled("Stored less\nsupplied", energy_unit))
-        axes[1, 0].set_xlabel(labelled("Time", time_unit))
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, "Energy balance")
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def _draw_energies(axis: Axes, balances: list[EnergyBalance], names: list[str], look: Look) -> list[Any]:
-    lines: list[Any] = []
-    for k, (one, name) in enumerate(zip(balances, names, strict=True)):
-        prefix = f"{name}: " if name else ""
-        for energy, what, style in ((one.stored, "stored", "-"), (one.supplied, "supplied since the start", "--")):
-            properties = {
-                "color": f"C{2 * k + (style == '--')}", "linestyle": style, "linewidth": 1.4, **look.line,
-            }  # fmt: skip
-            lines += axis.plot(*extremes(one.time, energy, DRAWN), label=plain(prefix + what), **properties)
-    return lines

@@ -80,17 +80,22 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
         lambda **k: phc.oh([1.0], [1.0, 0.0]).port_hamiltonian(np.diag([2.0, 0.5]), **k)
     ],
     "ResidualAnalysis.plot": [lambda **k: phc.residual_analysis(fitted().record, fitted()).plot(**k)],
+    "EnergyBalance.plot": [lambda **k: phc.energy_balance(recording(), plant()).plot(**k)],
     "affine": [
         lambda **k: phc.affine(np.eye(2), [1, 0], **k),
         lambda **k: phc.affine(ct.tf([1], [1, 0, 4]), **k),
         lambda **k: phc.affine(phc.affine(np.eye(2), [1, 0]), **k),
     ],
+    "bode_plot": [lambda **k: phc.bode_plot(plant(), **k)],
     "ch": [
         lambda **k: phc.ch([1.0], [1.0, 0.0], **k),
         lambda **k: phc.ch(plant(), **k),
         lambda **k: phc.ch(phc.ch(plant()), **k),
         lambda **k: phc.ch(ct.tf([1, 0], [1, 0, 4]), **k),
     ],
+    "compare_plot": [lambda **k: phc.compare_plot(phc.compare(fitted().record, plant()), **k)],
+    "energy_plot": [lambda **k: phc.energy_plot(phc.energy_balance(recording(), plant()), **k)],
+    "fit_plot": [lambda **k: phc.fit_plot(T, T, T, **k), lambda **k: phc.fit_plot(fitted(), **k)],
     "from_second_order": [lambda **k: phc.from_second_order([[1.0]], [[4.0]], [1.0], **k)],
     "oh": [lambda **k: phc.oh([1.0], [1.0, 0.0], **k), lambda **k: phc.oh(plant(), **k)],
     "sample": [lambda **k: phc.sample(plant(), 0.1, **k)],
@@ -98,10 +103,14 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "PortHamiltonian": [lambda **k: phc.PortHamiltonian(np.eye(2), [0, 1], **k)],
     "forced_response": [lambda **k: phc.forced_response(plant(), T, 1.0, **k)],
     "frenkel_kontorova": [lambda **k: phc.frenkel_kontorova(2, **k)],
+    "impulse_plot": [lambda **k: phc.impulse_plot(plant(), **k)],
     "impulse_response": [lambda **k: phc.impulse_response(plant(), T, **k)],
     "initial_response": [lambda **k: phc.initial_response(plant(), T, 1.0, **k)],
     "lc_circuit": [lambda **k: phc.lc_circuit([1.0, 2.0], 1.0, **k)],
+    "modes_plot": [lambda **k: phc.modes_plot(plant(), **k)],
+    "order_plot": [lambda **k: phc.order_plot(phc.order_selection(fitted().record, 2), **k)],
     "order_selection": [lambda **k: phc.order_selection(fitted().record, 2, **k)],
+    "pole_zero_plot": [lambda **k: phc.pole_zero_plot(plant(), **k)],
     "ph": [
         lambda **k: phc.ph(np.eye(2), [0, 1], **k),
         lambda **k: phc.ph(plant(), **k),
@@ -113,8 +122,10 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
         lambda **k: phc.ph(phc.sample(plant(), 0.1), method="exact", **k),
         lambda **k: phc.ph(np.eye(2), [0, 1], J=[[0, 2], [-2, 0]], **k),
     ],
+    "residual_plot": [lambda **k: phc.residual_plot(phc.residual_analysis(fitted().record, fitted()), **k)],
     "spectral_estimate": [lambda **k: phc.spectral_estimate(recording(), **k)],
     "spring_chain": [lambda **k: phc.spring_chain([1.0, 2.0], 1.0, ground=1.0, **k)],
+    "step_plot": [lambda **k: phc.step_plot(plant(), **k)],
     "step_response": [lambda **k: phc.step_response(plant(), T, **k)],
 }
 

@@ -17,8 +17,8 @@ ORDER = (
     "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
     "realization", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
-    "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
-    "_documents", "_tables", "recordings", "files", "identification", "demo", "cli",
+    "energy", "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
+    "_documents", "_tables", "recordings", "files", "identification", "result_plots", "demo", "cli",
 )  # fmt: skip
 
 # the package itself collects the public names, and python -m starts the command line: nothing imports these two

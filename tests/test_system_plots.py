@@ -12,10 +12,11 @@ from matplotlib.colors import to_rgb
 
 import ph_control as phc
 from ph_control import NotLosslessError, StructureError, transients
+from ph_control.energy import energy_plot
 from ph_control.identification.samples import ModeSamples
 from ph_control.mode_data import PoleZeroMap, kappa_intervals, pole_zero_maps, strips
 from ph_control.mode_plots import modes_plot, pole_zero_plot
-from ph_control.time_plots import energy_plot, impulse_plot, step_plot
+from ph_control.time_plots import impulse_plot, step_plot
 from ph_control.transients import response_of, transient_data
 
 EPS = np.finfo(float).eps

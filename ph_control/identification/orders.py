@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..validation_plots import order_plot
+from ..validation_plots import stabilisation_plot
 from .formulation import Callback, Formulation, reporter
 from .holdout import held_out_losses
 from .selection import criteria
@@ -135,7 +135,7 @@ class OrderSelection:
             # on the scale of the others: twice the difference of Gaussian log-likelihoods
             least = max(float(self.holdout.min()), np.finfo(float).tiny)
             above["hold-out"] = self.held_out * np.log(np.maximum(self.holdout, least) / least)
-        return order_plot(
+        return stabilisation_plot(
             self.orders, self.frequencies, self.stable, above,
             chosen=self.chosen(criterion), criterion=_WRITTEN[criterion], **kwargs,
         )  # fmt: skip

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..validation_plots import percent, residual_plot, response_residual_plot, whiteness_plot
+from ..fit_data import percent
+from ..validation_plots import correlation_plot, residual_response_plot, whiteness_plot
 from .data import Record
 from .findings import Findings, p_value
 from .frequency_data import FrequencyRecord
@@ -238,7 +239,7 @@ class ResidualAnalysis:
         See `residual_analysis`.
         """
         one = chosen_experiment(self.experiments, experiment)
-        kwargs.setdefault("title", f"Residuals of {self.label}: {self.verdict}")
+        heading = f"Residuals of {self.label}: {self.verdict}"
         white = f"Autocorrelation of the residuals (Ljung-Box {p_value(self.whiteness)})"
         auto = self.autocorrelation, self.autocorrelation_band
         if isinstance(one.record, FrequencyRecord):
@@ -246,19 +247,19 @@ class ResidualAnalysis:
                 f"Residual over frequency{which_of(experiment, len(self.experiments))}",
                 f"Autocorrelation from point to point (Ljung-Box {p_value(self.whiteness)})",
             )
-            return response_residual_plot(
+            return residual_response_plot(
                 one.record.omega, one.measured, one.residuals, *auto,
-                confidence=self.confidence, panel_titles=titles, **kwargs,
+                confidence=self.confidence, panel_titles=titles, heading=heading, **kwargs,
             )  # fmt: skip
         if not self._driven:
-            return whiteness_plot(*auto, confidence=self.confidence, panel_title=white, **kwargs)
+            return whiteness_plot(*auto, confidence=self.confidence, panel_title=white, heading=heading, **kwargs)
         across = (
             f"Correlation with the input (response {p_value(self.response_p_value)}, "
             f"feedback {p_value(self.feedback_p_value)})"
         )
-        return residual_plot(
+        return correlation_plot(
             *auto, self.cross_correlation, self.cross_correlation_band,
-            confidence=self.confidence, panel_titles=(white, across), **kwargs,
+            confidence=self.confidence, panel_titles=(white, across), heading=heading, **kwargs,
         )  # fmt: skip
 
 

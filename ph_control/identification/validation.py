@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..validation_plots import comparison_plot, percent, response_comparison_plot
+from ..fit_data import percent
+from ..validation_plots import comparison_plot, response_comparison_plot
 from .data import Record
 from .frequency_data import FrequencyRecord
 from .measured import (
@@ -190,16 +191,17 @@ class Comparison:
         one = chosen_experiment(self.experiments, experiment)
         record, which = one.record, which_of(experiment, len(self.experiments))
         if isinstance(record, FrequencyRecord):
-            kwargs.setdefault("title", f"{self.output_label} over {record.input_label}, measured and modelled{which}")
+            heading = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
             return response_comparison_plot(
-                record.omega, record.response, one.predicted, labels=self.labels, fit_percent=one.fit_percent, **kwargs
-            )
+                record.omega, record.response, one.predicted,
+                labels=self.labels, fit_percent=one.fit_percent, heading=heading, **kwargs,
+            )  # fmt: skip
         kwargs = _labels_of_output(self.output_label) | kwargs
-        if which:
-            kwargs.setdefault("title", f"{kwargs['output_label']}, measured and simulated{which}")
+        heading = f"{kwargs['output_label']}, measured and simulated{which}"
         return comparison_plot(
-            record.time, record.y, one.predicted, labels=self.labels, fit_percent=one.fit_percent, **kwargs
-        )
+            record.time, record.y, one.predicted,
+            labels=self.labels, fit_percent=one.fit_percent, heading=heading, **kwargs,
+        )  # fmt: skip
 
 
 def compare(
