@@ -35,6 +35,7 @@ from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
 from .files import load as load
 from .files import save as save
+from .frequency_tables import read_frequency_csv as read_frequency_csv
 from .groupoids import PortHamiltonianGroupoid as PortHamiltonianGroupoid
 from .groupoids import ReducedGroupoid as ReducedGroupoid
 from .identification.bootstrap import Bootstrap as Bootstrap

@@ -355,7 +355,8 @@ def _refuse_complex(path: str, sample: list[str], content: list[int]) -> None:
 def _complex(text: str) -> str:
     return (
         f"{text!r} is a complex number; a table of these is perhaps a measured frequency response, not a recording in "
-        "time: pass the signals themselves, sampled in time, in real columns"
+        "time: pass the signals themselves, sampled in time, or give real and imaginary part a column each for "
+        "read_frequency_csv"
     )
 
 

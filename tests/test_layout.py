@@ -18,7 +18,7 @@ ORDER = (
     "realization", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
     "energy", "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
-    "_documents", "_tables", "recordings", "files", "identification", "result_plots", "demo", "cli",
+    "_documents", "_tables", "recordings", "frequency_tables", "files", "identification", "result_plots", "demo", "cli",
 )  # fmt: skip
 
 # the package itself collects the public names, and python -m starts the command line: nothing imports these two
