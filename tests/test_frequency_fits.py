@@ -98,6 +98,19 @@ def test_two_modes_between_the_same_two_points_are_told_apart_without_noise():
     assert np.allclose(result.d, d, rtol=1e-8) and np.allclose(result.r, [1.0, 0.6], rtol=1e-6)
 
 
+def test_the_fit_of_a_response_is_judged_in_the_scale_of_its_weights():
+    omega = np.linspace(0.2, 5.0, 60)
+    size = np.where(omega > 3, 1.0, 0.01)
+    data = ct.frd(response([1.0, 2.3], [1.0, 0.5], omega) + size * noise(60, 1), omega)
+    result = phc.pem(data, 2, weights=1 / size**2)
+    y, error, weight = (np.squeeze(x) for x in (data.frdata, result.residuals, 1 / size**2))
+    mean = np.sum(weight * y) / np.sum(weight)
+    expected = 1 - np.sqrt(np.sum(weight * abs(error) ** 2) / np.sum(weight * abs(y - mean) ** 2))
+    assert np.isclose(result.fit_percent, 100 * expected, rtol=1e-12)
+    assert np.isclose(result.experiments[0].fit_percent, result.fit_percent, rtol=1e-12)
+    assert np.isclose(phc.compare(result.record, result, weights=1 / size**2).fit_percent[0], result.fit_percent)
+
+
 def test_repeated_frequencies_count_as_repeated_measurements():
     d, r = PLANTS[3]
     once = np.linspace(0.05, 3.2, 40)

@@ -62,7 +62,10 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
     noiseless = at.loss <= found.floor
     whiteness = 1.0 if noiseless else _whiteness(experiments, at, rank)
-    fitted = fit_percent(measured, residuals)
+    weights = [
+        one.record.weights[one.record.observed] for one in experiments if isinstance(one.record, FrequencyRecord)
+    ]
+    fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
     held = ~at.free[rank]
     if fit.contradiction is None and not noiseless and not found.interrupted:
         active = bool(held.any()) and problem.driven

@@ -142,17 +142,7 @@ def _name(model: Any) -> str:
 def fit_to(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
     """Fit percent of a model in some experiments together; of responses in the scale of their weights."""
     y, error, weights = _observed(pairs)
-    if not y.any():
-        return np.nan
-    if weights is None or np.ptp(weights) == 0:
-        return fit_percent(y, error)
-    share = weights / weights.max()
-    unit = float(np.max(np.abs(y)))
-    centred = y / unit - np.sum(share * y / unit) / np.sum(share)
-    size = float(np.linalg.norm(np.sqrt(share) * centred))
-    if size <= _checks.EPS * np.sqrt(len(y)):
-        size = float(np.linalg.norm(np.sqrt(share) * y / unit))
-    return 100.0 * (1.0 - unit_norm(np.sqrt(share) * error, unit) / size)
+    return fit_percent(y, error, weights) if y.any() else np.nan
 
 
 def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:

@@ -64,20 +64,21 @@ class FittedExperiment:
 
     @property
     def fit_percent(self) -> float:
-        """`100 (1 - norm(residual) / norm(output - mean))`."""
+        """`100 (1 - norm(residual) / norm(output - mean))`, of a response in the scale of its weights."""
         kept = self.record.observed
-        return fit_percent(self.measured[kept], self.residuals[kept])
+        weights = self.record.weights[kept] if isinstance(self.record, FrequencyRecord) else None
+        return fit_percent(self.measured[kept], self.residuals[kept], weights)
 
 
-def fit_percent(y: NDArray[Any], error: NDArray[Any]) -> float:
+def fit_percent(y: NDArray[Any], error: NDArray[Any], weights: Array | None = None) -> float:
     """`100 (1 - |error| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
+    share = np.ones(len(y)) if weights is None else weights / weights.max()
     # in units of the largest, so that squares stay in the range of doubles
     unit = float(np.max(np.abs(y)))
-    centred = y / unit - np.mean(y / unit)
-    size = float(np.linalg.norm(centred))
+    size = float(np.linalg.norm(np.sqrt(share) * (y / unit - np.average(y / unit, weights=share))))
     if size <= _checks.EPS * np.sqrt(len(y)):
-        size = float(np.linalg.norm(y / unit))
-    return 100.0 * (1.0 - unit_norm(error, unit) / size)
+        size = float(np.linalg.norm(np.sqrt(share) * y / unit))
+    return 100.0 * (1.0 - unit_norm(np.sqrt(share) * error, unit) / size)
 
 
 def unit_norm(error: NDArray[Any], unit: float) -> float:

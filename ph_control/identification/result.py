@@ -82,7 +82,7 @@ class PEMResult(Resampled, InCoordinates):
     loglik, aic, bic : float
         Gaussian log-likelihood and the criteria made of it.
     fit_percent : float
-        `100 (1 - |y - yhat| / |y - mean(y)|)`, all experiments together.
+        `100 (1 - |y - yhat| / |y - mean(y)|)`, all experiments together; of responses in the scale of their weights.
     active : tuple of int
         Modes whose weight `r` is held at 0 by the constraint `r >= 0`.
     unseen : tuple of int
