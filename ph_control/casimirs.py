@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
 
 from . import _checks
+from ._graphs import components
 from .exceptions import StructureError
 from .symplectic import skew_normal_form
 
@@ -292,7 +292,7 @@ def _energy_and_ports(Q: ArrayLike, B: ArrayLike, size: int) -> tuple[Array, Arr
 def _planes(J: Array) -> _Planes:
     """Normal form of `J`, group by group of variables that it couples, in the order of the variables."""
     size = len(J)
-    count, label = connected_components(J != 0, directed=False)
+    count, label = components(J != 0)
     sigma: list[Array] = [np.zeros(0)]
     a: list[Array] = [np.zeros((size, 0))]
     b: list[Array] = [np.zeros((size, 0))]

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from . import _checks
+from ._graphs import components, coupled_pairs
 from .modal import ModalForm
 
 Array = NDArray[np.float64]
@@ -183,7 +183,7 @@ def _chosen_tolerances(modes: ModalForm, rtol: float) -> ModalErrors:
 
 def _components(d: Array, radius: Array) -> Labels:
     near = np.abs(d[:, None] - d) <= radius[:, None] + radius
-    return np.asarray(connected_components(near, directed=False)[1], np.int32)
+    return components(near)[1]
 
 
 # --- groups ----------------------------------------------------------------------------------------------------
@@ -258,7 +258,7 @@ def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _No
     unit = (4 + np.sqrt(n)) * _checks.EPS
     root = np.sqrt(np.maximum(np.diag(Q), 0.0))
     scale = np.where(root > 0, root, 1.0)
-    blocks = _blocks(Q)
+    blocks = coupled_pairs(Q)[1]
     inside, inside_rigid = (np.concatenate([blocks, blocks])[_support(rows)] for rows in (E, E0))
     sizes = _norms(blocks, root[:n] * root[n:])
     inputs = _norms(np.concatenate([blocks, blocks]), np.linalg.norm(root[:, None] * B, axis=1))
@@ -289,14 +289,6 @@ def _norms(label: Labels, values: Array) -> Array:
 def _support(rows: NDArray[Any]) -> NDArray[np.intp]:
     """For each row a state that it involves."""
     return np.abs(rows).argmax(axis=1) if len(rows) else np.zeros(0, np.intp)
-
-
-def _blocks(Q: Array) -> Labels:
-    """For each degree of freedom a label that it shares with those that `Q` couples to it."""
-    n = len(Q) // 2
-    pattern = Q != 0
-    coupled = pattern[:n, :n] | pattern[:n, n:] | pattern[n:, :n] | pattern[n:, n:]
-    return np.asarray(connected_components(coupled, directed=False)[1], np.int32)
 
 
 def _separate_computed(modes: ModalForm, noise: _Noise) -> Separation:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from . import _checks
+from ._graphs import components
 from .conditioning import separate
 from .lossless_system import LosslessSystem
 from .modal import ModalForm
@@ -87,7 +87,7 @@ def filter_mismatch(first: Spectrum, second: Spectrum, rtol: float | None = None
     together = np.abs(d[:, None] - d) <= d_error[:, None] + d_error
     for members in (*first.groups, *(members + first.modes.n for members in second.groups)):
         together[np.ix_(members, members)] |= rtol is None
-    label = connected_components(together, directed=False)[1]
+    label = components(together)[1]
     worst = Mismatch(0.0, _checks.EPS, "")
     for group in (np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)):
         unit = int(table.exponent[group if rtol is None else slice(None)].max())

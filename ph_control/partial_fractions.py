@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance, schur
 from scipy.linalg.lapack import ztrsen, ztrsyl
-from scipy.sparse.csgraph import connected_components
 
 from . import _checks
+from ._graphs import components
 from .exceptions import NotLosslessError, StructureError
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ class PoleResidueForm:
 def clusters(poles: ComplexArray, radius: Array) -> list[NDArray[np.intp]]:
     """Groups of poles whose disks of these radii overlap."""
     near = np.abs(poles[:, None] - poles) <= radius[:, None] + radius
-    count, label = connected_components(near, directed=False)
+    count, label = components(near)
     return [np.flatnonzero(label == k) for k in range(count)]
 
 
@@ -62,7 +62,7 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
     for name, M in zip("ABC", (A, B, C), strict=True):
         _checks.in_range(name, M)
     A, B, C = _connected(A, B, C)
-    count, label = connected_components(A != 0, directed=False)
+    count, label = components(A != 0)
     parts = [np.flatnonzero(label == k) for k in range(count)]
     # parts that do not act on one another have units and rounding errors of their own
     forms = [_from_coupled_states(A[np.ix_(part, part)], B[part], C[:, part], D) for part in parts]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import hessenberg, solve_triangular, svd
 from scipy.linalg.lapack import dgehrd
-from scipy.sparse.csgraph import connected_components
 
 from . import _checks
+from ._graphs import coupled_pairs
 from ._lapack import bidiagonal_components
 from ._twofloat import Pair, divide, two_prod, two_sum
 from .exceptions import StructureError
@@ -297,12 +297,9 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
 
 def _decoupled(Q: Array) -> list[NDArray[np.intp]]:
     """Split the indices of phase space into groups of (q, p) pairs that `Q` does not couple."""
-    n = len(Q) // 2
-    pattern = Q != 0
-    coupled = pattern[:n, :n] | pattern[:n, n:] | pattern[n:, :n] | pattern[n:, n:]
-    count, label = connected_components(coupled, directed=False)
+    count, label = coupled_pairs(Q)
     groups = [np.flatnonzero(label == k) for k in range(count)]
-    return [np.concatenate([group, group + n]) for group in groups]
+    return [np.concatenate([group, group + len(label)]) for group in groups]
 
 
 def _embed(rows: NDArray, block: NDArray[np.intp], size: int) -> NDArray:
