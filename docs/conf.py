@@ -1,41 +1,110 @@
-"""Sphinx configuration: Markdown pages, and a reference made of the docstrings of the public names."""
+"""Sphinx configuration: Markdown pages, a reference made of the docstrings, and a gallery made of the examples."""
 
 import inspect
+import re
+import shutil
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
+import latex2mathml.converter
+from docutils import nodes
+from sphinx import addnodes
+
 import ph_control
+
+HERE = Path(__file__).parent
 
 project = "ph_control"
 author = "The ph_control developers"
 release = version = installed_version("ph_control")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+]
 myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
 exclude_patterns = ["_build"]
-html_theme = "alabaster"
+
+html_theme = "furo"
+html_title = f"ph_control {release}"
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
+html_copy_source = html_show_sourcelink = html_show_copyright = False
+html_math_renderer = "mathml"
 
 autosummary_generate = True
 numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
 templates_path = ["_templates"]
-# references to names of other packages stay plain text
+# the numpydoc section of a parameter tells its type better than an annotation
+autodoc_typehints = "none"
+# a name in single backticks is a literal, and `link_names` makes links of those that are public
 default_role = "literal"
 
+# The examples write their pictures into the folder they run in: for the gallery that is a copy.
+shutil.copytree(HERE.parent / "examples", HERE / "_build" / "examples", dirs_exist_ok=True)
+sphinx_gallery_conf = {
+    "examples_dirs": "_build/examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": "",
+    "within_subsection_order": "FileNameSortKey",
+    "doc_module": ("ph_control",),
+    "reference_url": {"ph_control": None},
+    "backreferences_dir": "gallery/backreferences",
+    "download_all_examples": False,
+    "show_signature": False,
+    "write_computation_times": False,
+    "remove_config_comments": True,
+}
 
-def _write_reference(folder: Path) -> None:
-    """Write one page that lists every public name, so that no list has to be kept by hand."""
-    public = {name: getattr(ph_control, name) for name in ph_control.__all__}
-    errors = {n for n, v in public.items() if inspect.isclass(v) and issubclass(v, BaseException)}
-    classes = {n for n, v in public.items() if inspect.isclass(v)} - errors
-    functions = {n for n, v in public.items() if inspect.isfunction(v)}
-    lines = ["# Reference", "", "All names are those of the package: `import ph_control as phc`.", ""]
-    for title, names in (("Classes", classes), ("Functions", functions), ("Errors and warnings", errors)):
-        lines += [f"## {title}", "", "```{eval-rst}", ".. currentmodule:: ph_control", ""]
-        lines += [".. autosummary::", "   :toctree: ."]
-        lines += ["   :template: class.rst", ""] if title == "Classes" else [""]
-        lines += [f"   {name}" for name in sorted(names)] + ["```", ""]
-    folder.mkdir(exist_ok=True)
-    (folder / "index.md").write_text("\n".join(lines), encoding="utf-8")
+
+def public_pages():
+    """Page and anchor of each public name, and of the members of each public class."""
+    for name in ph_control.__all__:
+        value = getattr(ph_control, name)
+        page, anchor = f"api/ph_control.{name}", f"ph_control.{name}"
+        yield name, (page, anchor)
+        if inspect.isclass(value):
+            for member in dir(value):
+                yield f"{name}.{member}", (page, f"{anchor}.{member}")
 
 
-_write_reference(Path(__file__).parent / "api")
+def link_names(app, doctree, docname):
+    """Make a link of each literal that is a public name, such as `pem` or `ph(Q, B)`, outside headings and links."""
+    pages = dict(public_pages())
+    for literal in list(doctree.findall(nodes.literal)):
+        name = re.sub(r"\(.*\)$", "", literal.astext().removeprefix("phc."), flags=re.S)
+        parent = literal.parent
+        if name not in pages or isinstance(parent, nodes.reference | nodes.title | addnodes.desc_name):
+            continue
+        page, anchor = pages[name]
+        if page == docname or page not in app.env.found_docs:
+            continue
+        member = "." in name and any(anchor in node["ids"] for node in app.env.get_doctree(page).findall(nodes.Element))
+        target = app.builder.get_relative_uri(docname, page) + (f"#{anchor}" if member else "")
+        link = nodes.reference("", "", refuri=target, internal=True)
+        parent.replace(literal, link)
+        link += literal
+
+
+def visit_math(self, node):
+    """Write a formula as MathML, which browsers draw without a script and without a network."""
+    self.body.append(latex2mathml.converter.convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def visit_displaymath(self, node):
+    """Write a formula of its own line as MathML."""
+    self.body.append(f'<div class="math">{latex2mathml.converter.convert(node.astext(), display="block")}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app):
+    """Add what the extensions above do not do."""
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
+    app.connect("doctree-resolved", link_names)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,7 +1,10 @@
-"""The first experiment of the paper: a circuit learned from its answer to a sine, then asked about other inputs.
+"""
+A circuit, learned from its answer to a sine
+============================================
 
-Five equal branches, so that only one mode is seen from the source.  1000 samples to learn from, 4000 to predict, all
-made by Euler's rule, which the fit is told: `method="euler"`.
+The first experiment of the paper: learn from a sine, then predict the answer to other inputs. There are five equal
+branches, so that only one mode is seen from the source. 1000 samples to learn from, 4000 to predict, all made by
+Euler's rule, which the fit is told: `method="euler"`.
 """
 
 import matplotlib.pyplot as plt
@@ -34,6 +37,8 @@ def worst(predicted, measured):
     return np.max(np.abs(predicted - measured)) / np.max(np.abs(measured))
 
 
+# %%
+# `pem` with the true order, and with the order to be found.
 fitted = {}
 for order in (5, "auto"):
     fitted[order] = result = phc.pem(learn, order, dt=STEP, method="euler")
@@ -43,6 +48,8 @@ for order in (5, "auto"):
     print("   ", result.message)
 
 
+# %%
+# The learning scheme of the paper.
 def descend(seed, optimizer="adam"):
     """Learn as the paper does, from a random start: 500 steps with the rate 0.1."""
     return phc.gradient_descent(
@@ -57,6 +64,8 @@ learned = min((descend(seed) for seed in range(STARTS)), key=lambda result: resu
 print(f"gradient descent, steps of Adam, best of {STARTS} starts:", learned.message)
 print("    frequencies", np.sort(learned.d).round(3), "where the circuit has", circuit.d)
 
+# %%
+# The same four inputs for all models.
 MODELS = {"pem": (fitted[5], "C0", "--"), "gradient descent (Adam)": (learned, "C3", "-")}
 figure, axes = plt.subplots(4, 2, sharex=True, figsize=(10, 9), layout="constrained")
 for (name, u), (left, right) in zip(INPUTS.items(), axes, strict=True):

@@ -1,4 +1,10 @@
-"""One model from three experiments: two with an input, of different length and step, and one free motion with gaps."""
+"""
+Several experiments, one model
+==============================
+
+Three short and noisy experiments: two with an input, of different length and step, and one free motion of which
+almost a third of the samples was lost.
+"""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,6 +29,8 @@ released = experiment(600, 0.2, 0.4, driven=False)
 lost = rng.random(600) < 0.3
 released[1][lost] = np.nan  # samples that were not taken
 
+# %%
+# Frequencies and weights are shared; each experiment has its own initial state.
 alone = phc.pem(pushed, 3, dt=0.1)
 together = phc.pem([pushed, longer, released], 3, dt=[0.1, 0.15, 0.2])
 print(together.summary())
@@ -33,6 +41,8 @@ again = together.bootstrap(60, rng=0)
 print("                 from the bootstrap:     ", again.stderr["d"].round(5))
 print("off by, in standard errors:              ", ((together.d - plant.d) / together.stderr["d"]).round(2))
 
+# %%
+# The records with the predictions of one model, and what the further records add to the certainty of the gain.
 figure = plt.figure(figsize=(9, 8), layout="constrained")
 rows = figure.subfigures(2, 1, height_ratios=[1.3, 1])
 axes = rows[0].subplots(3, 1)

@@ -125,7 +125,7 @@ def _modes_of_pair(d: Array, v: Array) -> ModalForm:
 
 @np.errstate(over="ignore")  # what overflows is refused
 def filter_coefficients(d: ArrayLike, v: ArrayLike) -> Array:
-    """Coefficients `e_1 .. e_{2n}` that determine the transfer function of CH(d, v).
+    """Return the 2n coefficients that determine the transfer function of CH(d, v).
 
     They are the Markov parameters `e_m = C A^{2(m-1)} B`; those of odd powers are 0.
 

@@ -10,6 +10,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -205,6 +206,12 @@ def test_the_public_names_are_functions_and_classes_of_this_package():
     assert {"PortHamiltonian.hamiltonian", "PortHamiltonian.Q", "ModalForm.zeros"} <= set(public_methods())
     assert set(public_names()) == set(public_functions()) | set(public_classes())
     assert {value.__module__.split(".")[0] for value in public_names().values()} == {"ph_control"}
+
+
+def test_the_reference_lists_every_public_name_once():
+    page = (Path(__file__).parents[1] / "docs" / "reference.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^   (\w+)$", page, flags=re.M)
+    assert sorted(listed) == sorted(public_names()), "docs/reference.md lists the public names, grouped by task"
 
 
 def test_the_package_says_what_it_is():
