@@ -1,6 +1,10 @@
-"""Time and memory of one fit in a process of its own, order known: nothing is warm, and the peak is that of the fit.
+"""Time and memory in a process of its own, where nothing is warm and the peak is that of the work.
 
-python -m benchmarks.cold ORDER SAMPLES
+python -m benchmarks.cold ORDER SAMPLES [--work fit|step]
+
+The work is one fit, order known, or one step of variable projection at the true frequencies: the best residues and
+initial states, the residual, and its Jacobian by the frequencies reduced to a triangle, as every iteration of a fit
+does.
 """
 
 from __future__ import annotations
@@ -12,16 +16,22 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import ph_control as phc
+from ph_control.identification.experiment import Experiment
+from ph_control.identification.regressors import Hold
+from ph_control.identification.solver import Problem
 
 from .recordings import Configuration, Recording, random_recording
+
+Array = NDArray[np.float64]
 
 MEGABYTE = 1e6
 
@@ -31,15 +41,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.cold", description=__doc__.splitlines()[0])
     parser.add_argument("order", type=int)
     parser.add_argument("samples", type=int, nargs="?")
+    parser.add_argument("--work", choices=list(WORKS), default="fit")
     parser.add_argument("--recording", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.recording:
-        print(json.dumps(_fit(options.recording, options.order)))
+        print(json.dumps(_measured(WORKS[options.work], options.recording)))
     else:
-        found = measure(options.order, options.samples)
+        found = measure(options.order, options.samples, options.work)
         print(
-            f"n={options.order}, T={options.samples}: {found['seconds']:.3g} s, peak {found['peak'] / MEGABYTE:.0f} MB "
-            f"({found['before'] / MEGABYTE:.0f} MB before the fit), frequencies to {found['error']:.1e}"
+            f"{options.work}, n={options.order}, T={options.samples}: {found['seconds']:.3g} s, "
+            f"peak {found['peak'] / MEGABYTE:.0f} MB ({found['before'] / MEGABYTE:.0f} MB before), "
+            f"frequencies to {found['error']:.1e}"
         )
 
 
@@ -48,28 +60,54 @@ def recording_of(order: int, samples: int) -> Recording:
     return random_recording(Configuration(order, samples, 20, 3), np.random.default_rng([order, samples]))
 
 
-def measure(order: int, samples: int) -> dict[str, Any]:
-    """Seconds, peak memory and memory before (bytes) of one fit, and the largest relative error of a frequency."""
+def measure(order: int, samples: int, work: str = "fit") -> dict[str, Any]:
+    """Seconds, peak memory and memory before (bytes) of the work, and the largest relative error of a frequency."""
     recording = recording_of(order, samples)
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "recording.npy")
-        np.save(file, [recording.u, recording.y])
-        done = subprocess.run(
-            [sys.executable, "-m", "benchmarks.cold", str(order), "--recording", str(file)],
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
-            stdout=subprocess.PIPE, text=True, check=True,
-        )  # fmt: skip
-    found: dict[str, Any] = json.loads(done.stdout)
+        for name in ("u", "y", "d"):
+            np.save(Path(folder, name), getattr(recording, name))
+        found: dict[str, Any] = json.loads(
+            _in_a_new_process("-m", "benchmarks.cold", str(order), "--work", work, "--recording", folder)
+        )
     found["error"] = float(np.max(np.abs(np.array(found.pop("d")) / recording.d - 1)))
     return found
 
 
-def _fit(file: Path, order: int) -> dict[str, Any]:
-    u, y = np.load(file, mmap_mode="r")
+def imported(before: str, code: str, rounds: int = 5) -> float:
+    """Seconds of the processor that code takes in a new process after what comes before, the best of several."""
+    timed = f"{before}\nfrom time import process_time\nbegun = process_time()\n{code}\nprint(process_time() - begun)"
+    return min(float(_in_a_new_process("-c", timed)) for _ in range(rounds))
+
+
+def _in_a_new_process(*arguments: str) -> str:
+    path = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    environment = os.environ | {"PYTHONPATH": path}
+    return subprocess.run(
+        [sys.executable, *arguments], env=environment, stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
+
+
+def _measured(work: Callable[[Array, Array, Array], Array], folder: Path) -> dict[str, Any]:
+    u, y, d = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("u", "y", "d"))
     before = _peak()
-    start = perf_counter()
-    result = phc.pem((u, y), order=order, dt=1.0)
-    return {"seconds": perf_counter() - start, "before": before, "peak": _peak(), "d": result.d.tolist()}
+    start = process_time()
+    found = work(u, y, d)
+    return {"seconds": process_time() - start, "before": before, "peak": _peak(), "d": found.tolist()}
+
+
+def _fit(u: Array, y: Array, d: Array) -> Array:
+    return phc.pem((u, y), order=len(d), dt=1.0).d
+
+
+def _step(u: Array, y: Array, d: Array) -> Array:
+    observed = np.ones(len(y), bool)
+    problem = Problem((Experiment(u, y, observed, Hold(1.0)),))
+    here = problem.project(np.array(d))
+    assert here.loss > 0
+    return np.asarray(here.d - np.linalg.solve(here.gram, here.gradient))
+
+
+WORKS: dict[str, Callable[[Array, Array, Array], Array]] = {"fit": _fit, "step": _step}
 
 
 def _peak() -> int:

@@ -6,6 +6,8 @@ computes.  Everything is seeded.
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,6 +19,8 @@ import scipy.signal
 
 import ph_control as phc
 
+from .cold import imported, measure
+
 OURS = "ph_control"
 
 
@@ -25,7 +29,9 @@ class Task:
     """One row of the report.
 
     `runs` maps a contender to a call without arguments; `error` takes its result to an error against the reference,
-    where there is one; `needed` maps a contender to the ratio that ours must reach.
+    where there is one; `needed` maps a contender to the ratio that ours must reach, `limits` maps "seconds",
+    "megabytes" (peak memory) or "error" to what ours must not pass.  The calls of a task `apart` measure processes of
+    their own, and give seconds and peak bytes.
     """
 
     name: str
@@ -34,6 +40,8 @@ class Task:
     error: Callable[[Any], float] | None = None
     needed: dict[str, float] = field(default_factory=dict)
     growth: float = 0.0  # what the time is drawn against
+    limits: dict[str, float] = field(default_factory=dict)
+    apart: bool = False
 
 
 def dense_hamiltonian(n: int, condition: float = 100.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +129,8 @@ def frequency_response(n: int, points: int = 1000) -> Task:
         return relative(values[few].imag, truth)
 
     name = "frequency response, warm" if points == 1000 else "frequency response, N frequencies"
-    return Task(name, f"n = {n}, N = {points}", runs, error, needed, points if points != 1000 else n)
+    growth = points if points != 1000 else n
+    return Task(name, f"n = {n}, N = {points}", runs, error, needed, growth, {"error": 1e-13})
 
 
 def cold_frequency_response(n: int) -> Task:
@@ -142,6 +151,8 @@ def simulation(n: int, samples: int, intersample: str = "zoh", *, peers: bool = 
     if peers:
         runs["python-control"] = lambda: ct.forced_response(other, t, u).outputs
     needed = {"python-control": 600.0 if n >= 500 else 250.0 if samples >= 100_000 else 60.0}
+    if samples not in (10_000, 100_000):
+        needed = {}
     truth = exact_outputs(system.d, system.r, h, u, intersample)
 
     def error(y: np.ndarray) -> float:
@@ -179,7 +190,7 @@ def williamson(n: int) -> Task:
         S = found[1]
         return float(np.abs(S.T @ J @ S - J).max() / max(1.0, np.linalg.norm(S, 2) ** 2))
 
-    return Task("Williamson, cond 1e12", f"n = {n}", runs, error, {"thewalrus": 3.0}, n)
+    return Task("Williamson, cond 1e12", f"n = {n}", runs, error, {"thewalrus": 3.0}, n, {"error": 1e-13})
 
 
 def mechanical(n: int) -> Task:
@@ -197,7 +208,7 @@ def mechanical(n: int) -> Task:
         return residual if residual < 1e-3 else np.nan
 
     runs = {OURS: lambda: phc.williamson(Q), "general path": lambda: phc.williamson(coupled)}
-    return Task("mechanical Williamson", f"n = {n}", runs, error, {"general path": 5.0}, n)
+    return Task("mechanical Williamson", f"n = {n}", runs, error, {"general path": 5.0}, n, {"error": 2e-15})
 
 
 def frequencies_and_weights(n: int) -> Task:
@@ -220,15 +231,14 @@ def coefficients(n: int) -> Task:
         "scipy.signal": lambda: scipy.signal.ss2tf(other.A, other.B, other.C, other.D)[1][:0:-1][::2],
     }
     truth = np.array([float(a) for a in exact_coefficients(modes.d)[:-1]])
-    return Task("coefficients", f"n = {n}", runs, lambda a: relative(a, truth), {"python-control": 10.0}, n)
+    needed, limits = {"python-control": 10.0}, {"error": 3e-15}
+    return Task("coefficients", f"n = {n}", runs, lambda a: relative(a, truth), needed, n, limits)
 
 
 def zeros(n: int) -> Task:
     system = modal_plant(n)
     other = plain(system)
-    runs: dict[str, Callable[[], Any]] = {OURS: lambda: phc.modes(system.d, system.r).zeros}
-    if n <= 200:
-        runs["python-control"] = other.zeros
+    runs = {OURS: lambda: phc.modes(system.d, system.r).zeros, "python-control": other.zeros}
 
     def error(found: np.ndarray) -> float:
         """Distance from the imaginary axis, relative to the largest zero."""
@@ -264,17 +274,37 @@ def minimal(n: int) -> Task:
 
 
 def construction(n: int) -> Task:
-    import pickle
-
     Q, B = dense_hamiltonian(n)
     system, parts, modal = phc.ph(Q, B), matrices(Q, B), modal_plant(n).modes
     runs = {
         OURS: lambda: phc.ph(Q, B),
         "from modes (ours)": lambda: phc.ph(modal),
+        "copy (ours)": lambda: copy.deepcopy(system),
         "pickle (ours)": lambda: pickle.loads(pickle.dumps(system)),
         "python-control": lambda: ct.ss(*parts),
     }
     return Task("building a system", f"n = {n}", runs, None, {}, n)
+
+
+def package_import() -> Task:
+    """The first import in a process of its own: what the package adds to python-control, and what a name adds then."""
+    runs = {
+        OURS: lambda: (imported("import control", "import ph_control"), np.nan),
+        "with ph (ours)": lambda: (imported("import control", "import ph_control; ph_control.ph"), np.nan),
+        "python-control": lambda: (imported("import numpy", "import control"), np.nan),
+    }
+    return Task("import", "after python-control", runs, limits={"seconds": 0.03}, apart=True)
+
+
+def projection_step(n: int, samples: int) -> Task:
+    """Residual, Jacobian by the frequencies and their reduction, of a whole record."""
+
+    def step() -> tuple[float, float]:
+        found = measure(n, samples, "step")
+        return found["seconds"], found["peak"]
+
+    limits = {"seconds": 3.0, "megabytes": 500.0}
+    return Task("one step of variable projection", f"n = {n}, T = {samples}", {OURS: step}, limits=limits, apart=True)
 
 
 def _pymor(system: ct.StateSpace) -> Any:
@@ -289,30 +319,61 @@ def _pymor(system: ct.StateSpace) -> Any:
     return LTIModel.from_matrices(system.A, system.B, system.C)
 
 
-FAMILIES: dict[str, tuple[Callable[..., Task], list[tuple[Any, ...]]]] = {
-    "frequency": (frequency_response, [(5,), (20,), (50,), (100,), (200,), (500,)]),
-    "points": (frequency_response, [(50, 100), (50, 10_000), (50, 100_000)]),
-    "cold": (cold_frequency_response, [(100,), (200,), (500,)]),
-    "simulation": (
-        simulation,
-        [(n, T, rule) for T in (10_000, 100_000) for n in (20, 100) for rule in ("zoh", "foh")],
+@dataclass(frozen=True)
+class Family:
+    """Tasks of one kind, and the picture of their times: its title, and the axis of what the time is drawn against."""
+
+    make: Callable[..., Task]
+    sizes: list[tuple[Any, ...]]
+    title: str = ""
+    axis: str = "modes n"
+
+
+def _each(*sizes: int) -> list[tuple[Any, ...]]:
+    return [(n,) for n in sizes]
+
+
+FAMILIES: dict[str, Family] = {
+    "import": Family(package_import, [()]),
+    "frequency": Family(
+        frequency_response, _each(5, 20, 50, 100, 200, 500), "Frequency response at 1000 frequencies, modes known"
     ),
-    "large": (simulation, [(500, 100_000)]),
-    "million": (million_samples, [()]),
-    "williamson": (williamson, [(20,), (50,), (100,), (200,), (500,)]),
-    "mechanical": (mechanical, [(200,), (500,)]),
-    "modes": (frequencies_and_weights, [(50,), (100,), (200,), (500,)]),
-    "coefficients": (coefficients, [(5,), (20,), (50,), (100,), (200,)]),
-    "zeros": (zeros, [(5,), (20,), (50,), (100,), (200,), (500,)]),
-    "minimal": (minimal, [(5,), (20,), (50,), (100,), (200,)]),
-    "construction": (construction, [(1,), (10,), (100,), (500,)]),
+    "points": Family(
+        frequency_response,
+        [(50, 100), (50, 10_000), (50, 100_000)],
+        "Frequency response of 50 modes, modes known",
+        "frequencies N",
+    ),
+    "cold": Family(
+        cold_frequency_response, _each(100, 200, 500), "Frequency response at 1000 frequencies from a dense Q"
+    ),
+    "simulation": Family(
+        simulation,
+        [(n, T, rule) for T in (10_000, 100_000) for n in (20, 50, 100) for rule in ("zoh", "foh")],
+    ),
+    "samples": Family(
+        simulation,
+        [(50, 1000, "foh"), (50, 3000, "foh"), (50, 30_000, "foh"), (50, 300_000, "foh")],
+        "Simulation of 50 modes, input interpolated",
+        "samples T",
+    ),
+    "large": Family(simulation, [(500, 100_000)]),
+    "million": Family(million_samples, [()]),
+    "williamson": Family(williamson, _each(20, 50, 100, 200, 500), "Williamson's form of a dense Q of condition 1e12"),
+    "mechanical": Family(mechanical, _each(500, 1500)),
+    "modes": Family(frequencies_and_weights, _each(50, 100, 200, 500), "Frequencies and weights of a dense Q"),
+    "coefficients": Family(coefficients, _each(5, 20, 50, 100, 200), "Coefficients of the denominator, modes known"),
+    "zeros": Family(zeros, _each(5, 20, 50, 100, 200, 500), "Zeros, modes known"),
+    "minimal": Family(minimal, _each(5, 20, 50, 100, 200), "Minimal realisation from a dense Q"),
+    "construction": Family(construction, _each(1, 10, 100, 200, 500), "Building and copying a system"),
+    "step": Family(projection_step, [(50, 1_000_000)]),
 }
 
 
 def tasks(families: list[str] | None = None, largest: int | None = None) -> Iterator[tuple[str, Task]]:
     """Build the tasks of the families one after the other, those with `n` up to `largest`."""
-    for family in families or FAMILIES:
-        make, sizes = FAMILIES[family]
-        for arguments in sizes:
+    for name in families or FAMILIES:
+        family = FAMILIES[name]
+        for arguments in family.sizes:
             if largest is None or not arguments or arguments[0] <= largest:
-                yield family, make(*arguments)
+                yield name, family.make(*arguments)

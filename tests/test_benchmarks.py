@@ -19,7 +19,7 @@ import ph_control as phc
 
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
 
-from benchmarks import cold, methods, montecarlo, peers, trials
+from benchmarks import cold, methods, montecarlo, peers, report, tasks, trials
 from benchmarks.bound import fit_from_truth, output_and_jacobian, standard_errors
 from benchmarks.recordings import BAND, POWER_RATIO, Configuration, simulate, spaced_frequencies
 
@@ -375,3 +375,92 @@ def test_a_fit_in_a_process_of_its_own_reports_time_peak_memory_and_error():
     assert found["seconds"] > 0 and found["error"] < 1e-2
     # bytes: an interpreter with numpy and scipy takes tens of megabytes, and a record of 300 samples not much more
     assert 2e7 < found["before"] <= found["peak"] < 1e9
+
+
+# --- the report ------------------------------------------------------------------------------------------------------
+
+
+def task_of(runs, **options):
+    return tasks.Task("some task", "n = 1", runs, **options)
+
+
+def test_the_report_judges_ratios_errors_time_and_memory():
+    task = task_of({}, needed={"slow": 3.0, "fast": 3.0, "absent": 2.0}, limits={"seconds": 2.0, "error": 1e-12})
+    found = report.Found(
+        {report.OURS: 1.0, "slow": 3.5, "fast": 2.9}, {report.OURS: 1e-11, "slow": 0.1, "fast": np.nan}
+    )
+    assert report.verdicts(task, found) == ["3x slow: yes", "3x fast: NO", "2 s: yes", "error 1e-12: NO"]
+    heavy = report.Found({report.OURS: 2.5}, {report.OURS: np.nan}, {report.OURS: 2e6})
+    limits = {"seconds": 2.0, "megabytes": 2.0, "error": 1.0}
+    # an error that is not known is none that holds
+    assert report.verdicts(task_of({}, limits=limits), heavy) == ["2 s: NO", "2 MB: yes", "error 1e+00: NO"]
+    assert report.row(task, found) == (
+        "| some task | n = 1 | 1 s |  | 1.0e-11 | slow 3.5 s, 3.5x, 1.0e-01; fast 2.9 s, 2.9x | "
+        "3x slow: yes, 3x fast: NO, 2 s: yes, error 1e-12: NO |"
+    )
+
+
+def test_the_report_measures_time_memory_and_error_of_each_contender():
+    calls = []
+
+    def ours():
+        calls.append("ours")
+        return np.ones(10**5)
+
+    found = report.measure(task_of({report.OURS: ours, "other": lambda: np.zeros(3)}, error=lambda y: float(y[0])))
+    assert found.errors == {report.OURS: 1.0, "other": 0.0} and len(calls) > 3
+    assert 8e5 <= found.peaks[report.OURS] < 9e5 and found.peaks["other"] < 1e5
+    assert 0 < found.seconds["other"] < found.seconds[report.OURS] < 0.1
+
+
+def test_what_is_measured_in_a_process_of_its_own_runs_once():
+    calls = iter([(7.0, 5e6)])
+    found = report.measure(task_of({report.OURS: lambda: next(calls)}, apart=True))
+    assert found.seconds == {report.OURS: 7.0} and found.peaks == {report.OURS: 5e6}
+
+
+def test_the_slope_is_that_of_the_larger_half():
+    assert np.isclose(report.slope([(n, 3.0 * n**1.7) for n in (5, 10, 20, 40)]), 1.7)
+    assert np.isclose(report.slope([(40, 4.0), (1, 1.0), (10, 1.0), (20, 2.0)]), 1.0)
+
+
+def test_a_run_replaces_only_the_one_on_the_page(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n\n{report.BEGIN}\n\nold\n\n{report.END}\n\nafter\n")
+    report.write(page, ["new", "", "parts"])
+    assert page.read_text() == f"before\n\n{report.BEGIN}\n\nnew\n\nparts\n\n{report.END}\n\nafter\n"
+    page.write_text(f"{report.END} {report.BEGIN}")
+    with pytest.raises(SystemExit, match="once each, in this order"):
+        report.write(page, ["new"])
+    assert page.read_text() == f"{report.END} {report.BEGIN}"
+
+
+def test_the_report_writes_what_it_prints(capsys, tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(f"{report.BEGIN}{report.END}")
+    pictures = tmp_path / "pictures"
+    assert report.main(f"--tasks zeros --largest 50 --pictures {pictures} --write {page}".split()) == 0
+    printed, written = capsys.readouterr().out, page.read_text()
+    rows = [line for line in printed.splitlines() if line.startswith("| zeros")]
+    assert len(rows) == 3 and all(line in written for line in rows)
+    (power,) = (line for line in written.splitlines() if line.startswith("| Zeros, modes known | n^"))
+    assert "python-control n^" in power and power in printed
+    assert "![performance zeros](pictures/performance_zeros.png)" in written
+    assert (pictures / "performance_zeros.png").stat().st_size > 1e4
+
+
+def test_the_page_of_the_manual_has_a_place_for_a_run():
+    text = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
+    assert text.count(report.BEGIN) == text.count(report.END) == 1
+
+
+def test_one_step_of_variable_projection_is_measured_in_a_process_of_its_own():
+    found = cold.measure(2, 300, "step")
+    # a step from the truth goes where the noise takes it
+    assert found["seconds"] > 0 and 0 < found["error"] < 1e-2
+    assert 2e7 < found["before"] <= found["peak"] < 1e9
+
+
+def test_an_import_is_timed_after_what_comes_before():
+    assert cold.imported("import time", "time.sleep(0)", rounds=1) < 0.1
+    assert cold.imported("", "sum(range(10**6))", rounds=1) > 1e-3
