@@ -42,16 +42,29 @@ def _as_system(given: Any) -> Any:
     return inside if isinstance(inside, PortHamiltonian) else given
 
 
-def labels_of(systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
-    """Legend entries: those given, or the names of the systems."""
-    if label is None and len(systems) == 1 and isinstance(systems[0], PortHamiltonian):
-        return ["model" if systems[0]._generic_name_check() else systems[0].name]
+def labels_of(sysdata: Any, systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
+    """Legend entries: those given, or the names of the systems that `as_systems` has made of `sysdata`."""
     if label is None:
-        return [sys.name for sys in systems]
+        given = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
+        names = [_name_of(one, sys) for one, sys in zip(given, systems, strict=True)]
+        if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and systems[0]._generic_name_check():
+            return ["model"]
+        # a system and what was sampled of it have the same name
+        return [
+            f"{name} (dt = {sys.dt})" if names.count(name) > 1 and sys.isdtime(strict=True) else name
+            for name, sys in zip(names, systems, strict=True)
+        ]
     labels = [label] if isinstance(label, str) else list(label)
     if len(labels) != len(systems):
         raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
     return labels
+
+
+def _name_of(given: Any, sys: Any) -> str:
+    """Name of a system; a fit is called one, unless its system was named."""
+    if given is not sys and hasattr(given, "experiments") and sys._generic_name_check():
+        return f"fit ({sys.n} mode{'s' * (sys.n != 1)})"
+    return str(sys.name)
 
 
 def title_of(kind: str, systems: list[Any], relabelled: bool) -> str:

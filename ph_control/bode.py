@@ -28,6 +28,9 @@ _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zer
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
 _DOT = 1 / 1200  # of the width of a picture
+_BINS = 150  # of a picture, each eight dots wide
+_CROWDED = 8  # poles and zeros in such a bin: a dot cannot tell one from the next
+_WIDE = 3  # bins next to one another, below which a crowd is no wider than a line
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
@@ -78,6 +81,30 @@ class Curve:
         dot = _DOT * np.log(high / low) * self.omega if part else 0.0
         return inside & away_from(self.omega, self.singular, part) & (_distance(self.omega, self.singular) >= dot)
 
+    def crowds(self, low: float, high: float) -> list[tuple[float, float]]:
+        """Ranges, ascending and apart, where a picture from `low` to `high` cannot part poles from zeros."""
+        edges = np.geomspace(low, high, _BINS + 1)
+        crowded = np.histogram(self.singular, edges)[0] >= _CROWDED
+        turns = np.flatnonzero(np.diff(crowded, prepend=False, append=False))
+        runs = [] if self.tabulated else list(zip(turns[::2], turns[1::2], strict=True))
+        return [(float(edges[start]), float(edges[end])) for start, end in runs if end - start >= _WIDE]
+
+    def typical(self, level: Array, low: float, high: float) -> tuple[Array, Array]:
+        """Median of `level` over frequency in bins of the crowds, with a NaN between any two of these.
+
+        Between a pole and the next zero a lossless response passes through all levels: lines that close fill the
+        picture, and tell nothing of the size of what they fill it with.
+        """
+        weight, known = np.gradient(np.log(self.omega)), np.isfinite(level)
+        omega, middle = [np.zeros(0)], [np.zeros(0)]
+        for start, end in self.crowds(low, high):
+            edges = np.geomspace(start, end, 1 + round(_BINS * np.log(end / start) / np.log(high / low)))
+            omega.append(np.append(np.sqrt(edges[1:] * edges[:-1]), end))
+            parts = np.split(np.arange(len(level)), np.searchsorted(self.omega, edges))[1:-1]
+            medians = [_median(level[part][known[part]], weight[part][known[part]]) for part in parts]
+            middle.append(np.append(medians, np.nan))
+        return np.concatenate(omega), np.concatenate(middle)
+
     def gaps(self) -> NDArray[np.intp]:
         """Places before which a line must break: between the two samples there the response is infinite or zero."""
         if self.tabulated or not len(self.singular):
@@ -86,6 +113,15 @@ class Curve:
         k = k[(k > 0) & (k < len(self.omega))]
         # where the samples come close to a peak from both sides it runs off the picture, and the phase steps
         return k[self.omega[k] - self.omega[k - 1] > _SEEN * self.omega[k]]
+
+
+def _median(values: Array, weight: Array) -> float:
+    """Value that half of the weight is below."""
+    if not len(values):
+        return float("nan")
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
 
 
 @dataclass(frozen=True)
@@ -140,7 +176,7 @@ def bode_data(
 ) -> BodeData:
     """Compute what `bode_plot` draws; the arguments are its arguments."""
     systems = as_systems(sysdata, tabulated=True)
-    labels = labels_of(systems, label)
+    labels = labels_of(sysdata, systems, label)
     models = models_around(confidence, systems, "magnitude_band", "phase_band")
     measured = _measurement(data, systems[0], segments, intersample, data_label)
     marks = np.concatenate([_marks(sys) for sys in systems])
@@ -337,12 +373,13 @@ def frequency_grid(
     count : int, optional
         Number of frequencies between the ends, those around the marks apart.
     around : int
-        Number of those on each side of all marks together, as far as there are at least 4 and at most 30 for each.
+        Number of those on each side of all marks between the ends together, as far as there are at least 3 and at most
+        30 for each.
 
     Returns
     -------
     ndarray
-        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 4 to 30 points at geometrically
+        Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 3 to 30 points at geometrically
         shrinking distances, from half way to the next mark, or half its frequency, down to `closest`.
 
     Notes
@@ -367,7 +404,8 @@ def frequency_grid(
     groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
     gaps = np.diff(groups, prepend=0.0, append=np.inf)
     # fewer for each of very many, which the picture cannot separate anyhow
-    shrinking = np.linspace(0.0, 1.0, int(np.clip(around // len(groups), 4, 30)))
+    inside = int(np.sum((groups >= low) & (groups <= high)))
+    shrinking = np.linspace(0.0, 1.0, int(np.clip(around // max(1, inside), 3, 30)))
     parts = [base]
     for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
         far = 0.5 * np.minimum(gap, groups)

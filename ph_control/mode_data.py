@@ -48,7 +48,7 @@ def mode_tables(
     _checks.choice("quantity", quantity, QUANTITIES)
     given = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
     systems = as_systems(sysdata)
-    labels = labels_of(systems, label)
+    labels = labels_of(sysdata, systems, label)
     tables = [_table(*one, quantity, level) for one in zip(given, systems, labels, strict=True)]
     return tables, systems[0].output_labels, title_of("Modes", systems, label is not None)
 
@@ -92,6 +92,7 @@ class PoleZeroMap:
     zeros: ComplexArray
     on_axis: bool
     discrete: bool
+    ports: int = 1
 
     @property
     def upper(self) -> tuple[Array, Array]:
@@ -119,7 +120,7 @@ def pole_zero_maps(sysdata: Any, label: str | Sequence[str] | None) -> tuple[lis
     systems = as_systems(sysdata)
     if len({sys.isdtime(strict=True) for sys in systems}) > 1:
         raise StructureError("continuous-time and discrete-time poles are in different planes; draw them apart")
-    labels = labels_of(systems, label)
+    labels = labels_of(sysdata, systems, label)
     maps = [_map(sys, name) for sys, name in zip(systems, labels, strict=True)]
     return maps, title_of("Poles and zeros", systems, label is not None)
 
@@ -127,12 +128,12 @@ def pole_zero_maps(sysdata: Any, label: str | Sequence[str] | None) -> tuple[lis
 def _map(sys: Any, label: str) -> PoleZeroMap:
     if isinstance(sys, LosslessSystem) and not sys._integrated:
         # those of the transfer function: the matrices have 0 twice where a mass is free, and show one of them
-        return PoleZeroMap(label, sys.modes.poles, sys.modes.zeros, True, False)
+        return PoleZeroMap(label, sys.modes.poles, sys.modes.zeros, True, False, sys.ninputs)
     poles, zeros = (np.asarray(points, complex) for points in (sys.poles(), sys.zeros()))
     points = np.concatenate([poles, zeros])
     discrete = bool(sys.isdtime(strict=True))
     near = np.abs(points.real) <= _ON_AXIS * np.abs(points).max(initial=0.0)
-    return PoleZeroMap(label, poles, zeros, bool(near.all()) and not discrete, discrete)
+    return PoleZeroMap(label, poles, zeros, bool(near.all()) and not discrete, discrete, sys.ninputs)
 
 
 def strips(maps: Sequence[PoleZeroMap], count: int | None = None) -> list[tuple[float, float]]:

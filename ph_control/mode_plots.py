@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
 _DECADES = 100.0  # ratio of frequencies beyond which they are
 _MANY = 12  # poles in a strip
+_MANY_STEMS = 40
 _MARKERS = ("o", "s", "^", "D", "v")
 _POLE: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 7.0, "markeredgewidth": 1.5, "zorder": 3}
 _ZERO: dict[str, Any] = {
@@ -140,7 +141,7 @@ def _frequency_scale(axis: Axes, d: Array, from_zero: bool) -> None:
     if len(d) and high > _DECADES * low:
         axis.set_xscale("log")
         axis.set_xlim(low / 1.5, high * 1.5)
-    elif len(d) and low > 0.5 * high and not from_zero:
+    elif high > low > 0.5 * high and not from_zero:
         margin = max(0.1 * (high - low), 0.02 * high)
         axis.set_xlim(low - margin, high + margin)
     else:
@@ -159,7 +160,7 @@ def _weight_range(axis: Axes, tables: list[ModeTable], port: int, bottom: float,
 
 def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bottom: float, look: Look) -> Any:
     colour = look.line.get("color", f"C{k}")
-    stem = {"linewidth": 1.2, "linestyle": "-", **look.line, "color": colour}
+    stem = {"linewidth": 1.2 if len(table.d) <= _MANY_STEMS else 0.8, "linestyle": "-", **look.line, "color": colour}
     d, size = table.d / unit, table.size[:, port]
     height = np.maximum(size, bottom)
     known = (size > 0) & ~np.isinf(table.size_range[:, 1])
@@ -171,7 +172,8 @@ def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bo
     elif on_zero > 0:
         axis.vlines([0.0], bottom, [on_zero], zorder=2, **stem)
         axis.plot([0.0], [on_zero], marker=_MARKERS[k % 5], color=colour, markersize=5.0, zorder=3)
-    marker: dict[str, Any] = {"linestyle": "none", "marker": _MARKERS[k % 5], "markersize": 5.0, "zorder": 3}
+    head = 5.0 if len(d) <= _MANY_STEMS else 3.0
+    marker: dict[str, Any] = {"linestyle": "none", "marker": _MARKERS[k % 5], "markersize": head, "zorder": 3}
     heads = axis.plot(d, height, label=plain(label), color=colour, **marker)[0]
     hollow = {**marker, "markerfacecolor": "white", "color": colour, "zorder": 4, "clip_on": False}
     if not known.all():
@@ -291,14 +293,13 @@ def _draw_row(
 ) -> list[Any]:
     axis.axhline(height, **_AXIS)
     poles, zeros = (w[(w >= low) & (w < high)] / unit for w in one.upper)
-    counts = [f"{len(w)} {what}" for w, what in zip(one.upper, ("poles", "zeros"), strict=True)]
+    counts = [f"{len(w)} {what}{'s' * (len(w) != 1)}" for w, what in zip(one.upper, ("pole", "zero"), strict=True)]
+    counts[1] += _verdict(one)
     if named:
-        text = f"{counts[0]}, {counts[1]}, {_verdict(one)}"
+        text = ", ".join(counts)
         place = axis.get_yaxis_transform()
         axis.text(1.0, height + 0.16, text, transform=place, ha="right", va="bottom", fontsize="x-small", color="0.35")
         counts = ["poles", "zeros"] if height == 0 else ["_", "_"]
-    else:
-        counts[1] += f", {_verdict(one)}"
     # smaller where they are many
     share = 1.0 if len(poles) <= _MANY else 0.75
     lines = []
@@ -309,7 +310,10 @@ def _draw_row(
 
 
 def _verdict(one: PoleZeroMap) -> str:
-    return "alternating" if one.alternating else f"{one.cancelled} cancelled" if one.cancelled else "not alternating"
+    """Say how poles and zeros lie; of several ports nothing, where they need not alternate."""
+    if one.ports != 1:
+        return ""
+    return f", {one.cancelled} cancelled" if one.cancelled else f", {'not ' * (not one.alternating)}alternating"
 
 
 def _strip_axis(axis: Axes, maps: list[PoleZeroMap], low: float, high: float, lines: list[Any]) -> None:

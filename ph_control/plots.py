@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _MANY = 50  # poles and zeros
+_CROWD_BELOW = 2.0  # place among what is drawn, above the grid
 
 _DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
 _PALE_DOTS: dict[str, Any] = {**_DOTS, "markersize": 2.5, "color": "0.78"}
@@ -133,6 +134,9 @@ def bode_plot(
     picture there, and at frequencies of your own, which may straddle a peak, it breaks.  The phase of a one-port is
     exactly +90 or -90 degrees, and steps.  A response that is zero throughout has no curve, and the legend says so.
 
+    Where poles and zeros are closer than the dots of a picture, their curve is pale, and its median over frequency is
+    drawn and named in the legend; `omega_limits` take them apart.
+
     The phase of systems is continuous, that of a measurement between -180 and 180 degrees.  Dots of a record are
     pale where the coherence is below one half; those of a held input leave a continuous-time curve near the Nyquist
     frequency even without noise, mostly upwards, because sampling folds the response.  Of measured responses the range
@@ -140,7 +144,8 @@ def bode_plot(
 
     Nyquist frequencies are marked: of a record, of discrete-time systems and of discrete-time frequency responses.
 
-    O(n) for each frequency, and 8 to 60 frequencies for each pole and zero; a band, that for each of its models.
+    O(n) for each frequency, and 6 to 60 frequencies for each pole and zero in the picture; a band, that for each of
+    its models.
 
     Examples
     --------
@@ -203,6 +208,8 @@ def _draw_magnitudes(
         return level if decibels else 10.0 ** (level / 20.0)
 
     lines = _draw_curves(axis, numbers, [scaled(level) for level in levels], unit, look)
+    _fade_crowds(axis, numbers, unit)
+    _draw_typical(axis, numbers, [scaled(level) for level in levels], lines, unit)
     _draw_bands(axis, numbers, lines, [band and scaled(band.magnitude) for band in numbers.bands], unit)
     if numbers.measured is not None:
         dots = numbers.measured.magnitude(i, j)
@@ -224,6 +231,7 @@ def _draw_phases(axis: Axes, numbers: BodeData, i: int, j: int, unit: float, loo
     turn = 1.0 if degrees else np.pi / 180.0
     phases = [curve.phase(i, j) for curve in numbers.curves]
     lines = _draw_curves(axis, numbers, [turn * phase for phase in phases], unit, look)
+    _fade_crowds(axis, numbers, unit)
     _draw_bands(axis, numbers, lines, [band and turn * band.phase for band in numbers.bands], unit)
     if numbers.measured is not None:
         phases.append(numbers.measured.phase(i, j, unwrap=False))
@@ -247,13 +255,31 @@ def _draw_curves(axis: Axes, numbers: BodeData, values: list[Array], unit: float
     for k, (curve, value) in enumerate(zip(numbers.curves, values, strict=True)):
         label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
         breaks = curve.gaps()
-        omega, value = np.insert(curve.omega, breaks, np.nan), np.insert(value, breaks, np.nan)
         # what stands between two breaks is no line
         marker = {"marker": ".", "markersize": 4.0} if len(breaks) else {}
         # many resonances are told apart by thinner lines only
         thin = {} if len(curve.singular) <= _MANY or "linewidth" in look.line else {"linewidth": 0.7}
-        lines += axis.plot(omega / unit, value, label=label, **{**look.curve(k), **marker, **thin})
+        below = {"zorder": _CROWD_BELOW} if curve.crowds(numbers.low, numbers.high) else {}
+        omega, value = np.insert(curve.omega, breaks, np.nan), np.insert(value, breaks, np.nan)
+        lines += axis.plot(omega / unit, value, label=label, **{**look.curve(k), **marker, **thin, **below})
     return lines
+
+
+def _fade_crowds(axis: Axes, numbers: BodeData, unit: float) -> None:
+    """Make pale what closes to a block, and nothing else: above such curves, below all others."""
+    for start, end in {crowd for curve in numbers.curves for crowd in curve.crowds(numbers.low, numbers.high)}:
+        axis.axvspan(
+            start / unit, end / unit, color=axis.get_facecolor(), alpha=0.7, linewidth=0.0, zorder=_CROWD_BELOW + 0.05
+        )
+
+
+def _draw_typical(axis: Axes, numbers: BodeData, values: list[Array], lines: list[Any], unit: float) -> None:
+    """Draw what such a block is filled with on the average."""
+    for curve, value, line in zip(numbers.curves, values, lines, strict=True):
+        omega, middle = curve.typical(value, numbers.low, numbers.high)
+        if len(omega):
+            label = plain(f"{curve.label}: median where resonances are closer than dots")
+            axis.plot(omega / unit, middle, label=label, color=line.get_color(), linewidth=1.6, zorder=3.1)
 
 
 def _draw_bands(axis: Axes, numbers: BodeData, lines: list[Any], values: list[Any], unit: float) -> None:

@@ -99,7 +99,7 @@ def transient_data(
 ) -> TransientData:
     """Compute what `step_plot` and `impulse_plot` draw; the arguments are theirs."""
     systems = as_systems(sysdata)
-    labels = labels_of(systems, label)
+    labels = labels_of(sysdata, systems, label)
     models = models_around(confidence, systems, "step_band", "impulse_band")
     lossless = [_modes(sys) for sys in systems]
     given = None

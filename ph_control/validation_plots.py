@@ -43,6 +43,8 @@ Mask = NDArray[np.bool_]
 
 _STYLES = ("-", "--", "-.", ":")
 _COLOURS = ("C0", "C3", "C2", "C4", "C5", "C6", "C8", "C9")  # not that of the measurement
+# the line between two points is not the response, which may have a resonance there
+_POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0}
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
@@ -171,7 +173,7 @@ def response_comparison_plot(
             axis = axes[row, 0]
             drawn = axis.plot(frequency, of(measured), label="measured", zorder=2, **SAMPLES)
             for k, (name, values) in enumerate(zip(names, predicted, strict=True)):
-                drawn += axis.plot(frequency, of(values), label=name, linewidth=1.3, zorder=3, **_line(k))
+                drawn += axis.plot(frequency, of(values), label=name, zorder=3, **_POINTS, **_line(k))
             lines[row, 0] = drawn
         sizes = [float(np.nanmean(np.abs(measured - values) ** 2)) for values in predicted]
         lines[2, 0] = []
