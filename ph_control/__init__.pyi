@@ -57,6 +57,7 @@ from .identification.validation import compare as compare
 from .isomorphism import Verdict as Verdict
 from .isomorphism import are_isomorphic as are_isomorphic
 from .isomorphism import system_isomorphism as system_isomorphism
+from .lifting import lift as lift
 from .margins import margin as margin
 from .margins import stability_margins as stability_margins
 from .modal import ModalForm as ModalForm
@@ -82,7 +83,6 @@ from .realization import CanonicalMargins as CanonicalMargins
 from .realization import KalmanDecomposition as KalmanDecomposition
 from .realization import canonical_margins as canonical_margins
 from .realization import kalman_decomposition as kalman_decomposition
-from .realization import lift as lift
 from .realization import minreal as minreal
 from .recordings import read_csv as read_csv
 from .response import forced_response as forced_response

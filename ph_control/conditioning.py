@@ -168,11 +168,29 @@ def separate(
     if rtol is not None:
         errors = _chosen_tolerances(modes, _checks.relative_tolerance(rtol))
     elif given is None or energy is None:
-        close = _EXACT * max(1, modes.n) * _checks.EPS * modes.d
+        close = exact_closeness(modes.n) * modes.d
         errors = ModalErrors(close, np.zeros(len(modes.d)), np.zeros(len(modes.rigid)))
     else:
         return _separate_computed(modes, _rounding_noise(modes, *given, energy))
     return _split(modes, _components(modes.d, errors.d), errors)
+
+
+def as_decided(modes: ModalForm, starts: NDArray[np.intp], reached: NDArray[np.bool_]) -> tuple[Group, ...]:
+    """Groups of neighbouring modes of one port, of which it is known where they begin and whether they are reached."""
+    counts = np.diff(starts, append=len(modes.d))
+    tolerance = np.repeat(np.where(reached, 0.0, np.inf), counts)
+    label = np.repeat(np.arange(len(starts), dtype=np.int32), counts)
+    return _split(modes, label, ModalErrors(0 * modes.d, tolerance, np.zeros(len(modes.rigid)))).groups
+
+
+def exact_closeness(n: int) -> float:
+    """Relative error of each of n exact frequencies: those no farther apart than the sum of theirs are equal."""
+    return _EXACT * max(1, n) * _checks.EPS
+
+
+def rounding_unit(n: int) -> float:
+    """`c eps` of the errors `|dQ_ij| <= c eps sqrt(Q_ii Q_jj)` of n degrees of freedom; measured ones grow slower."""
+    return float((4 + np.sqrt(n)) * _checks.EPS)
 
 
 def _chosen_tolerances(modes: ModalForm, rtol: float) -> ModalErrors:
@@ -251,11 +269,11 @@ def _rounding_noise(modes: ModalForm, Q: Array, B: Array, energy: Energy) -> _No
     """Bounds for errors `|dQ_ij| <= c eps sqrt(Q_ii Q_jj)` in Q, which no choice of units changes.
 
     Cholesky factors err as much, and so does `S^T diag(d, d) S` however it was computed.  Reducing `F^T J F` adds
-    errors of the size of its norm.  `c = 4 + sqrt(n)`: measured errors grow slower than that.
+    errors of the size of its norm.
     """
     d, E, E0 = energy
     n = len(Q) // 2
-    unit = (4 + np.sqrt(n)) * _checks.EPS
+    unit = rounding_unit(n)
     root = np.sqrt(np.maximum(np.diag(Q), 0.0))
     scale = np.where(root > 0, root, 1.0)
     blocks = coupled_pairs(Q)[1]

@@ -18,8 +18,8 @@ from scipy.linalg.lapack import dgebal
 from . import _checks
 from .coefficients import cofactors
 from .exceptions import StructureError
+from .lifting import lifted_size
 from .pairs import norm_of, power_of_two, resonances
-from .realization import lifted_size
 from .symplectic import symplectic_inverse
 from .systems import PortHamiltonian
 

@@ -1,23 +1,23 @@
-"""Fewer and more states behind one filter: minimal realisation, Kalman decomposition, lifting.
+"""Fewer states behind one filter: minimal realisation and Kalman decomposition.
 
-Three faces of one map.  In Williamson coordinates the modes of one frequency turn among themselves until a single
-one meets the port; what does so is canonical, what does not is a system of its own that nobody sees, and adding
-such a system changes nothing.
+Two faces of one map, of which lifting is the third.  In Williamson coordinates the modes of one frequency turn among
+themselves until a single one meets the port; what does so is canonical, what does not is a system of its own that
+nobody sees.
 """
 
 from __future__ import annotations
 
-import heapq
-import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from . import _checks
-from .conditioning import Energy, Group, Separation, separate
+from .conditioning import Group, Separation, as_decided
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem
 from .modal import ModalForm
@@ -26,11 +26,12 @@ from .systems import PortHamiltonian, full_port_hamiltonian
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
 
-
-class KalmanDecomposition(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class KalmanDecomposition(Sequence[Any]):
     """A system as the direct sum of what its port reaches and what it does not; made by `kalman_decomposition`.
+
+    A sequence of three: `reachable, hidden, T = kalman_decomposition(sys)`.
 
     Attributes
     ----------
@@ -39,7 +40,8 @@ class KalmanDecomposition(NamedTuple):
     hidden : PortHamiltonian
         In Williamson coordinates, with an input matrix that is exactly 0; possibly without states.
     T : ndarray, shape (2n, 2n)
-        Symplectic; maps the states `z` of the system to `(q_reachable, q_hidden, p_reachable, p_hidden)`.
+        Symplectic; maps the states `z` of the system to `(q_reachable, q_hidden, p_reachable, p_hidden)`.  Computed
+        when it is first looked at.
 
     Examples
     --------
@@ -48,7 +50,29 @@ class KalmanDecomposition(NamedTuple):
 
     reachable: PortHamiltonian
     hidden: PortHamiltonian
-    T: Array
+    _transformation: Callable[[], Array]
+
+    @cached_property
+    def T(self) -> Array:
+        """Symplectic matrix onto the states of the direct sum, shape (2n, 2n), read-only."""
+        return _checks.readonly(self._transformation())
+
+    def __len__(self) -> int:
+        return 3
+
+    def __getitem__(self, index: Any) -> Any:
+        names = ("reachable", "hidden", "T")[index]
+        return getattr(self, names) if isinstance(names, str) else tuple(getattr(self, name) for name in names)
+
+    def __repr__(self) -> str:
+        return f"KalmanDecomposition(reachable=<{self.reachable.n} modes>, hidden=<{self.hidden.n} modes>)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self.reachable, self.hidden, self.T.copy())
+
+
+def _restored(reachable: PortHamiltonian, hidden: PortHamiltonian, T: Array) -> KalmanDecomposition:
+    return KalmanDecomposition(reachable, hidden, lambda: T)
 
 
 @dataclass(frozen=True)
@@ -147,7 +171,8 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     (array([0.5, 1. ]), array([2., 2.]))
     """
     system = full_port_hamiltonian(sys)
-    return _named_like(system, _separation(system, rtol).minimal())
+    found = system._reduction if rtol is None else None
+    return _named_like(system, (found or system._separation(rtol)).minimal())
 
 
 def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomposition:
@@ -204,90 +229,21 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
             f"the system has {system.ninputs} ports; the Kalman decomposition is that of one port: choose one by "
             "its column of B, or use minreal"
         )
-    d, E, _ = system._energy
-    if len(d) < system.n:
+    reduction = system._reduction if rtol is None else None
+    if reduction is None and len(system.d) < system.n:
         raise StructureError(
-            f"Q is only positive semidefinite: {system.n - len(d)} of {system.n} degrees of freedom have no frequency, "
-            "and what is reachable is then more than what is observable; use minreal"
+            f"Q is only positive semidefinite: {system.n - len(system.d)} of {system.n} degrees of freedom have no "
+            "frequency, and what is reachable is then more than what is observable; use minreal"
         )
-    found = _separation(system, rtol)
-    rows = E / np.sqrt(d)[:, None]
-    reached = _rows_by_frequency(found.groups, rows, reached=True)
-    complement = _rows_by_frequency(found.groups, rows, reached=False)
-    T = np.concatenate([reached.real, complement.real, reached.imag, complement.imag])
+    found = reduction or system._separation(rtol)
     hidden = found.hidden()
     unseen = ModalForm(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
-    return KalmanDecomposition(_named_like(system, found.minimal()), _named_like(system, unseen), _checks.readonly(T))
 
+    def transformation() -> Array:
+        groups = found.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)
+        return _transformation(system, groups)
 
-def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHamiltonian:
-    """System of m degrees of freedom with the same filter.
-
-    Theorem "(i) for any m >= n ..." of the paper's section on restrictions of higher dimensional systems:
-    `Q' = O diag(Q, P) O^T`, `B' = O [B; 0]`.
-
-    Parameters
-    ----------
-    sys : PortHamiltonian, or anything that `ph` takes
-        System of n degrees of freedom.
-    m : int
-        Degrees of freedom wanted, at least n.
-    padding : array_like of shape (m - n,), "ones", or None
-        Frequencies of the added modes, `P = diag(padding, padding)`, positive.  `"ones"` is the `P = I` of the
-        paper.  Default: distinct ones, evenly spread on a logarithmic axis between those of the system and up to
-        an octave beyond them, up to four octaves where many are added.
-
-    Returns
-    -------
-    PortHamiltonian
-        States `(q, q_added, p, p_added)`, those of the system in its own coordinates.  Inputs and outputs keep
-        their names.  For `m = n` the system itself.
-
-    Raises
-    ------
-    NotLosslessError
-        If the system has no port-Hamiltonian form.
-    StructureError
-        If `m` is less than n, more than 100000 or no whole number, or the padding is not of the kind above.
-
-    Warns
-    -----
-    UserWarning
-        If a padding frequency repeats another frequency, as `"ones"` does for `m - n >= 2`.
-
-    See Also
-    --------
-    minreal
-
-    Notes
-    -----
-    Corrects the paper: with `P = I` and `m - n >= 2` the frequency 1 is repeated, and the observable Hamiltonian
-    companion matrix of the lifted system has Jordan blocks, that is, free responses that grow.  Distinct
-    frequencies avoid it.  The modes of the system stay as they are, to the last bit of their frequencies; the
-    arrays have `4 m^2` entries.
-
-    Examples
-    --------
-    >>> import ph_control as phc
-    >>> large = phc.lift(phc.modes([1.0, 4.0], [0.5, 0.25]), 3)
-    >>> large.d, large.r
-    (array([1., 2., 4.]), array([0.5 , 0.  , 0.25]))
-    """
-    system = full_port_hamiltonian(sys)
-    n = system.n
-    m = lifted_size(m, n)
-    added = _padding(system.d, m - n, padding)
-    if m == n:
-        return system
-    _warn_of_jordan_blocks(system, added)
-    old, new = np.r_[0:n, m : m + n], np.r_[n:m, m + n : 2 * m]
-    Q, B = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, system.ninputs))
-    Q[np.ix_(old, old)] = system.Q
-    Q[new, new] = np.concatenate([added, added])
-    B[old] = system.B
-    lifted = PortHamiltonian(Q, B, inputs=system.input_labels, outputs=system.output_labels)
-    lifted._views["_energy"] = _lifted_energy(system._energy, added, old, new)
-    return lifted
+    return KalmanDecomposition(_named_like(system, found.minimal()), _named_like(system, unseen), transformation)
 
 
 def canonical_margins(sys: Any) -> CanonicalMargins:
@@ -337,7 +293,7 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
             f"the system has {system.ninputs} ports; the canonical margins are those of one port: choose one by its "
             "column of B"
         )
-    found = _separation(system, None)
+    found = system._separation()
     rigid = system.n - len(system.d)
     resonance, close, pair = _least_distance(system.d, found.errors.d)
     degeneracy, faint, mode = _least_residue(found)
@@ -347,12 +303,10 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
 def _with_hidden_modes(sys: Any) -> PortHamiltonian:
     """Port-Hamiltonian system with all that `sys` has; refused where the conversion has left states behind."""
     system = full_port_hamiltonian(sys)
+    if not isinstance(sys, ct.StateSpace) or isinstance(sys, LosslessSystem) or sys.nstates == system.nstates:
+        return system
     visible = 2 * len(system.d) + len(system.modes.rigid)
-    if (
-        isinstance(sys, ct.StateSpace)
-        and not isinstance(sys, LosslessSystem)
-        and visible < sys.nstates != system.nstates
-    ):
+    if visible < sys.nstates:
         raise StructureError(
             f"the system has {sys.nstates} states, of which {visible} take part in its transfer function; what "
             "the others store cannot be told from these matrices, so they are no part of its port-Hamiltonian form: "
@@ -361,13 +315,16 @@ def _with_hidden_modes(sys: Any) -> PortHamiltonian:
     return system
 
 
-def _separation(system: PortHamiltonian, rtol: float | None) -> Separation:
-    energy = None if system._given is None else system._energy
-    return separate(system.modes, system._given, energy, rtol=rtol)
-
-
 def _named_like(system: PortHamiltonian, modes: ModalForm) -> PortHamiltonian:
     return PortHamiltonian._from_modes(modes, inputs=system.input_labels, outputs=system.output_labels)
+
+
+def _transformation(system: PortHamiltonian, groups: tuple[Group, ...]) -> Array:
+    """Symplectic matrix whose rows are those of Williamson's `S`, rotated as the groups are."""
+    d, E, _ = system._energy
+    rows = E / np.sqrt(d)[:, None]
+    reached, hidden = (_rows_by_frequency(groups, rows, reached=part) for part in (True, False))
+    return np.concatenate([reached.real, hidden.real, reached.imag, hidden.imag])
 
 
 def _rows_by_frequency(groups: tuple[Group, ...], rows: ComplexArray, *, reached: bool) -> ComplexArray:
@@ -376,95 +333,6 @@ def _rows_by_frequency(groups: tuple[Group, ...], rows: ComplexArray, *, reached
     d = np.concatenate([np.zeros(0), *(g.d[part] for g, part in parts)])
     turned = [g.rotation[part] @ rows[g.members] for g, part in parts]
     return np.concatenate([rows[:0], *turned])[np.argsort(d, kind="stable")]
-
-
-def _lifted_energy(
-    energy: Energy, added: Array, old: NDArray[np.intp], new: NDArray[np.intp]
-) -> tuple[Array, ComplexArray, Array]:
-    """Energy coordinates of the lifted system: those of the system, to the last bit, and of the added modes."""
-    d, E, E0 = energy
-    n, size, root = len(d), len(old) + len(new), np.sqrt(added)
-    rows, rigid = np.zeros((n + len(added), size), complex), np.zeros((len(E0), size))
-    rows[:n, old], rigid[:, old] = E, E0
-    rows[n:, new] = np.concatenate([np.diag(root), 1j * np.diag(root)], axis=1)
-    frequencies = np.concatenate([d, added])
-    order = np.argsort(frequencies, kind="stable")
-    return frequencies[order], rows[order], rigid
-
-
-def lifted_size(m: Any, n: int) -> int:
-    """Check the degrees of freedom of a lifted system: a whole number of at least n, and not beyond all memory."""
-    if not isinstance(m, int | np.integer) or isinstance(m, bool) or not n <= m <= max(n, _LARGEST):
-        raise StructureError(
-            f"m is {_checks.shown(m)}, the system has n = {n} degrees of freedom; needed a whole number of at least n "
-            f"and at most {_LARGEST}: take hidden modes off with minreal first, if there are any"
-        )
-    return int(m)
-
-
-# --- padding -------------------------------------------------------------------------------------------------
-
-
-def _padding(d: Array, count: int, padding: ArrayLike | str | None) -> Array:
-    if padding is None:
-        return _frequencies_between(d, count)
-    if isinstance(padding, str):
-        _checks.choice("padding", padding, ("ones",))
-        return np.ones(count)
-    added = np.atleast_1d(_checks.real_array("padding", padding))
-    if added.shape != (count,):
-        raise StructureError(
-            f"padding has shape {added.shape}; m - n = {count} frequencies are to be added: ({count},)"
-        )
-    if count and added.min() <= 0:
-        worst = int(added.argmin())
-        raise StructureError(
-            f"padding is not positive: padding[{worst}] = {added[worst]:.6g}; natural frequencies are > 0 (rad/s)"
-        )
-    return added
-
-
-def _frequencies_between(d: Array, count: int) -> Array:
-    """Frequencies in the largest logarithmic gaps of `d`, and of a band of one to four octaves on either side.
-
-    One after the other goes to the gap whose points, evenly spaced, are then farthest apart.  The more, the wider the
-    band: companion matrices are well conditioned while neighbours differ by about half an octave.
-    """
-    reach = min(max(1.0, count / 4), 4.0)
-    known = np.log2(np.unique(d)) if len(d) else np.zeros(1)
-    edges = np.concatenate([[known[0] - reach], known, [known[-1] + reach]])
-    gaps = np.diff(edges)
-    points = [0] * len(gaps)
-    outer = [k in (0, len(gaps) - 1) for k in range(len(gaps))]
-    # no frequency stands at the ends of the band, so a point of an outer gap may
-    intervals = [1 if out else 2 for out in outer]
-    heap = [(-gap / need, out, k) for k, (gap, need, out) in enumerate(zip(gaps, intervals, outer, strict=True))]
-    heapq.heapify(heap)
-    for _ in range(count):
-        _, out, k = heap[0]
-        points[k] += 1
-        heapq.heapreplace(heap, (-gaps[k] / (points[k] + intervals[k]), out, k))
-    added = [
-        edges[k] + gaps[k] * (np.arange(number) + (k > 0)) / (number + (not outer[k]))
-        for k, number in enumerate(points)
-    ]
-    return np.exp2(np.concatenate(added))
-
-
-def _warn_of_jordan_blocks(system: PortHamiltonian, added: Array) -> None:
-    close = 2 * _checks.EPS * added
-    d, error = np.concatenate([system.d, added]), np.concatenate([_separation(system, None).errors.d, close])
-    distance = np.abs(d[:, None] - added)
-    distance[np.arange(len(system.d), len(d)), np.arange(len(added))] = np.inf
-    repeated = added[(distance <= error[:, None] + close).any(axis=0)]
-    if len(repeated):
-        warnings.warn(
-            f"the padding frequency {repeated[0]:.6g} is repeated in the lifted system: the transfer function is the "
-            "same, but the observable Hamiltonian companion matrix has Jordan blocks there, that is, free responses "
-            "that grow; the default padding has distinct frequencies",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 # --- margins -------------------------------------------------------------------------------------------------

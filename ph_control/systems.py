@@ -8,12 +8,13 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks, lossless
+from . import _checks, lossless, reduction
 from .casimirs import normal_form
-from .conditioning import separate
+from .conditioning import Separation, separate
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem, View, inherited_names, literal
 from .modal import ModalForm, from_frequencies
+from .reduction import Reduction
 from .symplectic import apply_form, energy_coordinates, port_spectrum, williamson
 
 Array = NDArray[np.float64]
@@ -160,6 +161,18 @@ class PortHamiltonian(LosslessSystem):
         found = port_spectrum(self.Q, self.B[:, 0]) if self._given is not None and self.ninputs == 1 else None
         return None if found is None else from_frequencies(found[0], found[1] / found[0])
 
+    @View
+    def _reduction(self) -> Reduction | None:
+        """What the port reaches, where frequencies and residues alone tell it."""
+        if self._given is None:
+            return reduction.of_exact(self.modes)
+        seen = self._seen if self._modes is None else None
+        return None if seen is None else reduction.of_matrix(seen.d, seen.kappa, self.Q)
+
+    def _separation(self, rtol: float | None = None) -> Separation:
+        """What ports reach and what they do not, by the modes."""
+        return separate(self.modes, self._given, None if self._given is None else self._energy, rtol=rtol)
+
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
@@ -199,9 +212,9 @@ class PortHamiltonian(LosslessSystem):
     @property
     def is_canonical(self) -> bool:
         """Whether the system is controllable, which is the same as observable: all `d` differ and all `r > 0`."""
-        if len(self.d) < self.n:
-            return False
-        return separate(self.modes, self._given, None if self._given is None else self._energy).is_minimal
+        if self._reduction is not None:
+            return self._reduction.is_minimal
+        return len(self.d) == self.n and self._separation().is_minimal
 
     def hamiltonian(self, z: ArrayLike) -> Any:
         """Stored energy `z^T Q z / 2`.

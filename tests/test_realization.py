@@ -20,8 +20,9 @@ from reference import (
 
 import ph_control as phc
 from ph_control.conditioning import separate
+from ph_control.lifting import lift
 from ph_control.modal import ModalForm
-from ph_control.realization import CanonicalMargins, canonical_margins, kalman_decomposition, lift, minreal
+from ph_control.realization import CanonicalMargins, canonical_margins, kalman_decomposition, minreal
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -1,0 +1,148 @@
+"""What one port reaches, told from frequencies and weights alone, where that is safe.
+
+`conditioning.py` bounds the error of each mode by its shape, which takes all modes of a matrix.  Frequencies and
+residues come at a fraction of their cost, and with them alone each of its bounds lies between two others: shapes are
+between those of the largest and of the smallest eigenvalue of the scaled `Q`.  Where both ends lead to the same
+decision it is made; where they do not, nothing is decided here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpocon
+
+from . import _checks
+from .conditioning import exact_closeness, rounding_unit
+from .modal import ModalForm
+
+Array = NDArray[np.float64]
+Starts = NDArray[np.intp]
+
+_MARGIN = 2.0  # between a quantity and the bound that it is held against, for the errors of both
+_ESTIMATED = 10.0  # by how much the norm of an inverse may exceed its estimate
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Modes of one port in groups of one frequency each.
+
+    Attributes
+    ----------
+    d, r : ndarray, shape (n,)
+        Frequencies, ascending, and weights of all modes.
+    starts : ndarray of int
+        First mode of each group.
+    reached : ndarray of bool
+        Whether the port reaches the group.
+    """
+
+    d: Array
+    r: Array
+    starts: Starts
+    reached: NDArray[np.bool_]
+
+    @property
+    def is_minimal(self) -> bool:
+        """Whether each mode is reached on its own."""
+        return len(self.starts) == len(self.d) and bool(self.reached.all())
+
+    def minimal(self) -> ModalForm:
+        """One mode for each group that is reached, at the mean of its frequencies, with the sum of its weights."""
+        if self.is_minimal:
+            d, r = self.d, self.r
+        else:
+            total = np.add.reduceat(self.r, self.starts)
+            first = self.d[self.starts]
+            count = np.diff(self.starts, append=len(self.d))
+            moved = np.add.reduceat(self.r * (self.d - np.repeat(first, count)), self.starts)
+            r = total[self.reached]
+            d = first[self.reached] + moved[self.reached] / r
+        return plain_modes(d, r)
+
+    def hidden(self) -> Array:
+        """Frequencies that the port does not reach, ascending: of k modes in a reached group, k - 1."""
+        counts = np.diff(self.starts, append=len(self.d))
+        several = np.flatnonzero(self.reached & (counts > 1))
+        parts = [slice(k, k + count) for k, count in zip(self.starts[several], counts[several], strict=True)]
+        left = [_beside(self.d[part], self.r[part]) for part in parts]
+        return np.sort(np.concatenate([self.d[np.repeat(~self.reached, counts)], *left]))
+
+
+def plain_modes(d: Array, r: Array) -> ModalForm:
+    """Modes of one port whose weights are real and positive."""
+    return ModalForm(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)), r)
+
+
+def _beside(d: Array, r: Array) -> Array:
+    """Frequencies of a group that are left when the combination of its modes that the port reaches is taken out."""
+    basis = np.linalg.qr(np.sqrt(r)[:, None], mode="complete")[0][:, 1:]
+    return d[0] + np.linalg.eigvalsh((basis.T * (d - d[0])) @ basis)
+
+
+def of_exact(modes: ModalForm) -> Reduction | None:
+    """Decide for modes that are given, not computed: equal up to a few roundings is equal, and 0 is unreached."""
+    if modes.nports != 1 or len(modes.rigid) or not len(modes.d):
+        return None
+    d, r = modes.d, modes.r
+    close = exact_closeness(modes.n)
+    apart = d[1:] - d[:-1] > close * (d[1:] + d[:-1])
+    if np.count_nonzero(apart) == len(apart):
+        return Reduction(d, r, np.arange(len(d)), r > 0)
+    starts = _starts(apart)
+    return Reduction(d, r, starts, np.add.reduceat(r, starts) > 0)
+
+
+def of_matrix(d: Array, kappa: Array, Q: Array) -> Reduction | None:
+    """Decide for frequencies and residues of a definite `Q` that couples all; None where their errors leave it open.
+
+    The bounds are those of `conditioning.separate`.  A Cholesky factorisation, and O(n^2).
+    """
+    n = len(d)
+    unit = rounding_unit(n)
+    root = np.sqrt(np.diag(Q))
+    size = unit * float(np.linalg.norm(root[:n] * root[n:]))
+    # what rounding makes of the square of a shape, in units of its frequency: at least, at most
+    least, most = unit / (2 * n), unit * _inverse_bound(Q, root)
+    together = d[1:] + d[:-1]
+    apart = _MARGIN * (most * together + 2 * size) < d[1:] - d[:-1]
+    if not (apart | (_MARGIN * (d[1:] - d[:-1]) <= least * together + 2 * size)).all():
+        return None
+    r, starts = kappa / d, _starts(apart)
+    strength = np.sqrt(np.add.reduceat(r, starts))
+    few, many = (np.sqrt(np.add.reduceat(e**2, starts)) for e in _weight_errors(d, kappa, apart, size, (least, most)))
+    reached = strength > _MARGIN * np.maximum(many, n * _checks.EPS * strength)
+    if not (reached | (_MARGIN * strength <= few)).all() or not reached.any():
+        return None
+    # what is dropped is so little that it need not be given back to a neighbour
+    lost = float(np.max(strength[~reached], initial=0.0))
+    if _MARGIN * lost**2 > n * _checks.EPS * strength[reached].min() ** 2:
+        return None
+    return Reduction(d, r, starts, reached)
+
+
+def _starts(apart: NDArray[np.bool_]) -> Starts:
+    return np.concatenate([[0], np.flatnonzero(apart) + 1])
+
+
+def _weight_errors(
+    d: Array, kappa: Array, apart: NDArray[np.bool_], size: float, shapes: tuple[float, ...]
+) -> list[Array]:
+    """Bounds of the errors of the weights `nu`, one for each of `shapes`: what other groups and the conjugates lend."""
+    label = np.concatenate([[0], np.cumsum(apart)])
+    gap = np.abs(d[:, None] - d)
+    gap[label[:, None] == label] = np.inf
+    lent = 1.0 / gap + 1.0 / (d[:, None] + d)
+    amplitude, root = np.sqrt(kappa), np.sqrt(d)
+    by_residue, by_weight = lent @ amplitude, lent @ (amplitude / d)
+    common = 0.5 * size * (root * by_weight + by_residue / root)
+    return [shape * root * by_residue + common for shape in shapes]
+
+
+def _inverse_bound(Q: Array, root: Array) -> float:
+    """Bound of the norm of the inverse of `Q` scaled to unit diagonal."""
+    factor = np.linalg.cholesky(Q / root[:, None] / root)
+    reciprocal, _ = dpocon(factor.T, 1.0, uplo="U")
+    return float(_ESTIMATED / reciprocal) if reciprocal > 0 else np.inf
