@@ -8,13 +8,13 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks, lossless, reduction
+from . import _checks, lossless, reachability
 from .casimirs import normal_form
 from .conditioning import Separation, separate
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem, View, inherited_names, literal
 from .modal import ModalForm, from_frequencies
-from .reduction import Reduction
+from .reachability import Reduction
 from .symplectic import apply_form, energy_coordinates, port_spectrum, williamson
 
 Array = NDArray[np.float64]
@@ -165,9 +165,9 @@ class PortHamiltonian(LosslessSystem):
     def _reduction(self) -> Reduction | None:
         """What the port reaches, where frequencies and residues alone tell it."""
         if self._given is None:
-            return reduction.of_exact(self.modes)
+            return reachability.of_exact(self.modes)
         seen = self._seen if self._modes is None else None
-        return None if seen is None else reduction.of_matrix(seen.d, seen.kappa, self.Q)
+        return None if seen is None else reachability.of_matrix(seen.d, seen.kappa, self.Q)
 
     def _separation(self, rtol: float | None = None) -> Separation:
         """What ports reach and what they do not, by the modes."""

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 # low to high; a package counts as one place
 ORDER = (
     "exceptions", "_checks", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients",
-    "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "reduction", "propagation",
+    "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "reachability", "propagation",
     "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
     "realization", "lifting", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
