@@ -13,6 +13,7 @@ from sphinx import addnodes
 import ph_control
 
 HERE = Path(__file__).parent
+LONG = 25  # characters of code that a narrow column of a table may break
 
 project = "ph_control"
 author = "The ph_control developers"
@@ -77,6 +78,8 @@ def link_names(app, doctree, docname):
     """Make a link of each literal that is a public name, such as `pem` or `ph(Q, B)`, outside headings and links."""
     pages = dict(public_pages())
     for literal in list(doctree.findall(nodes.literal)):
+        if len(literal.astext()) > LONG:
+            literal["classes"].append("long")
         name = re.sub(r"\(.*\)$", "", literal.astext().removeprefix("phc."), flags=re.S)
         parent = literal.parent
         if name not in pages or isinstance(parent, nodes.reference | nodes.title | addnodes.desc_name):
