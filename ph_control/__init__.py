@@ -18,6 +18,8 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         found = globals()[name] = getattr(import_module(_MODULES[name], __name__), name)
         return found
+    if name == "__version__":
+        return _version()
     whole = f"{__name__}.{name}"
     try:
         if not name.startswith("_"):
@@ -26,6 +28,16 @@ def __getattr__(name: str) -> Any:
         if error.name != whole:
             raise
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _version() -> str:
+    """Version of the installed distribution, which has it from pyproject.toml."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(__name__)
+    except PackageNotFoundError:
+        raise AttributeError(f"{__name__!r} is not installed, and only an installation has a version") from None
 
 
 def __dir__() -> list[str]:

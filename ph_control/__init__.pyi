@@ -105,3 +105,5 @@ from .systems import modes as modes
 from .systems import ph as ph
 from .time_plots import impulse_plot as impulse_plot
 from .time_plots import step_plot as step_plot
+
+__version__: str
