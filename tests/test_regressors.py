@@ -8,8 +8,10 @@ from reference import EPS, dense_simulation
 
 import ph_control as phc
 from ph_control.identification import experiment
-from ph_control.identification.experiment import Experiment
+from ph_control.identification.experiment import Experiment, TimeEvaluation
+from ph_control.identification.grouped import Modal, Shared, gram
 from ph_control.identification.regressors import Hold, regressors
+from ph_control.identification.solver import Problem
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 BLOCKS = ["forced", "cosine", "sine"]
@@ -150,3 +152,78 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
     moving = (np.zeros(3), np.zeros(3)) if from_rest else (own[:3], own[3:6])
     by_d = sum(c[:, None] * slope for c, slope in zip((kappa * driven, *moving), slopes, strict=True))
     assert np.allclose(whole[2][-4:-1], by_d, rtol=0, atol=1e4 * EPS * np.abs(by_d).max())
+
+
+# --- inner products without columns -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("method, intersample", HOLDS)
+@pytest.mark.parametrize("offset, from_rest, driven, samples", [
+    (False, False, True, 1000), (True, False, True, 31), (False, True, True, 992), (True, False, False, 1),
+    (True, True, True, 993), (False, True, False, 70),
+])  # fmt: skip
+def test_inner_products_by_groups_are_those_of_the_columns(
+    monkeypatch, method, intersample, quantity, offset, from_rest, driven, samples
+):
+    rng = np.random.default_rng(8)
+    u, y = rng.standard_normal((2, samples)) * ((driven,), (1,))
+    hold, d = Hold(0.1, method, intersample), np.array([0.2, 0.9, 1.4])
+    at = Experiment(u, y, np.ones(samples, bool), hold, from_rest, offset, quantity, driven).at(d)
+    own = rng.standard_normal(2 * 3 * (not from_rest) + offset)
+    # a residue of nothing leaves a column of nothing, where there is no free motion either
+    kappa = np.array([0.5, 0.0, 2.0])
+    assert at.gram() is None and at.sensitive_gram(kappa, own) is None
+    columns = np.concatenate(list(at.blocks()), axis=1), np.concatenate(list(at.sensitive_blocks(kappa, own)), axis=1)
+    monkeypatch.setattr(TimeEvaluation, "_by_gram", True)
+    for piece in (1, 1 << 19):
+        monkeypatch.setattr(experiment, "_BLOCK", piece)
+        monkeypatch.setattr(experiment, "_FEWEST", 3)
+        for found, whole in zip((at.gram(), at.sensitive_gram(kappa, own)), columns, strict=True):
+            expected = whole @ whole.T
+            lengths = np.sqrt(np.diag(expected))
+            assert found.shape == expected.shape
+            # sums of that many products, each of some
+            allowed = 4 * (samples + 30) * EPS * np.outer(lengths, lengths)
+            assert (np.abs(found - expected) <= allowed).all()
+
+
+def test_inner_products_of_a_record_with_gaps_are_left_to_its_columns():
+    samples = experiment._LONG
+    u, observed = np.ones(samples), np.arange(samples) != 7
+    d, hold = np.array([0.3]), Hold(1.0)
+    assert Experiment(u, u, observed, hold).at(d).gram() is None
+    assert Experiment(u, u, np.ones(samples, bool), hold).at(d).gram().shape == (4, 4)
+    assert Experiment(u[1:], u[1:], np.ones(samples - 1, bool), hold).at(d).gram() is None
+
+
+def test_parts_that_name_the_same_columns_add_up():
+    rng = np.random.default_rng(9)
+    V, phi, weights = rng.standard_normal((7, 40)), rng.standard_normal((2, 2, 5)), rng.standard_normal((2, 3, 5))
+    columns = np.zeros((3, 40, 5))
+    columns[:2] += V[:2, :, None] * phi[0][:, None] + V[2:4, :, None] * phi[1][:, None]
+    columns[1:] += np.einsum("jk,ljs->lks", V[4:], weights)
+    modal = [Modal(slice(2), slice(2), phi[0]), Modal(slice(2), slice(2, 4), phi[1])]
+    found = gram(3, modal, [Shared(slice(1, 3), slice(4, 7), weights)], V @ V.T)
+    assert np.allclose(found, np.einsum("iks,jks->ij", columns, columns), rtol=1e-13, atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.1, 1e-6])
+def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkeypatch, noise):
+    """Also where the output is explained so well that inner products alone would lose digits."""
+    samples, d = experiment._LONG + 17, np.array([0.4, 0.41, 1.9])
+    rng = np.random.default_rng(10)
+    u = rng.standard_normal(samples)
+    hold = Hold(1.0)
+    y = regressors(d, u, hold).columns() @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
+    y += noise * np.std(y) * rng.standard_normal(samples)
+    problem = Problem((Experiment(u, y, np.ones(samples, bool), hold),))
+    fast, slow = problem.project(d), problem.project(d)
+    fast_step = np.linalg.solve(fast.gram, fast.gradient)
+    monkeypatch.setattr(experiment, "_LONG", samples + 1)
+    slow_step = np.linalg.solve(slow.gram, slow.gradient)
+    assert np.isclose(fast.loss, slow.loss, rtol=1e-9 if noise > 1e-3 else 1e-6, atol=0)
+    assert np.allclose(fast.kappa, slow.kappa, rtol=1e-11)
+    # steps in units of the standard error
+    error = np.sqrt(fast.loss / samples * np.diag(np.linalg.inv(fast.gram)))
+    assert (np.abs(fast_step - slow_step) <= 1e-6 * error).all()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import EPS
+from .experiment import Evaluation
 from .frequency_data import FrequencyRecord
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ class FrequencyRows:
         return float(np.max(np.abs(response) * self.scale, initial=0.0))
 
 
-class FrequencyEvaluation:
+class FrequencyEvaluation(Evaluation):
     """The rows of a response at some frequencies; O(K n)."""
 
     def __init__(self, rows: FrequencyRows, d: Array) -> None:

@@ -154,20 +154,20 @@ class Kernel:
         return Carry(0, -self._b1 * u[0], -self._db1 * u[0])
 
     @cached_property
-    def _within(self) -> Array:
+    def within(self) -> Array:
         """Output of samples of one group at its instants, shape (n, SHORT, SHORT)."""
         lag_0 = (self._output * self._b1).real + self._fed_through
         return _toeplitz(lag_0, (self._output[:, None] * self._impulse).real)
 
     @cached_property
-    def _within_slope(self) -> Array:
+    def within_slope(self) -> Array:
         """Its derivative by the frequency."""
         lag_0 = (self._output_slope * self._b1 + self._output * self._db1).real
         later = self._output_slope[:, None] * self._impulse + self._output[:, None] * self._impulse_slope
         return _toeplitz(lag_0, later.real)
 
     @cached_property
-    def _motion(self) -> Array:
+    def motion(self) -> Array:
         """Real and imaginary part of `lambda^i` and of `i lambda^i d log lambda`, shape (n, 4, SHORT)."""
         free = self._powers[:, :SHORT]
         turning = self._turn[:, None] * np.arange(float(SHORT)) * free
@@ -202,13 +202,13 @@ class Kernel:
 
     def forced(self, groups: Array, state: ComplexArray, out: Array | None = None) -> Array:
         """Response to the input with unit residue, shape (n, count, SHORT)."""
-        out = np.matmul(groups, self._within, out=out)
-        out += _real_part(self._output[:, None] * state, self._motion[:, :2])
+        out = np.matmul(groups, self.within, out=out)
+        out += _real_part(self._output[:, None] * state, self.motion[:, :2])
         return out
 
     def free(self, starts: ComplexArray, out: Array | None = None) -> Array:
         """`Re(start lambda^i)`, shape (n, count, SHORT)."""
-        return _real_part(starts, self._motion[:, :2], out)
+        return _real_part(starts, self.motion[:, :2], out)
 
     def forced_slope(self, groups: Array, state: ComplexArray, slope: ComplexArray) -> Array:
         """Derivative of `forced` by the frequencies."""
@@ -216,7 +216,7 @@ class Kernel:
 
     def free_slope(self, starts: ComplexArray, slopes: ComplexArray) -> Array:
         """Derivative of `free` by the frequencies, where the starts change as given."""
-        return _real_part(np.stack([slopes, starts]), self._motion)
+        return _real_part(np.stack([slopes, starts]), self.motion)
 
     def sensitivity(
         self, kappa: Array, groups: Array | None, state: ComplexArray, slope: ComplexArray, out: Array | None = None
@@ -229,10 +229,10 @@ class Kernel:
         self, kappa: Array, groups: Array | None, slope: ComplexArray, state: ComplexArray, out: Array | None = None
     ) -> Array:
         """Derivative of the output by the frequencies, from the output amplitudes of all past and their derivatives."""
-        motion = _real_part(np.stack([slope, state]), self._motion, None if groups is not None else out)
+        motion = _real_part(np.stack([slope, state]), self.motion, None if groups is not None else out)
         if groups is None:
             return motion
-        out = np.matmul(groups, kappa[:, None, None] * self._within_slope, out=out)
+        out = np.matmul(groups, kappa[:, None, None] * self.within_slope, out=out)
         out += motion
         return out
 

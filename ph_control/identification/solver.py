@@ -98,7 +98,7 @@ class Projection:
     def _factors(self) -> list[Array]:
         """Triangular factor of `[own, shared, output]` of each experiment."""
         return [
-            triangle(evaluation.blocks, rows.samples)
+            triangle(evaluation.blocks, rows.samples, evaluation.gram())
             for evaluation, rows in zip(self._evaluations, self.problem.experiments, strict=True)
         ]
 
@@ -193,7 +193,11 @@ class Projection:
     def _sensitive_factors(self) -> list[Array]:
         """Triangular factor of `[own, shared, by frequency, output]` of each experiment."""
         return [
-            triangle(partial(evaluation.sensitive_blocks, self.kappa, own), rows.samples)
+            triangle(
+                partial(evaluation.sensitive_blocks, self.kappa, own),
+                rows.samples,
+                evaluation.sensitive_gram(self.kappa, own),
+            )
             for evaluation, own, rows in zip(self._evaluations, self.own, self.problem.experiments, strict=True)
         ]
 

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from .experiment import Experiment
+from .experiment import Evaluation, Experiment
 from .regressors import output_weight
 
 Array = NDArray[np.float64]
@@ -258,7 +258,7 @@ class Window:
         return WindowEvaluation(self, d)
 
 
-class WindowEvaluation:
+class WindowEvaluation(Evaluation):
     """The rows of a window at some frequencies."""
 
     def __init__(self, window: Window, d: Array) -> None:

@@ -20,36 +20,44 @@ _PASSES = 3
 _WELL_CONDITIONED = 0.01  # smallest diagonal of a factor of unit columns: its Gram matrix then loses four digits
 
 
-def triangle(blocks: Blocks, rows: int) -> Array:
+def triangle(blocks: Blocks, rows: int, gram: Array | None = None) -> Array:
     """Upper triangular factor, shape (p, p), of a matrix (rows, p) whose blocks are made as arrays (p, m).
 
-    From the Gram matrix, 2 rows p^2 operations at the speed of matrix products; where that would lose digits, once more
-    with the columns orthogonalised by the factor found so far, and with reflections where even that does not help.
+    From the Gram matrix, where that is not known yet by 2 rows p^2 operations at the speed of matrix products; where
+    that would lose digits, once more with the columns orthogonalised by the factor found so far, and with reflections
+    where even that does not help.
     """
-    made = iter(blocks())
-    first = next(made)
-    if first.size <= _SMALL and first.shape[1] == rows:
-        return reflect([first])
-    guess: Array | None = None
-    for turn in range(_PASSES):
-        guess, trusted = _by_gram(blocks() if turn else chain([first], made), guess)
+    if gram is None:
+        made = iter(blocks())
+        first = next(made)
+        if first.size <= _SMALL and first.shape[1] == rows:
+            return reflect([first])
+        gram = _gram(chain([first], made), None)
+    guess, trusted = _by_gram(gram, None)
+    for _ in range(1, _PASSES):
         if trusted:
             return guess
-    return reflect(blocks())
+        guess, trusted = _by_gram(_gram(blocks(), guess), guess)
+    return guess if trusted else reflect(blocks())
 
 
-def _by_gram(blocks: Iterable[Array], guess: Array | None) -> tuple[Array, bool]:
-    """Factor from the Gram matrix of the columns, orthogonalised by a guess; and whether to trust it."""
+def _gram(blocks: Iterable[Array], guess: Array | None) -> Array:
+    """Gram matrix of the columns, orthogonalised by a guess."""
     gram: Array | float = 0.0
     for block in blocks:
         # rows are solved for, not multiplied by an inverse: what a nearly singular guess blows up, it then takes back
         turned = block if guess is None else blas.dtrsm(1.0, guess, block.T, side=1, lower=0).T
         gram = gram + turned @ turned.T
-    gram = np.asarray(gram)
+    return np.asarray(gram)
+
+
+def _by_gram(gram: Array, guess: Array | None) -> tuple[Array, bool]:
+    """Factor from the Gram matrix of columns that a guess has orthogonalised; and whether to trust it."""
     size, empty = len(gram), np.flatnonzero(np.diag(gram) == 0)
-    gram[empty, empty] = 1.0
     lengths = np.sqrt(np.diag(gram))
+    lengths[empty] = 1.0
     scaled = gram / np.outer(lengths, lengths)
+    scaled[empty, empty] = 1.0
     factor, failed = lapack.dpotrf(scaled, lower=0)
     if failed:
         scaled[np.diag_indices(size)] += 10 * size * EPS
