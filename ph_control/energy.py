@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from . import _checks
+from ._display import Report
 from .drawing import DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
 from .exceptions import StructureError
 from .propagation import INTERSAMPLE, METHODS
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class EnergyBalance:
+@dataclass(frozen=True, eq=False, repr=False)
+class EnergyBalance(Report):
     """Stored and supplied energy along a response.
 
     Attributes
@@ -54,6 +55,16 @@ class EnergyBalance:
     stored: Array
     supplied: Array
     defect: Array
+
+    def __str__(self) -> str:
+        """Say over what time, and how much was stored, supplied and found or lost."""
+        stored, supplied, defect = (
+            float(np.max(np.abs(e), initial=0.0)) for e in (self.stored, self.supplied, self.defect)
+        )
+        return (
+            f"{len(self.time)} instants from {self.time[0]:.6g} to {self.time[-1]:.6g}, at most {stored:.4g} stored, "
+            f"{supplied:.4g} supplied, {defect:.2g} between them"
+        )
 
     def plot(self, **kwargs: Any) -> ct.ControlPlot:
         """Picture of the energies and their difference.

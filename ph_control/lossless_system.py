@@ -11,6 +11,7 @@ from control.nlsys import NonlinearIOSystem
 from numpy.typing import NDArray
 
 from . import _checks
+from ._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
 from .exceptions import StructureError
 from .modal import ModalForm, imaginary
 
@@ -124,19 +125,32 @@ class LosslessSystem(ct.StateSpace):
             "states": self.state_labels,
         }
 
+    def _equations(self) -> str:
+        A, B, C = (latex_matrix(matrix) for matrix in (self.A, self.B, self.C))
+        return rf"\dot x = {A} x + {B} u, \quad y = {C} x"
+
+    def _repr_latex_(self) -> str | None:
+        return f"$${self._equations()}$$" if fits_in_a_formula(self) else None
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks: names, equations of a system no larger than `statesp.latex_maxsize`, and its modes."""
+        equations = html_formula(self._equations()) if fits_in_a_formula(self) else ""
+        return html_heading(self._repr_info_()) + equations + modes_table(self.modes)
+
+    def _label_repr(self, show_count: bool | None = None) -> str:
+        """Names as keywords, those that are given by default left out; python-control does not quote quotes."""
+        parts = [] if self._generic_name_check() else [f"name={self.name!r}"]
+        for kind, letter in (("states", "x"), ("outputs", "y"), ("inputs", "u")):
+            labels = getattr(self, f"{kind[:-1]}_labels")
+            if labels != [f"{letter}[{k}]" for k in range(len(labels))]:
+                parts.append(f"{kind}={labels}")
+        return ", ".join(parts)
+
     def _repr_of(self, *arrays: NDArray[Any]) -> str:
         """A call of the factory that evaluates to the same system."""
         text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
         labels = self._label_repr()
         return text + (f",\n{labels})" if labels else ")")
-
-
-def literal(array: NDArray[Any]) -> str:
-    """Text that evaluates to the same array, bit for bit; beyond 1000 entries numpy shows the corners only."""
-    if array.size == 0:
-        return f"zeros({array.shape})"
-    with np.printoptions(floatmode="unique", threshold=1000):
-        return repr(array)
 
 
 def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from . import _twofloat as tf
+from ._display import ShownModes
 from .coefficients import COEFFICIENT_LIMIT, ScaledCoefficients, modes_from_coefficients, transfer_coefficients
 from .exceptions import NotLosslessError, StructureError
 from .zeros import many_port_zeros, one_port_zeros
@@ -27,8 +28,8 @@ _CACHED = 1 << 15  # entries of one that stays in a cache
 _CANCELLED = 32  # sum of sizes over the size of the sum, beyond which it is repeated with twice the digits
 
 
-@dataclass(frozen=True, eq=False)
-class ModalForm:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalForm(ShownModes):
     """A lossless system in modal (Foster) coordinates; made by `modes`.
 
     For one port its transfer function is `sum_l kappa_l s / (s^2 + d_l^2) + kappa_0 / s`, `kappa_l = r_l d_l`.
@@ -69,12 +70,6 @@ class ModalForm:
             object.__setattr__(self, "r", r[:, 0] if self.nports == 1 else r)
         for array in (self.d, self.nu, self.rigid, self.r):
             _checks.readonly(array)
-
-    def __repr__(self) -> str:
-        text = f"ModalForm(d={np.array2string(self.d, threshold=8)}, r={np.array2string(self.r, threshold=8)}"
-        if len(self.rigid):
-            text += f", rigid={np.array2string(self.rigid, threshold=8)}"
-        return text + ")"
 
     def __reduce__(self) -> tuple[type[ModalForm], tuple[Array, ComplexArray, Array, Array]]:
         return type(self), (self.d.copy(), self.nu.copy(), self.rigid.copy(), self.r.copy())
@@ -351,7 +346,7 @@ class ModalForm:
         --------
         >>> import ph_control as phc
         >>> phc.ModalForm.from_coefficients([4.0, 0.0, 5.0, 0.0], [3.0, 6.0])
-        ModalForm(d=[1. 2.], r=[1. 1.])
+        modes([1., 2.], [1., 1.])
         """
         even, odd = _checks.transfer_coefficients(a, c)
         if len(even) == 0:
@@ -400,7 +395,7 @@ class ModalForm:
         --------
         >>> import ph_control as phc
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
-        ModalForm(d=[1.], r=[0.75])
+        modes([1.], [0.75])
         """
         close = 8 * max(1, self.n) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
         weight = np.linalg.norm(np.sqrt(self.d)[:, None] * self.nu, axis=1) ** 2

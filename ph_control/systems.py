@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, lossless, reachability
+from ._display import latex_matrix
 from .casimirs import normal_form
 from .conditioning import Separation, separate
 from .exceptions import StructureError
-from .lossless_system import LosslessSystem, View, inherited_names, literal
+from .lossless_system import LosslessSystem, View, inherited_names
 from .modal import ModalForm, from_frequencies
 from .reachability import Reduction
 from .symplectic import apply_form, energy_coordinates, port_spectrum, williamson
@@ -305,10 +306,12 @@ class PortHamiltonian(LosslessSystem):
     def _repr_eval_(self) -> str:
         if self._given is not None:
             return self._repr_of(self.Q, self.B)
-        m = self.modes
-        text = ",\n".join(literal(array) for array in (m.d, m.nu, m.rigid))
         labels = self._label_repr()
-        return f"ph(ModalForm(\n{text})" + (f",\n{labels})" if labels else ")")
+        return f"ph({self.modes!r}" + (f",\n{labels})" if labels else ")")
+
+    def _equations(self) -> str:
+        Q, B = latex_matrix(self.Q), latex_matrix(self.B)
+        return rf"\dot z = J Q z + B u, \quad y = B^\top Q z, \quad Q = {Q}, \quad B = {B}"
 
 
 def _restore(
@@ -442,7 +445,7 @@ def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
     --------
     >>> import ph_control as phc
     >>> phc.modes([3.0, 1.0], [0.5, 2.0])
-    ModalForm(d=[1. 3.], r=[2.  0.5])
+    modes([1., 3.], [2. , 0.5])
     """
     if r is not None:
         return from_frequencies(d, r)

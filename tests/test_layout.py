@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
 # low to high; a package counts as one place
 ORDER = (
-    "exceptions", "_checks", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients",
+    "exceptions", "_checks", "_display", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients",
     "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "reachability", "propagation",
     "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
     "realization", "lifting", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
@@ -94,7 +94,7 @@ def test_the_known_imports_of_the_package_are_seen():
     imports = imported_modules(PACKAGE)
     assert {"exceptions", "_checks"} <= set(imports)
     assert imports["_checks"] == {"exceptions"}
-    assert imports["modal"] == {"_checks", "_twofloat", "coefficients", "exceptions", "zeros"}
+    assert imports["modal"] == {"_checks", "_display", "_twofloat", "coefficients", "exceptions", "zeros"}
     assert {"modal", "systems", "response"} <= imports["__init__"]
 
 

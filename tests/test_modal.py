@@ -350,10 +350,9 @@ def test_a_copy_is_the_same_and_as_locked(through):
         assert not getattr(other, name).flags.writeable
 
 
-def test_the_text_names_frequencies_weights_and_rigid_bodies():
-    assert repr(phc.modes([1.0, 2.0], [0.5, 0.25])) == "ModalForm(d=[1. 2.], r=[0.5  0.25])"
-    assert "rigid=[[1.]]" in repr(phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0]).modes)
-    assert "..." in repr(phc.modes(np.arange(1.0, 101), np.ones(100)))
+def test_the_text_is_a_call_of_modes_and_with_rigid_bodies_one_of_the_class():
+    assert repr(phc.modes([1.0, 2.0], [0.5, 0.25])) == "modes([1., 2.], [0.5 , 0.25])"
+    assert repr(phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0]).modes).endswith("array([[1.]]))")
 
 
 def test_no_modes_are_the_zero_system():

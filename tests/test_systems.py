@@ -560,7 +560,7 @@ def test_the_printed_form_evaluates_to_the_same_system(operand, named):
     sys = OPERANDS[operand]()
     if named:
         sys.update_names(name="its", inputs=[f"F {i}" for i in range(sys.ninputs)], states=sys.nstates)
-    words = {"ph": phc.ph, "ModalForm": phc.ModalForm, "array": np.array, "zeros": np.zeros}
+    words = {"ph": phc.ph, "modes": phc.modes, "ModalForm": phc.ModalForm, "array": np.array}
     twin = eval(repr(sys), words)
     assert type(twin) is PH
     assert np.array_equal(twin.Q, sys.Q)
@@ -572,7 +572,7 @@ def test_the_printed_form_evaluates_to_the_same_system(operand, named):
 @SETTINGS
 @given(st.lists(st.floats(1e-100, 1e100), min_size=2, max_size=4))
 def test_the_printed_form_keeps_every_digit(numbers):
-    words = {"ph": phc.ph, "ModalForm": phc.ModalForm, "array": np.array, "zeros": np.zeros}
+    words = {"ph": phc.ph, "modes": phc.modes, "ModalForm": phc.ModalForm, "array": np.array}
     sys = phc.ph(phc.modes(numbers, numbers[::-1]))
     twin = eval(repr(sys), words)
     assert np.array_equal(twin.d, sys.d)

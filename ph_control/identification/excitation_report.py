@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import Report
 from .excited_band import ExcitedBand
 from .information import Combination, Information, listed, named_modes
 from .scan import SPACING, Scan
@@ -20,8 +21,8 @@ Array = NDArray[np.float64]
 _TOLD = 3  # combinations, modes or pairs described one by one
 
 
-@dataclass(frozen=True, eq=False)
-class Excitation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Excitation(Report):
     """What a record can and cannot show; made by `excitation`.
 
     Attributes

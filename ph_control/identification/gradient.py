@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._display import Report
 from ..canonical_forms import ObservableHamiltonian, oh
 from ..coefficients import cofactors
 from ..exceptions import IdentificationError, StructureError
@@ -27,8 +28,8 @@ OPTIMIZERS = ("plain", "adam")
 _MOMENTUM, _MEMORY, _FLOOR = 0.9, 0.999, 1e-8  # what Kingma and Ba recommend for Adam
 
 
-@dataclass(frozen=True, eq=False)
-class GradientResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class GradientResult(Report):
     """Result of `gradient_descent`: the parameters with the smallest loss on the way.
 
     Attributes
@@ -77,6 +78,10 @@ class GradientResult:
         for array in (self.d, self.v, self.r, self.initial_state, self.loss_history, self.validation_history):
             if array is not None:
                 _checks.readonly(array)
+
+    def __str__(self) -> str:
+        """Say how far the descent came, and what happened."""
+        return f"{len(self.d)} modes, mean squared error {self.loss:.4g} after {self.best_epoch} steps\n{self.message}"
 
     @property
     def loss(self) -> float:

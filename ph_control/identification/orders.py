@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import Report
 from ..exceptions import StructureError
 from ..validation_plots import stabilisation_plot
 from .formulation import Callback, Formulation, reporter
@@ -27,8 +28,8 @@ _LARGEST = 10  # by default
 _STABLE, _STABLE_BINS = 0.01, 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class OrderSelection:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderSelection(Report):
     """What each number of modes achieves; made by `order_selection`.
 
     Attributes
@@ -108,6 +109,9 @@ class OrderSelection:
                 text += f"{values[row]:13.6g}{mark}"
             lines.append(f"{text} {int(self.stable[row].sum()):3d} of {order}")
         return "\n".join(lines)
+
+    def _headline(self) -> str:
+        return f"orders {self.orders[0]} to {self.orders[-1]}, BIC chooses {self.chosen('bic')}"
 
     def plot(self, criterion: str = "bic", **kwargs: Any) -> ct.ControlPlot:
         """Stabilisation diagram, and the criteria beside it.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import Report
 from ..modal import ModalForm
 from ..response import forced_response
 from ..systems import PortHamiltonian
@@ -23,8 +24,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
-class FittedExperiment:
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedExperiment(Report):
     """What a fit says of one experiment.
 
     Attributes
@@ -51,6 +52,10 @@ class FittedExperiment:
     def __post_init__(self) -> None:
         for array in (self.initial_state, self.free_amplitudes, self.predicted):
             _checks.readonly(array)
+
+    def __str__(self) -> str:
+        """Say how much there is of it, and how well it is fitted."""
+        return f"{self.record.samples} samples, fit {self.fit_percent:.2f} %"
 
     @property
     def measured(self) -> NDArray[Any]:

@@ -6,9 +6,35 @@ from typing import Any
 
 import numpy as np
 
+from .._display import Report, html_heading, html_report, html_table
+from ..fit_data import percent
 from .data import Record
 
 _SHOWN = 6  # experiments listed one by one
+
+
+class FitReport(Report):
+    """What the result of a fit shows of itself."""
+
+    def __str__(self) -> str:
+        return summary_of(self)
+
+    def _headline(self) -> str:
+        result: Any = self
+        return f"{_modes(result.order)}, fit {percent(result.fit_percent)}, {result.verdict}"
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks: the summary, its modes as a table."""
+        result: Any = self
+        above, _, _ = summary_of(self).partition("\n\n")
+        title, _, lines = above.partition("\n")
+        errors = result.stderr["d"], result.stderr["r"]
+        columns = (result.d, errors[0], result.d / (2 * np.pi), result.r, errors[1])
+        rows = [
+            [str(l + 1), *(f"{values[l]:.7g}" for values in columns), _note(result, l)] for l in range(result.order)
+        ]
+        head = ["mode", "d [rad/time]", "±", "cycles/time", "r", "±", "note"]
+        return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(result.message)
 
 
 def summary_of(result: Any) -> str:
@@ -18,7 +44,7 @@ def summary_of(result: Any) -> str:
     driven = [one.record for one in result.experiments if not isinstance(one.record, Record) or one.record.driven]
     source = f" from {driven[0].input_label!r}" if driven else " in free motion"
     lines = [
-        f"Port-Hamiltonian model of {first.output_label!r}{source}: {result.order} mode{'s' * (result.order != 1)}",
+        f"Port-Hamiltonian model of {first.output_label!r}{source}: {_modes(result.order)}",
         f"  verdict         {result.verdict}",
         *_data_lines(result, missing),
         f"  fit             {result.fit_percent:.2f} %",
@@ -28,12 +54,19 @@ def summary_of(result: Any) -> str:
         "   mode        d [rad/time]     +-          cycles/time    r               +-          note",
     ]
     for l in range(result.order):
-        note = "not in the record" if l in result.unseen else "constraint active" if l in result.active else ""
         lines.append(
             f"  {l + 1:5d}  {result.d[l]:18.10g}  {_error(result.stderr['d'][l])}  {result.d[l] / 2 / np.pi:15.8g}"
-            f"  {result.r[l]:14.7g}  {_error(result.stderr['r'][l])}  {note}".rstrip()
+            f"  {result.r[l]:14.7g}  {_error(result.stderr['r'][l])}  {_note(result, l)}".rstrip()
         )
     return "\n".join([*lines, "", *_wrap(result.message)])
+
+
+def _modes(order: int) -> str:
+    return f"{order} mode{'s' * (order != 1)}"
+
+
+def _note(result: Any, l: int) -> str:
+    return "not in the record" if l in result.unseen else "constraint active" if l in result.active else ""
 
 
 def _data_lines(result: Any, missing: int) -> list[str]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import Report
 from ..exceptions import StructureError
 from ..fit_data import percent
 from ..validation_plots import correlation_plot, residual_response_plot, whiteness_plot
@@ -73,8 +74,8 @@ class ResidualExperiment:
         return values_of(self.record)
 
 
-@dataclass(frozen=True, eq=False)
-class ResidualAnalysis:
+@dataclass(frozen=True, eq=False, repr=False)
+class ResidualAnalysis(Report):
     """What the residuals of a model say; made by `residual_analysis`.
 
     Attributes

@@ -26,7 +26,7 @@ from .frequency_data import FrequencyRecord
 from .information import Information
 from .prediction import FittedExperiment, estimated_state, observed_system, response_on, step_after
 from .regressors import Hold
-from .report import summary_of
+from .report import FitReport, summary_of
 from .samples import ModeSamples, draw, normal_interval
 
 Array = NDArray[np.float64]
@@ -56,8 +56,8 @@ class OrderRow:
     d: Array
 
 
-@dataclass(frozen=True, eq=False)
-class PEMResult(Resampled, InCoordinates):
+@dataclass(frozen=True, eq=False, repr=False)
+class PEMResult(FitReport, Resampled, InCoordinates):
     """Result of `pem`.
 
     Attributes

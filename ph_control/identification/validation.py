@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import Report
 from ..exceptions import StructureError
 from ..fit_data import percent
 from ..validation_plots import comparison_plot, response_comparison_plot
@@ -69,8 +70,8 @@ class ComparedExperiment:
         return values_of(self.record)
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Report):
     """Models beside one another on the same data; made by `compare`.
 
     Attributes
@@ -139,6 +140,10 @@ class Comparison:
             row = f"  {label:{width}}  {percent(fit):>14}  {error:9.4g}"
             lines.append(f"{row}   {self._note(k)}".rstrip())
         return "\n".join([*lines, *self._one_by_one()])
+
+    def _headline(self) -> str:
+        fits = zip(self.labels, self.fit_percent, strict=True)
+        return f"fit to {self.output_label!r}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
 
     def _note(self, k: int) -> str:
         own = sum(one.own_record[k] for one in self.experiments)

@@ -1,0 +1,148 @@
+"""How objects show themselves: as text that evaluates back, and in a notebook as HTML with formulas in LaTeX."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_ROWS = 12  # of a table, beyond which its middle is left out
+_TERMS = 5  # of a formula
+# what is in such an element is text, dollar signs too, whatever typesets the formulas of the page
+_TEXT = '<div class="tex2jax_ignore mathjax_ignore">{}</div>'
+
+
+def literal(array: NDArray[Any]) -> str:
+    """Text that evaluates to the same array, bit for bit; beyond 1000 entries the corners and the shape, as numpy does.
+
+    Such a text does not evaluate, which is better than to a smaller array.
+    """
+    if not array.size:
+        return f"array([]).reshape{array.shape}"
+    with np.printoptions(floatmode="unique", threshold=1000):
+        text = repr(array)
+    # numpy itself says the shape from 2.2 on
+    return text if array.size <= 1000 or "shape=" in text else f"{text[:-1]}, shape={array.shape})"
+
+
+def listed_or_literal(vector: NDArray[Any]) -> str:
+    """The same for a call that takes lists: shorter where every entry is there."""
+    if vector.size > 1000 or not vector.size:
+        return literal(vector)
+    return np.array2string(vector, separator=", ", floatmode="unique", threshold=1000)
+
+
+def escaped(text: Any) -> str:
+    """Text as it is read in HTML."""
+    return html.escape(str(text)).replace("$", "&#36;")
+
+
+def latex_number(value: float) -> str:
+    """Number in the format that python-control is configured to show matrices in."""
+    from control import config
+
+    digits, _, power = format(float(value), config.defaults["statesp.latex_num_format"]).partition("e")
+    return rf"{digits}\cdot 10^{{{int(power)}}}" if power else digits
+
+
+def latex_matrix(array: NDArray[Any]) -> str:
+    """Matrix in brackets."""
+    rows = (" & ".join(latex_number(value) for value in row) for row in array)
+    return r"\begin{bmatrix}" + r" \\ ".join(rows) + r"\end{bmatrix}"
+
+
+def fits_in_a_formula(sys: Any) -> bool:
+    """Whether python-control would show the matrices of a system of this size in a notebook."""
+    from control import config
+
+    return bool(sys.nstates + max(sys.ninputs, sys.noutputs) <= config.defaults["statesp.latex_maxsize"])
+
+
+def latex_response(modes: Any) -> str:
+    """Transfer function of a modal form as partial fractions, written out if they are few."""
+    if modes.nports != 1 or modes.n > _TERMS:
+        one = modes.nports == 1
+        free = (r"\frac{\kappa_0}{s} + " if one else r"\frac{K_0}{s} + ") * bool(len(modes.rigid))
+        weight = r"\kappa_l s" if one else r"\mathrm{Re} K_l s + \mathrm{Im} K_l d_l"
+        meaning = "" if one else r", \quad K_l = d_l \bar\nu_l \nu_l^\top"
+        return rf"G(s) = {free}\sum_{{l=1}}^{{{len(modes.d)}}} \frac{{{weight}}}{{s^2 + d_l^2}}{meaning}"
+    terms = [rf"\frac{{{latex_number(modes.kappa_0)}}}{{s}}"] * bool(len(modes.rigid))
+    terms += [
+        rf"\frac{{{latex_number(kappa)}\, s}}{{s^2 + {latex_number(d)}^2}}"
+        for d, kappa in zip(modes.d, modes.kappa, strict=True)
+    ]
+    return "G(s) = " + (" + ".join(terms) or "0")
+
+
+def html_formula(latex: str) -> str:
+    """Displayed formula."""
+    return f"$${html.escape(latex, quote=False)}$$"
+
+
+def html_heading(text: str) -> str:
+    """Line above a formula or a table."""
+    return _TEXT.format(f"<code>{escaped(text)}</code>")
+
+
+def html_report(text: str) -> str:
+    """Report whose columns are aligned by spaces."""
+    return _TEXT.format(f"<pre>{escaped(text)}</pre>")
+
+
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
+    """Table; of many rows the first and the last."""
+    lines = [f"<caption>{escaped(caption)}</caption>"] * bool(caption)
+    lines.append("<tr>" + "".join(f"<th>{escaped(name)}</th>" for name in head) + "</tr>")
+    shown = [*rows[: _ROWS // 2], ["⋮"] * len(head), *rows[-_ROWS // 2 :]] if len(rows) > _ROWS else rows
+    lines += ["<tr>" + "".join(f"<td>{escaped(cell)}</td>" for cell in row) + "</tr>" for row in shown]
+    return _TEXT.format("<table>" + "".join(lines) + "</table>")
+
+
+def modes_table(modes: Any) -> str:
+    """Table of natural frequencies and weights; of a pole at 0 its residue."""
+    ports = range(modes.nports)
+    tags = [""] if modes.nports == 1 else [f", port {k + 1}" for k in ports]
+    head = ["mode", "d", *(f"r{tag}" for tag in tags), *(f"κ = r d{tag}" for tag in tags)]
+    at_zero = np.atleast_2d(modes.kappa_0).diagonal()
+    rows = [["free", "0", *["" for _ in ports], *(f"{at_zero[k]:.7g}" for k in ports)]] * bool(len(modes.rigid))
+    r, kappa = (np.reshape(values, (len(modes.d), modes.nports)) for values in (modes.r, modes.kappa))
+    # of many rows only those that are seen are written
+    seen = range(len(modes.d)) if len(modes.d) <= _ROWS else [*range(_ROWS), *range(len(modes.d) - _ROWS, len(modes.d))]
+    rows += [[str(l + 1), *(f"{value:.7g}" for value in (modes.d[l], *r[l], *kappa[l]))] for l in seen]
+    return html_table(head, rows, f"{modes.n} mode{'s' * (modes.n != 1)}")
+
+
+class ShownModes:
+    """What a modal form shows of itself."""
+
+    def __repr__(self) -> str:
+        modes: Any = self
+        if modes.nports == 1 and not len(modes.rigid) and np.array_equal(modes.nu[:, 0], np.sqrt(modes.r)):
+            return f"modes({listed_or_literal(modes.d)}, {listed_or_literal(modes.r)})"
+        arrays = [modes.d, modes.nu, modes.rigid]
+        square = np.abs(modes.nu) ** 2
+        if not np.array_equal(square[:, 0] if modes.nports == 1 else square, modes.r):
+            arrays.append(modes.r)
+        return "ModalForm(\n" + ",\n".join(literal(array) for array in arrays) + ")"
+
+    def _repr_latex_(self) -> str:
+        return f"$${latex_response(self)}$$"
+
+    def _repr_html_(self) -> str:
+        return html_formula(latex_response(self)) + modes_table(self)
+
+
+class Report:
+    """What a result shows of itself: one line, and its whole report where it is printed or shown in a notebook."""
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self._headline()}>"
+
+    def _headline(self) -> str:
+        return str(self).partition("\n")[0]
+
+    def _repr_html_(self) -> str:
+        return html_report(str(self))
