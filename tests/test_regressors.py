@@ -227,3 +227,11 @@ def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkey
     # steps in units of the standard error
     error = np.sqrt(fast.loss / samples * np.diag(np.linalg.inv(fast.gram)))
     assert (np.abs(fast_step - slow_step) <= 1e-6 * error).all()
+
+
+@pytest.mark.parametrize("offset", [False, True])
+@pytest.mark.parametrize("samples", [70, experiment._LONG + 5])
+def test_a_record_without_modes_has_its_mean_and_output_only(samples, offset):
+    y, one = np.linspace(0.0, 1.0, samples), np.ones(samples, bool)
+    here = Problem((Experiment(y, y, one, Hold(1.0), offset=offset),)).project(np.zeros(0))
+    assert np.isclose(here.loss, np.sum((y - offset * 0.5) ** 2), rtol=1e-11) and here.gram.shape == (0, 0)

@@ -237,7 +237,7 @@ class TimeEvaluation(Evaluation):
             return columns
         groups = states.groups if self._experiment.driven else None
         moved = self._kernel.moved(kappa, groups, *self._amplitudes(states, kappa, own))
-        by_d = moved.reshape(len(moved), -1)[:, : columns.shape[1]]
+        by_d = moved.reshape(len(moved), len(states.groups) * SHORT)[:, : columns.shape[1]]
         return np.concatenate([columns[:-1], by_d, columns[-1:]])
 
     def _amplitudes(self, states: _States, kappa: Array, own: Array) -> tuple[ComplexArray, ComplexArray]:

@@ -71,4 +71,5 @@ def _summed(size: int, modal: Sequence[Modal], parts: Array) -> Array:
 
 
 def _flat(parts: Array) -> Array:
-    return parts.reshape(len(parts), -1)
+    # there may be no columns at all, so that the second size has to be told
+    return parts.reshape(len(parts), parts.shape[1] * parts.shape[2])
