@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg.lapack import dpocon, dpotrf
 from scipy.optimize import linear_sum_assignment
 
 from .exceptions import StructureError
@@ -21,6 +22,7 @@ _BLOCK = 1 << 14  # samples looked at together
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
+_ESTIMATED = 10.0  # by how much an estimate of a condition number may be too small
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -128,7 +130,14 @@ def relative_tolerance(rtol: Any) -> float:
 
 
 def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None) -> Array:
-    """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite."""
+    """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite.  O(n^3)."""
+    array = symmetric_matrix(Q, name=name, rtol=rtol)
+    not_indefinite(array, name=name)
+    return array
+
+
+def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None) -> Array:
+    """Check what O(n^2) steps can of a Hamiltonian matrix: square, even, symmetric."""
     array = real_array(name, Q, 2)
     rows, columns = array.shape
     if rows != columns:
@@ -146,15 +155,34 @@ def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = No
             f"{name} is not symmetric: max |{name} - {name}.T| / max |{name}| = {asymmetry / size:.1e}, "
             f"allowed {allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant"
         )
-    if clearly_definite(array):
-        return array
-    smallest, tolerance = smallest_scaled_eigenvalue(array)
+    return array
+
+
+def not_indefinite(Q: Array, *, name: str = "Q") -> None:
+    """Refuse a Hamiltonian matrix with a negative eigenvalue.  O(n^3)."""
+    if cholesky_factor(Q) is None:
+        refuse_indefinite(name, *smallest_scaled_eigenvalue(Q))
+
+
+def refuse_indefinite(name: str, smallest: float, tolerance: float) -> None:
+    """Refuse a smallest scaled eigenvalue that is negative by more than rounding."""
     if smallest < -tolerance:
         raise StructureError(
             f"{name} is indefinite: smallest eigenvalue after scaling to unit diagonal {smallest:.3g}, "
             f"allowed >= {-tolerance:.1e}; a stored energy cannot be negative, so check the signs in {name}"
         )
-    return array
+
+
+def surely_indefinite(Q: Array) -> bool:
+    """Whether entries show in O(n^2) that a symmetric matrix has a negative eigenvalue; False leaves it open.
+
+    A diagonal entry may be negative, or a pair of rows have `Q_ij^2 > Q_ii Q_jj`.
+    """
+    diagonal = np.diag(Q)
+    if diagonal.min(initial=0.0) < 0:
+        return True
+    root = np.sqrt(diagonal)
+    return bool((np.abs(Q) > (1 + 16 * len(Q) * EPS) * np.outer(root, root)).any())
 
 
 def unit_diagonal(Q: Array) -> tuple[Array, Array]:
@@ -167,20 +195,26 @@ def unit_diagonal(Q: Array) -> tuple[Array, Array]:
     return scaled, scale
 
 
-def clearly_definite(Q: Array) -> bool:
-    """Whether the smallest eigenvalue of `Q` scaled to unit diagonal is more than what counts as zero.
+def cholesky_factor(Q: Array) -> Array | None:
+    """Lower `F` with `F F^T = Q` if `Q` is clearly definite; None leaves open what it is.
 
-    By a Cholesky factorisation, a tenth of the cost of eigenvalues; False leaves it open.
+    Clearly definite: the smallest eigenvalue of `Q` scaled to unit diagonal is more than twice what counts as zero.
+    The norm of the inverse, as estimated in O(n^2) from the factor, bounds it as a rule; where that is close, a
+    factorisation of what is left when the bound is taken off the diagonal decides.
     """
     if Q.size == 0:
-        return True
-    scaled, _ = unit_diagonal(Q)
-    scaled[np.diag_indices_from(scaled)] -= 16 * len(Q) * EPS
-    try:
-        np.linalg.cholesky(scaled)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+        return np.zeros((0, 0))
+    scaled, scale = unit_diagonal(Q)
+    bound = 16 * len(Q) * EPS
+    # of a symmetric matrix the transpose, which is in the order of LAPACK
+    factor, failed = dpotrf(scaled.T, lower=1)
+    if failed:
+        return None
+    if dpocon(factor, 1.0, uplo="L")[0] < _ESTIMATED * bound:
+        scaled[np.diag_indices_from(scaled)] -= bound
+        if dpotrf(scaled.T, lower=1)[1]:
+            return None
+    return np.asarray(scale[:, None] * factor)
 
 
 def smallest_scaled_eigenvalue(Q: Array) -> tuple[float, float]:

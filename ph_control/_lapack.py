@@ -58,6 +58,23 @@ def bidiagonal_components(
     return _dense(np.diag(diagonal) + np.diag(above, 1)[:n, :n], right, np.zeros(n) if left is None else left)
 
 
+def bidiagonal_svd(diagonal: Array, above: Array) -> tuple[Array, Array, Array]:
+    """Singular value decomposition of the upper bidiagonal matrix with this diagonal and these numbers above it.
+
+    Divide and conquer, without the reflections that a routine for any matrix begins with.
+    """
+    n = len(diagonal)
+    if n and _AVAILABLE:
+        sigma, superdiagonal, size = diagonal.copy(), np.append(above, 0.0), _int(n)
+        U, Vt = np.empty((2, n, n)).transpose(0, 2, 1)
+        work, integers, unused = np.empty(3 * n * n + 4 * n), np.empty(8 * n, np.intc), np.empty(1)
+        vectors = U, size, Vt, size, unused, integers
+        if not _call("dbdsdc", b"U", b"I", size, sigma, superdiagonal, *vectors, work, integers):
+            return U, sigma, Vt
+    U, sigma, Vt = np.linalg.svd(np.diag(diagonal) + np.diag(above, 1)[:n, :n])
+    return U, sigma, Vt
+
+
 def _dense(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array]:
     U, sigma, Vt = np.linalg.svd(M)
     return sigma, Vt @ right, U.T @ left
@@ -67,10 +84,10 @@ def _dense(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array]:
 
 _CHARACTER, _NUMBERS, _INTEGER = "char *", "double *", "int *"
 _LETTERS = {"c": _CHARACTER, "d": _NUMBERS, "i": _INTEGER}
-_SIGNATURES = {
-    name: [_LETTERS[letter] for letter in letters]
-    for name, letters in {"dgebrd": "iididddddii", "dormbr": "ccciiididdidii", "dbdsqr": "ciiiidd" + 4 * "di"}.items()
-}
+_ARGUMENTS = {
+    "dgebrd": "iididddddii", "dormbr": "ccciiididdidii", "dbdsqr": "ciiiidd" + 4 * "di", "dbdsdc": "ccidddidididii",
+}  # fmt: skip
+_SIGNATURES = {name: [_LETTERS[letter] for letter in letters] for name, letters in _ARGUMENTS.items()}
 
 
 def _routine(name: str) -> Callable[..., None] | None:

@@ -2,16 +2,20 @@
 
 `(hi, lo)` carries about 106 bits.  Two places need them: the phase of a mode after many time steps,
 and the frequency response near a transmission zero, where large terms cancel.
-The algorithms are those of Dekker and Knuth; all work elementwise on arrays.
+The algorithms are those of Dekker and Knuth; all work elementwise on arrays.  Products of matrices in which large
+terms cancel have a few halves of the digits more.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
+Multiply = Callable[[Array, Array], Array]
 
 _SPLITTER = 134217729.0  # 2^27 + 1
 
@@ -35,6 +39,11 @@ def _split(a: Array) -> Pair:
     c = _SPLITTER * a
     hi = c - (c - a)
     return hi, a - hi
+
+
+def exactly(array: Array) -> Pair:
+    """Pair of doubles as they are, for `product_parts`."""
+    return array, np.zeros(())
 
 
 def add(x: Pair, y: Pair) -> Pair:
@@ -93,3 +102,48 @@ def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
     rest = rest + k * lo
     result: NDArray[np.complex128] = np.exp(1j * phase) * np.exp(1j * rest)
     return result
+
+
+def product_parts(left: Pair, right: Pair, slices: int = 3, multiply: Multiply = np.matmul) -> list[Array]:
+    """Matrices, the largest first, whose sum is `left @ right` with more digits than a double has.
+
+    Each operand is cut into slices of so few bits, relative to the largest entry of a row of `left` and of a column of
+    `right`, that sums of products of two slices are exact.  All but the last of the matrices are such sums.  The last
+    has the rest, and its rounding is the error: with 2 slices, at the cost of 3 ordinary products, 2^-74 of those
+    largest entries, with 3, at that of 6, 2^-95; with 1 it is that of an ordinary product.  `multiply` may use what is
+    known of the operands, such as zeros.
+    """
+    if slices == 1:
+        return [multiply(left[0], right[0])]
+    bits = (53 - left[0].shape[1].bit_length()) // 2
+    (a, *others), (b, *more) = _sliced(left, 1, bits, slices), _sliced(right, 0, bits, slices)
+    if slices == 2:
+        return [multiply(a, b), multiply(a, more[0]) + multiply(others[0], right[0])]
+    middle = multiply(a, more[0]) + multiply(others[0], b)
+    return [
+        multiply(a, b), middle,
+        multiply(a, more[1]) + multiply(others[0], more[0] + more[1]) + multiply(others[1], right[0]),
+    ]  # fmt: skip
+
+
+def product(left: Pair, right: Pair, slices: int = 3, multiply: Multiply = np.matmul) -> Pair:
+    """`left @ right` as one pair; cost and error as of `product_parts`."""
+    high, *parts = product_parts(left, right, slices, multiply)
+    low = np.zeros(())
+    for part in parts:
+        high, rest = two_sum(high, part)
+        low = low + rest
+    return high, low if low.ndim else np.zeros_like(high)
+
+
+def _sliced(pair: Pair, axis: int, bits: int, count: int) -> list[Array]:
+    """Slices of `bits` bits, relative to the largest entry along an axis, and the rest."""
+    rest, low = pair
+    _, exponent = np.frexp(np.max(np.abs(rest), axis=axis, keepdims=True, initial=0.0))
+    out = []
+    for k in range(1, count):
+        # adding and taking away a large number rounds to a multiple of its last place
+        large = np.ldexp(0.75, exponent - k * bits + 53)
+        out.append((rest + large) - large)
+        rest = rest - out[-1]
+    return [*out, rest + low if low.ndim else rest]

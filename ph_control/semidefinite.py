@@ -67,7 +67,7 @@ def williamson_semidefinite(Q: ArrayLike, *, rtol: float | None = None) -> tuple
     >>> d1, d2
     (array([2., 0.]), array([2., 1.]))
     """
-    return normal_form_rows(_checks.hamiltonian_matrix(Q, rtol=rtol))
+    return normal_form_rows(_checks.symmetric_matrix(Q, rtol=rtol))
 
 
 def semidefinite_coefficients(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:

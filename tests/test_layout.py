@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
 # low to high; a package counts as one place
 ORDER = (
-    "exceptions", "_checks", "_display", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients",
+    "exceptions", "_checks", "_display", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients", "reduction",
     "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "reachability", "propagation",
     "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
     "realization", "lifting", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",

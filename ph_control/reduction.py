@@ -1,0 +1,349 @@
+"""Frequencies and mode shapes of one coupled energy `z^T Q z / 2`: what Williamson's normal form is computed by.
+
+With `Q = F F^T` the modes are the planes of the skew matrix `F^T J F`: orthonormal columns `P` bring it to the form
+`diag(d) J`, and the symplectic rows are `S = diag(d, d)^{-1/2} P^T F^T`.  Where positions and momenta are not coupled,
+`F = diag(F_q, F_p)`, and the singular vectors of `F_q^T F_p`, a matrix of half the size, do the same.  Products in
+which large terms cancel have more digits than a double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dtrmm
+from scipy.linalg.lapack import dgehrd, dorghr
+
+from . import _checks
+from ._lapack import bidiagonal_components, bidiagonal_svd, components
+from ._twofloat import Pair, divide, exactly, product, product_parts, two_prod, two_sum
+
+Array = NDArray[np.float64]
+Slices = int  # how many slices of the factors a product is made of, see `product_parts`
+
+_AMPLIFIED = 2.0**20  # by how much rounding may be amplified for two slices to leave no more than a double's
+_HARMLESS = 16.0  # by how much more than a double's the rounding of a product may be before it has twice the digits
+_STEPS = 5
+_BLOCKED = 64  # columns of workspace with which LAPACK applies reflections in blocks
+
+
+def apply_form(M: Array) -> Array:
+    """Return `J M` without forming `J`: swap the halves, negate the lower."""
+    n = len(M) // 2
+    return np.concatenate([M[n:], 0.0 - M[:n]])
+
+
+# --- a block with all its modes -------------------------------------------------------------------------------
+
+
+def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
+    """Frequencies, symplectic rows `S` and free momenta `E` of one coupled block.
+
+    `Q = S^T diag(d, d) S + E^T E`, where the rows `E` commute (in Poisson's sense) with one another and with `S`.
+    """
+    factors = triangular_factors(Q)
+    if not factors:
+        return _semidefinite_rows(Q)
+    none = np.zeros((0, len(Q)))
+    if len(Q) == 2:
+        d, rows = _single_plane(*factors)
+        return d, (rows, np.zeros_like(rows)), (none, none)
+    unit = _common_units(Q)
+    reduce = _coupled_rows if len(factors) == 1 else _separate_rows
+    factors = _in_units(factors, unit)
+    # rounding that is amplified too much for two slices is not for three
+    d, S = reduce(2, *factors) or reduce(3, *factors)  # type: ignore[misc]
+    return d, (S[0] / unit, S[1] / unit), (none, none)
+
+
+def block_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
+    """Frequencies and residues of one port for a clearly definite block, in doubles; None for any other."""
+    factors = triangular_factors(Q)
+    if not factors:
+        return None
+    unit = _common_units(Q)
+    factors, b, n = _in_units(factors, unit), b / unit, len(Q) // 2
+    if len(factors) == 2:
+        Fq, Fp = factors
+        d, right, left = components(_transposed_times(Fq, Fp), Fp.T @ b[n:], Fq.T @ b[:n])
+        return d[::-1].copy(), (left**2 + right**2)[::-1]
+    (F,) = factors
+    # reflections of this matrix begin with one that takes `F^T b` to the first axis, and go on in the rest alone
+    bordered = np.zeros((2 * n + 1, 2 * n + 1))
+    bordered[1 : n + 1, 1:] = _transposed_times(F[:n, :n], F[n:])
+    bordered[1:, 1 : n + 1] -= bordered[1 : n + 1, 1:].T
+    b = F.T @ b
+    length = float(np.linalg.norm(b))
+    bordered[1:, 0] = b / (length or 1.0)
+    bordered[0] = -bordered[:, 0]
+    _, superdiagonal = _reflected(bordered)
+    # of a tridiagonal matrix, even places meet odd ones only: a bidiagonal one, whose first column is that of `b`
+    along = np.zeros(n)
+    along[0] = length
+    d, first, _ = bidiagonal_components(np.abs(superdiagonal[1::2]), np.abs(superdiagonal[2::2]), along)
+    return d[::-1].copy(), first[::-1] ** 2
+
+
+def triangular_factors(Q: Array) -> list[Array]:
+    """Lower factor of a clearly definite `Q`, or those of positions and momenta where it does not couple these.
+
+    The list is empty if `Q` may be semidefinite.
+    """
+    n = len(Q) // 2
+    apart = not (Q[:n, n:].any() or Q[n:, :n].any())
+    found: list[Array] = []
+    for part in (Q[:n, :n], Q[n:, n:]) if apart else (Q,):
+        factor = _checks.cholesky_factor(part)
+        if factor is None:
+            return []
+        found.append(factor)
+    return found
+
+
+def _common_units(Q: Array) -> Array:
+    """Powers of two by which positions and momenta come to have entries of one size."""
+    q, p = np.split(np.log2(np.diag(Q)), 2)
+    stretch = np.exp2(np.round(0.25 * (p - q)))
+    return np.concatenate([stretch, 1 / stretch])
+
+
+def _in_units(factors: list[Array], unit: Array) -> list[Array]:
+    parts = np.split(unit, len(factors))
+    return [part[:, None] * factor for part, factor in zip(parts, factors, strict=True)]
+
+
+def _transposed_times(lower: Array, right: Array) -> Array:
+    return np.asarray(dtrmm(1.0, lower, right, lower=1, trans_a=1))
+
+
+# --- definite blocks ------------------------------------------------------------------------------------------
+
+
+def _single_plane(*factors: Array) -> tuple[Array, Array]:
+    """Frequency and rows of one degree of freedom: `S = F^T / sqrt(d)`, `d` the product of the diagonal of `F`."""
+    F = factors[0] if len(factors) == 1 else np.diag([factors[0][0, 0], factors[1][0, 0]])
+    q, p = np.diag(F)
+    d, squeeze = q * p, np.sqrt(q / p)
+    return np.array([d]), np.array([[squeeze, F[1, 0] / np.sqrt(d)], [0.0, 1 / squeeze]])
+
+
+def _coupled_rows(slices: Slices, F: Array) -> tuple[Array, Pair] | None:
+    """Frequencies and rows `S` of `Q = F F^T`; None if that needs more slices."""
+    n = len(F) // 2
+    K = np.zeros((2 * n, 2 * n))
+    for part in product_parts(exactly(F[:n, :n].T), exactly(F[n:]), slices, lambda a, b: _transposed_times(a.T, b)):
+        # differences of large terms that are equal but for the rounding of what follows are exact
+        K[:n] += part
+        K[:, :n] -= part.T
+    sigma, planes = _planes(K)
+    found = _rows(slices, sigma, (F, planes))
+    if found is None:
+        return None
+    S, excess = back_to_symplectic(np.concatenate([sigma, sigma]), found[0], slices)
+    return sigma + sigma * excess, S
+
+
+def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Pair] | None:
+    """As `_coupled_rows`, of `Q = diag(Fq Fq^T, Fp Fp^T)`."""
+    n = len(Fq)
+    parts = product_parts(exactly(Fq.T), exactly(Fp), slices, lambda a, b: _transposed_times(a.T, b))
+    U, sigma, Vt = np.linalg.svd(sum(parts[1:], parts[0]))
+    sigma = sigma[::-1].copy()
+    found = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
+    if found is None:
+        return None
+    X, Y, excess = _back_to_inverses(sigma, found[0], found[1], slices)
+    S = np.zeros((2, 2 * n, 2 * n))
+    S[:, :n, :n], S[:, n:, n:] = X, Y
+    return sigma + sigma * excess, (S[0], S[1])
+
+
+def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> list[Pair] | None:
+    """Products `vectors^T F^T / sqrt(sigma)`, in doubles where their rounding harms nothing; None needs more slices.
+
+    With `a` the sizes that terms of a row of `S` have before they cancel, rounding makes a defect of `eps a_j a_l`.
+    The row with less energy takes it away, at a cost of energy of `eps d_l a_l^2 a_j^2`, `d_l <= d_j`.
+    """
+    if not sigma.min(initial=1.0) > 0:
+        return None
+    scaled, size = [], np.zeros(len(sigma))
+    for F, vectors in factors:
+        # powers of two after which the sizes within a row or a column say what rounding does
+        unit = np.exp2(np.round(np.log2(np.linalg.norm(F, axis=0))))
+        root = np.sqrt(np.tile(sigma, vectors.shape[1] // len(sigma)))
+        right = np.asfortranarray(unit[:, None] * vectors / root)
+        scaled.append((F / unit, right))
+        size = np.maximum(size, np.einsum("ij,ij->j", right, right).reshape(-1, len(sigma)).max(axis=0))
+    if slices == 2 and size.max() > _AMPLIFIED:
+        return None
+    energy = np.maximum.accumulate(sigma * size)
+    if np.max(size * energy) <= _HARMLESS * energy[-1]:
+        slices = 1
+    pairs = [product(exactly(F), exactly(right), slices, _lower_times) for F, right in scaled]
+    return [(high.T, low.T) for high, low in pairs]
+
+
+def _lower_times(lower: Array, right: Array) -> Array:
+    return np.asarray(dtrmm(1.0, lower, right, lower=1))
+
+
+def back_to_symplectic(weight: Array, S: Pair, slices: Slices = 3) -> tuple[Pair, Array]:
+    """Newton steps on `S J S^T = J`; also by how much `q_l J p_l^T` was more than 1 before them.
+
+    Rounding leaves a skew defect of about `eps d_max / sqrt(d_j d_l)`.  Of two rows the one with the smaller
+    weight takes most of their correction, so that the energy `S^T diag(weight) S` stays as it is.  In pairs of
+    doubles: a correction of what rounding to doubles does to S would be amplified by ||S||^2.
+    """
+    n = len(weight) // 2
+    share = _shares(weight)
+    excess = np.zeros(n)
+    for _ in range(_STEPS):
+        defect = poisson(S, slices, less=1.0)
+        step = _bounded(np.diag(defect, n))
+        excess = excess + step + excess * step
+        S = two_sum(S[0], S[1] + (share * defect) @ apply_form(S[0]))
+        if _quadratic(defect):
+            break
+    return S, excess
+
+
+def _back_to_inverses(d: Array, X: Pair, Y: Pair, slices: Slices) -> tuple[Pair, Pair, Array]:
+    """As `back_to_symplectic` for `S = diag(X, Y)`, whose brackets are `X Y^T`."""
+    share = _shares(d)
+    excess = np.zeros(len(d))
+    for _ in range(_STEPS):
+        defect, *rest = product_parts(X, (Y[0].T, Y[1].T), slices)
+        defect[np.diag_indices(len(d))] -= 1.0
+        defect = sum(rest, defect)
+        step = _bounded(np.diag(defect))
+        excess = excess + step + excess * step
+        moves = (share * defect) @ X[0], (share * defect.T) @ Y[0]
+        X, Y = two_sum(X[0], X[1] - moves[0]), two_sum(Y[0], Y[1] - moves[1])
+        if _quadratic(defect):
+            break
+    return X, Y, excess
+
+
+def _shares(weight: Array) -> Array:
+    """Of the correction that rows j and l share, the part of j: the less, the more energy it has."""
+    total = weight[:, None] + weight
+    if weight.min(initial=1.0) > 0:
+        return np.asarray(weight / total)
+    return np.where(total > 0, weight / np.where(total > 0, total, 1.0), 0.5)
+
+
+def _bounded(step: Array) -> Array:
+    """So that d stays positive where nothing can be told from rounding."""
+    return np.clip(step, -0.5, 0.5)
+
+
+def _quadratic(defect: Array) -> bool:
+    """Whether the square of a defect, which a step leaves, is no more than rounding."""
+    return bool(np.max(np.abs(defect), initial=0.0) ** 2 <= _checks.EPS)
+
+
+def poisson(rows: Pair, slices: Slices = 3, *, less: float = 0.0) -> Array:
+    """Poisson brackets `rows J rows^T`, less a multiple of their canonical values."""
+    n = rows[0].shape[1] // 2
+    high, low = rows
+    q = high[:, :n], low[:, :n] if low.ndim else low
+    p = high[:, n:].T, low[:, n:].T if low.ndim else low
+    parts = product_parts(q, p, slices)
+    skew = parts[0] - parts[0].T
+    if less:
+        pairs = np.arange(len(skew) // 2)
+        skew[pairs, pairs + len(pairs)] -= less
+        skew[pairs + len(pairs), pairs] += less
+    for part in parts[1:]:
+        skew += part - part.T
+    return skew
+
+
+# --- skew matrices --------------------------------------------------------------------------------------------
+
+
+def skew_normal_form(K: Array) -> tuple[Array, Array, Array]:
+    """Orthogonal normal form of a real skew matrix: `K = sum_l sigma_l (a_l b_l^T - b_l a_l^T)`.
+
+    Returns `sigma >= 0` ascending and orthonormal columns `a`, `b`; where there are more columns than
+    singular values, the last ones span the kernel.
+    """
+    if len(K) < 2:
+        return np.zeros(0), np.eye(len(K)), np.zeros((len(K), 0))
+    sigma, basis = _planes(K)
+    first = (len(K) + 1) // 2
+    return sigma, basis[:, :first], basis[:, first:]
+
+
+def _planes(K: Array) -> tuple[Array, Array]:
+    """Values `sigma` and columns `(a, b)` of `skew_normal_form`, of at least two rows.
+
+    The Hessenberg form of a skew matrix is tridiagonal, so its even rows meet only odd columns: a bidiagonal matrix of
+    half the size, and an SVD of that.
+    """
+    reflections, superdiagonal = _reflected(K)
+    P = reflections()
+    pairs, odd = divmod(len(K), 2)
+    if odd:
+        # rows are odd and columns even indices, which makes the bidiagonal an upper one
+        bidiagonal = np.zeros((pairs, pairs + 1))
+        place = np.arange(pairs)
+        bidiagonal[place, place], bidiagonal[place, place + 1] = superdiagonal[0::2], -superdiagonal[1::2]
+        U, sigma, Vt = np.linalg.svd(bidiagonal)
+    else:
+        U, sigma, Vt = bidiagonal_svd(superdiagonal[0::2], -superdiagonal[1::2])
+    basis = np.empty((len(K), len(K)), order="F")
+    ascending = Vt[:pairs][::-1]
+    np.matmul(P[:, 0::2], np.concatenate([ascending, Vt[pairs:]]).T, out=basis[:, : pairs + odd])
+    np.matmul(P[:, 1::2], U[:, ::-1], out=basis[:, pairs + odd :])
+    return sigma[::-1].copy(), basis
+
+
+def _reflected(K: Array) -> tuple[Callable[[], Array], Array]:
+    """Superdiagonal of the tridiagonal form of a skew matrix, and a call that gives the orthogonal basis it is in."""
+    work = _BLOCKED * max(1, len(K))
+    # the transpose, which is in the order of LAPACK, is -K
+    H, scales, _ = dgehrd(K.T, lwork=work)
+    return lambda: np.asarray(dorghr(H, scales, lwork=work)[0]), 0.5 * (np.diag(H, -1) - np.diag(H, 1))
+
+
+# --- semidefinite blocks --------------------------------------------------------------------------------------
+
+
+def _semidefinite_rows(Q: Array) -> tuple[Array, Pair, Pair]:
+    """`reduce_block` of a block that may have a kernel, whose modes of frequency zero are told from rounding."""
+    F, smallest = _factor(Q)
+    sigma, left, right = skew_normal_form(poisson(exactly(F.T)))
+    pairs, size = len(sigma), len(F)
+    # A singular value at rounding level belongs to free momenta.  That level: rounding the scaled Q by eps moves F by
+    # eps / sqrt(its smallest eigenvalue), in units in which the largest plane (q_i, p_i) sets the size of F^T J F.
+    # No subspace of rank r has more than 2n - r directions that commute with all of it; for a definite Q that is none.
+    amplitude = np.sqrt(np.abs(np.diag(Q)))
+    plane = np.max(amplitude[: size // 2] * amplitude[size // 2 :], initial=0.0)
+    noise = 8 * _checks.EPS * max(plane / np.sqrt(smallest), size * max(plane, sigma.max(initial=0.0)))
+    zero = min(int(np.sum(sigma <= noise)), (size - F.shape[1]) // 2)
+    planes = np.concatenate([left[:, zero:pairs], right[:, zero:pairs]], axis=1)
+    still = np.concatenate([left[:, :zero], right[:, :zero], left[:, pairs:], right[:, pairs:]], axis=1)
+    d = sigma[zero:]
+    root = np.sqrt(np.concatenate([d, d]))[:, None]
+    rows = product(exactly(planes.T), exactly(F.T))
+    S, excess = back_to_symplectic(np.concatenate([d, d]), divide(rows, (root, np.zeros_like(root))))
+    # what the steps did to the length of the rows belongs to d: its Rayleigh quotient, free of the rounding of roots
+    square, rest = two_prod(root[: len(d), 0], root[: len(d), 0])
+    return square + (rest + square * excess), S, product(exactly(still.T), exactly(F.T))
+
+
+def _factor(Q: Array) -> tuple[Array, float]:
+    """Return `F` of full column rank with `F F^T = Q`: Cholesky if definite, else by eigenvectors.
+
+    With it the smallest eigenvalue, of `Q` scaled to unit diagonal, that counts as more than zero.
+    """
+    scaled, scale = _checks.unit_diagonal(Q)
+    smallest, tolerance = _checks.smallest_scaled_eigenvalue(Q)
+    if smallest > tolerance:
+        return scale[:, None] * np.linalg.cholesky(scaled), smallest
+    _checks.refuse_indefinite("Q", smallest, tolerance)
+    values, vectors = np.linalg.eigh(scaled)
+    kept = values > tolerance
+    return scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]), float(np.min(values[kept], initial=1.0))
