@@ -41,6 +41,16 @@ def test_the_python_code_runs_and_leaves_what_it_says(after_python):
     assert {"recording.csv", "model.json", "fit.png", "bode.png"} <= {path.name for path in folder.iterdir()}
 
 
+def test_the_python_code_prints_what_the_readme_shows(after_python):
+    """Word for word, and numbers to what depends on the processor."""
+    _, done = after_python
+    (shown,) = blocks("text")
+    number = r"-?\d+\.?\d*(?:e-?\d+)?"
+    assert re.sub(number, "#", done.stdout).split() == re.sub(number, "#", shown).split()
+    printed, promised = ([float(x) for x in re.findall(number, text)] for text in (done.stdout, shown))
+    assert printed == pytest.approx(promised, rel=1e-4)
+
+
 def test_the_fit_on_the_command_line_runs_in_the_folder_that_the_python_code_left(after_python):
     folder, done = after_python
     assert done.returncode == 0, done.stderr
