@@ -176,9 +176,9 @@ class Comparison(Report):
         experiment : int
             Which of several experiments, counted from 0.
         **kwargs
-            In time: `time_unit`, `output_label`, `output_unit`, `detail`, `title` and `ax`, as in `fit_plot`; `ax`
+            In time: `time_unit`, `output_label`, `output_unit`, `detail`, `ax` and style, as in `fit_plot`; `ax`
             takes one array of axes: outputs, errors and, unless `detail` is None, the detail.  Over frequency:
-            `time_unit`, `Hz`, `gain_unit` and `title`, as in `bode_plot`, and `ax` of three axes.
+            `time_unit`, `Hz`, `gain_unit` and style, as in `bode_plot`, and `ax` of three axes.
 
         Returns
         -------
