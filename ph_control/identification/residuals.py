@@ -221,8 +221,8 @@ class ResidualAnalysis(Report):
         experiment : int
             Of several responses, the one whose residual is drawn, counted from 0; correlations are those of all.
         **kwargs
-            `title`, and `ax`: an array of two axes, or one where there is no input.  Over frequency also `time_unit`,
-            `Hz` and `gain_unit`, as in `bode_plot`.
+            Style as in `fit_plot`, and `ax`: an array of two axes, or one where there is no input.  Over frequency also
+            `time_unit`, `Hz` and `gain_unit`, as in `bode_plot`.
 
         Returns
         -------
