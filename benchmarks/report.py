@@ -141,7 +141,7 @@ def _memory(found: Found, name: str, before: str = "") -> str:
     held = found.peaks.get(name, np.nan)
     if not np.isfinite(held):
         return ""
-    return f"{before}{held / 1e6:.3g} MB" if held >= 1e6 else f"{before}{held / 1e3:.2g} kB"
+    return f"{before}{held / 1e6:.3g} MB" if held >= 999.5e3 else f"{before}{held / 1e3:.3g} kB"
 
 
 def _error(found: Found, name: str, before: str = "") -> str:
@@ -208,13 +208,19 @@ def draw(curves: Curves, folder: Path) -> list[Path]:
 
     made = []
     for family, contenders in drawn(curves).items():
-        figure, axes = plt.subplots(figsize=(5.5, 4), layout="constrained")
+        figure, axes = plt.subplots(figsize=(5.5, 4.2), layout="constrained")
         for name, power in powers(family, contenders).items():
+            base, _, exponent = power.partition("^")
             style = {"color": "black", "linewidth": 2} if name == OURS else {"linewidth": 1}
-            axes.loglog(*zip(*contenders[name], strict=True), "o-", label=f"{name}: {power}", **style)
+            label = f"{name}, grows as ${base}^{{{exponent}}}$"
+            axes.loglog(*zip(*contenders[name], strict=True), "o-", label=label, **style)
         axes.set(xlabel=FAMILIES[family].axis, ylabel="time (s)", title=FAMILIES[family].title)
-        axes.grid(True, which="major", alpha=0.3)
-        axes.legend(fontsize=8)
+        sizes = sorted({size for points in contenders.values() for size, _ in points})
+        axes.set_xticks(sizes, [f"{size:,.0f}".replace(",", " ") for size in sizes], minor=False)
+        axes.set_xticks([], minor=True)
+        axes.yaxis.set_minor_formatter("")
+        axes.grid(True, alpha=0.3)
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
         made.append(folder / f"performance_{family}.png")
         figure.savefig(made[-1], dpi=100)
         plt.close(figure)
