@@ -247,30 +247,73 @@ def zeros(n: int) -> Task:
     return Task("zeros", f"n = {n}", runs, error, {"python-control": 5.0}, n)
 
 
-def reducible(n: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """A dense `Q` with repeated frequencies and unreached modes, an input, and the number of states that count."""
-    rng = np.random.default_rng(0)
+def reducible_modes(n: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Modes of which some have one frequency and some are unreached, and the number of states that count."""
     d = np.linspace(1.0, 2.0, n)
     d[1::5] = d[0::5][: len(d[1::5])]
-    nu = rng.standard_normal((2, n))
+    nu = np.random.default_rng(0).standard_normal((2, n))
     nu[:, 2::3] = 0.0
+    return d, nu, 2 * len(np.unique(d[np.abs(nu).max(axis=0) > 0]))
+
+
+def reducible(n: int, coupled: bool = False) -> tuple[np.ndarray, np.ndarray, int]:
+    """The matrices of such a system, positions among themselves and momenta too, or all with all."""
+    d, nu, order = reducible_modes(n)
+    rng = np.random.default_rng(1)
     X = np.eye(n) + 0.3 * rng.standard_normal((n, n)) / np.sqrt(n)
     zero = np.zeros((n, n))
     S = np.block([[X, zero], [zero, np.linalg.inv(X).T]])
+    if coupled:
+        U, _ = np.linalg.qr(rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n)))
+        S = S @ np.block([[U.real, -U.imag], [U.imag, U.real]])
     Q = (S.T * np.concatenate([d, d])) @ S
-    order = 2 * len(np.unique(d[np.abs(nu).max(axis=0) > 0]))
     return 0.5 * (Q + Q.T), np.linalg.solve(S, nu.ravel()), order
 
 
-def minimal(n: int) -> Task:
-    Q, B, order = reducible(n)
-    other = ct.StateSpace(*matrices(Q, B), remove_useless_states=False)
+def minimal_of_modes(n: int) -> Task:
+    """A system that is known by its modes; others need its matrices, which they are given."""
+    d, nu, order = reducible_modes(n)
+    known = phc.modes(d, np.sum(nu**2, axis=0))
+    other = plain(phc.ph(known))
     runs = {
-        OURS: lambda: phc.minreal(phc.ph(Q, B)).nstates,
-        "Kalman (ours)": lambda: phc.kalman_decomposition(phc.ph(Q, B)).reachable.nstates,
+        OURS: lambda: phc.minreal(known).nstates,
+        "Kalman (ours)": lambda: phc.kalman_decomposition(known).reachable.nstates,
         "slycot": lambda: ct.minreal(other, verbose=False).nstates,
     }
-    return Task("minimal realisation", f"n = {n}", runs, lambda k: float(abs(k - order)), {"slycot": 5.0}, n)
+    return Task(
+        "minimal realisation, known by modes", f"n = {n}", runs, lambda k: float(abs(k - order)), {"slycot": 5.0}, n
+    )
+
+
+def minimal(n: int, coupled: bool = False) -> Task:
+    """From matrices; python-control also with a system that it has built before."""
+    Q, B, order = reducible(n, coupled)
+    parts = matrices(Q, B)
+    other = ct.StateSpace(*parts, remove_useless_states=False)
+    runs = {
+        OURS: lambda: phc.minreal(phc.ph(Q, B)).nstates,
+        "slycot": lambda: ct.minreal(other, verbose=False).nstates,
+        "slycot and ss": lambda: ct.minreal(ct.ss(*parts), verbose=False).nstates,
+    }
+    name = f"minimal realisation, from {'dense' if coupled else 'mechanical'} Q"
+    return Task(name, f"n = {n}", runs, lambda k: float(abs(k - order)), {"slycot": 5.0}, n)
+
+
+def kalman(n: int) -> Task:
+    """Both parts, without and with the transformation; the others have the minimal part alone."""
+    Q, B, order = reducible(n, True)
+    other = ct.StateSpace(*matrices(Q, B), remove_useless_states=False)
+
+    def with_transformation() -> int:
+        reachable, _, T = phc.kalman_decomposition(phc.ph(Q, B))
+        return int(reachable.nstates) if T.shape == Q.shape else -1
+
+    runs = {
+        OURS: lambda: phc.kalman_decomposition(phc.ph(Q, B)).reachable.nstates,
+        "with T (ours)": with_transformation,
+        "slycot, minimal part": lambda: ct.minreal(other, verbose=False).nstates,
+    }
+    return Task("Kalman decomposition", f"n = {n}", runs, lambda k: float(abs(k - order)), {}, n)
 
 
 def construction(n: int) -> Task:
@@ -364,7 +407,10 @@ FAMILIES: dict[str, Family] = {
     "modes": Family(frequencies_and_weights, _each(50, 100, 200, 500), "Frequencies and weights of a dense Q"),
     "coefficients": Family(coefficients, _each(5, 20, 50, 100, 200), "Coefficients of the denominator, modes known"),
     "zeros": Family(zeros, _each(5, 20, 50, 100, 200, 500), "Zeros, modes known"),
-    "minimal": Family(minimal, _each(5, 20, 50, 100, 200), "Minimal realisation from a dense Q"),
+    "reduction": Family(minimal_of_modes, _each(5, 20, 50, 100, 200), "Minimal realisation, modes known"),
+    "minimal": Family(minimal, [(n, True) for n in (5, 20, 50, 100, 200)], "Minimal realisation from a dense Q"),
+    "uncoupled": Family(minimal, _each(5, 20, 50, 100, 200), "Minimal realisation from a mechanical Q"),
+    "kalman": Family(kalman, _each(5, 20, 50, 100, 200), "Kalman decomposition from a dense Q"),
     "construction": Family(construction, _each(1, 10, 100, 200, 500), "Building and copying a system"),
     "step": Family(projection_step, [(50, 1_000_000)]),
 }

@@ -69,7 +69,7 @@ class ModalForm(ShownModes):
             r = np.abs(self.nu) ** 2
             object.__setattr__(self, "r", r[:, 0] if self.nports == 1 else r)
         for array in (self.d, self.nu, self.rigid, self.r):
-            _checks.readonly(array)
+            array.setflags(write=False)
 
     def __reduce__(self) -> tuple[type[ModalForm], tuple[Array, ComplexArray, Array, Array]]:
         return type(self), (self.d.copy(), self.nu.copy(), self.rigid.copy(), self.r.copy())

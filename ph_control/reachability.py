@@ -21,8 +21,10 @@ from .modal import ModalForm
 Array = NDArray[np.float64]
 Starts = NDArray[np.intp]
 
+_FEW = 100  # modes that a loop is as fast for as array operations
 _MARGIN = 2.0  # between a quantity and the bound that it is held against, for the errors of both
 _ESTIMATED = 10.0  # by how much the norm of an inverse may exceed its estimate
+_NO_RIGID = _checks.readonly(np.zeros((0, 1)))
 
 
 @dataclass(frozen=True)
@@ -64,22 +66,51 @@ class Reduction:
 
     def hidden(self) -> Array:
         """Frequencies that the port does not reach, ascending: of k modes in a reached group, k - 1."""
+        if self.is_minimal:
+            return np.zeros(0)
         counts = np.diff(self.starts, append=len(self.d))
-        several = np.flatnonzero(self.reached & (counts > 1))
-        parts = [slice(k, k + count) for k, count in zip(self.starts[several], counts[several], strict=True)]
+        first = self.starts[self.reached & (counts == 2)]
+        (low, high), (light, heavy) = ((x[first], x[first + 1]) for x in (self.d, self.r))
+        # of two what is left has the weights exchanged
+        pairs = low + (high - low) * (light / (light + heavy))
+        several = np.flatnonzero(self.reached & (counts > 2)).tolist()
+        parts = [slice(self.starts[k], self.starts[k] + counts[k]) for k in several]
         left = [_beside(self.d[part], self.r[part]) for part in parts]
-        return np.sort(np.concatenate([self.d[np.repeat(~self.reached, counts)], *left]))
+        return np.sort(np.concatenate([self.d[np.repeat(~self.reached, counts)], pairs, *left]))
 
 
 def plain_modes(d: Array, r: Array) -> ModalForm:
     """Modes of one port whose weights are real and positive."""
-    return ModalForm(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)), r)
+    return ModalForm(d, np.sqrt(r).astype(complex)[:, None], _NO_RIGID, r)
 
 
 def _beside(d: Array, r: Array) -> Array:
     """Frequencies of a group that are left when the combination of its modes that the port reaches is taken out."""
     basis = np.linalg.qr(np.sqrt(r)[:, None], mode="complete")[0][:, 1:]
     return d[0] + np.linalg.eigvalsh((basis.T * (d - d[0])) @ basis)
+
+
+def minimal_of_exact(modes: ModalForm) -> ModalForm | None:
+    """`of_exact(modes).minimal()`; a few modes pass through a loop in less time than an array operation begins in."""
+    n = len(modes.d)
+    if n > _FEW or len(modes.rigid) or modes.nports != 1:
+        found = of_exact(modes)
+        return None if found is None else found.minimal()
+    close, d, r = exact_closeness(n), [], []
+    previous, first, total, moment = -1.0, 0.0, 0.0, 0.0
+    for frequency, weight in zip(modes.d.tolist(), modes.r.tolist(), strict=True):
+        if frequency - previous > close * (frequency + previous):
+            if total > 0.0:
+                d.append(first + moment / total)
+                r.append(total)
+            first, total, moment = frequency, 0.0, 0.0
+        total += weight
+        moment += weight * (frequency - first)
+        previous = frequency
+    if total > 0.0:
+        d.append(first + moment / total)
+        r.append(total)
+    return plain_modes(np.array(d), np.array(r))
 
 
 def of_exact(modes: ModalForm) -> Reduction | None:

@@ -21,6 +21,7 @@ from .conditioning import Group, Separation, as_decided
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem
 from .modal import ModalForm
+from .reachability import minimal_of_exact
 from .systems import PortHamiltonian, full_port_hamiltonian
 
 Array = NDArray[np.float64]
@@ -170,9 +171,10 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     >>> small.d, small.r
     (array([0.5, 1. ]), array([2., 2.]))
     """
+    if rtol is None and isinstance(sys, ModalForm) and (known := minimal_of_exact(sys)) is not None:
+        return PortHamiltonian._from_modes(known)
     system = full_port_hamiltonian(sys)
-    found = system._reduction if rtol is None else None
-    return _named_like(system, (found or system._separation(rtol)).minimal())
+    return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
 
 
 def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomposition:
@@ -316,7 +318,9 @@ def _with_hidden_modes(sys: Any) -> PortHamiltonian:
 
 
 def _named_like(system: PortHamiltonian, modes: ModalForm) -> PortHamiltonian:
-    return PortHamiltonian._from_modes(modes, inputs=system.input_labels, outputs=system.output_labels)
+    named = PortHamiltonian._from_modes(modes)
+    named.input_index, named.output_index = system.input_index.copy(), system.output_index.copy()
+    return named
 
 
 def _transformation(system: PortHamiltonian, groups: tuple[Group, ...]) -> Array:

@@ -75,28 +75,25 @@ class PortHamiltonian(LosslessSystem):
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
         matrix = _checks.hamiltonian_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
-        self._fill((_checks.readonly(matrix), _checks.readonly(ports)), None, names)
+        self._fill(matrix, ports, names)
 
-    def _fill(self, given: tuple[Array, Array] | None, modes: ModalForm | None, names: dict[str, Any]) -> None:
-        self._given, self._modes = given, modes
-        if given is not None:
-            self._setup(len(given[1]), given[1].shape[1], names)
-        else:
-            assert modes is not None
-            self._setup(2 * modes.n, modes.nports, names)
+    def _fill(self, Q: Array, B: Array, names: dict[str, Any]) -> None:
+        self._given, self._modes = (_checks.readonly(Q), _checks.readonly(B)), None
+        self._setup(len(B), B.shape[1], names)
 
     @classmethod
     def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
         """System in Williamson coordinates, its matrices not built until somebody looks."""
         self = cls.__new__(cls)
-        self._fill(None, modes, names)
+        self._given, self._modes = None, modes
+        self._setup(2 * modes.n, modes.nports, names)
         return self
 
     @classmethod
     def _from_matrices(cls, Q: Array, B: Array, **names: Any) -> PortHamiltonian:
         """System from arrays that are known to be valid."""
         self = cls.__new__(cls)
-        self._fill((_checks.readonly(Q), _checks.readonly(B)), None, names)
+        self._fill(Q, B, names)
         return self
 
     # --- matrices ------------------------------------------------------------------------------------------------
@@ -169,6 +166,12 @@ class PortHamiltonian(LosslessSystem):
             return reachability.of_exact(self.modes)
         seen = self._seen if self._modes is None else None
         return None if seen is None else reachability.of_matrix(seen.d, seen.kappa, self.Q)
+
+    @View
+    def _minimal(self) -> ModalForm:
+        """Modal form of what ports reach."""
+        found = reachability.minimal_of_exact(self.modes) if self._given is None else None
+        return found or (self._reduction or self._separation()).minimal()
 
     def _separation(self, rtol: float | None = None) -> Separation:
         """What ports reach and what they do not, by the modes."""

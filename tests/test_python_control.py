@@ -1,6 +1,8 @@
 """python-control takes port-Hamiltonian systems everywhere, and gives with them what it gives with their matrices."""
 
+import gc
 import warnings
+import weakref
 
 import control as ct
 import matplotlib.pyplot as plt
@@ -378,3 +380,54 @@ def test_feedback_of_two_lossless_systems_is_lossless_again():
     assert type(sys) is PH
     for s in POINTS:
         assert close(sys(s), transfer(closed, s)[0, 0], 1e6)
+
+
+# --- names and functions ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ports", [1, 2])
+def test_names_that_nobody_gave_are_those_of_a_state_space_system(ports):
+    Q, B = np.diag([4.0, 9.0, 1.0, 1.0]), np.ones((4, ports))
+    system = phc.ph(Q, B)
+    plain = ct.StateSpace(system.A, system.B, system.C, system.D)
+    for kind in ("input", "output", "state"):
+        assert getattr(system, f"{kind}_labels") == getattr(plain, f"{kind}_labels")
+        assert getattr(system, f"{kind}_index") == getattr(plain, f"{kind}_index")
+        assert getattr(system, f"n{kind}s") == getattr(plain, f"n{kind}s")
+    # whatever python-control gives a system is there, and of the same kind
+    named = phc.ph(Q, B, name="plant")
+    for name in vars(plain):
+        assert type(getattr(system, name)) in {type(getattr(plain, name)), type(getattr(named, name))}
+    assert system._generic_name_check()
+    assert phc.ph(Q, B).name != system.name
+
+
+def test_names_of_one_system_are_not_those_of_another():
+    first, second = phc.ph(np.eye(2), [1.0, 0.0]), phc.ph(np.eye(2), [1.0, 0.0])
+    first.set_inputs(["force"])
+    first.set_states(["q", "p"])
+    first.params["k"] = 1.0
+    assert (second.input_labels, second.state_labels, second.params) == (["u[0]"], ["x[0]", "x[1]"], {})
+    assert first.state_labels == ["q", "p"]
+    small = phc.minreal(first)
+    small.set_inputs(["other"])
+    assert first.input_labels == ["force"]
+
+
+def test_the_functions_of_a_system_are_its_equations():
+    system = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
+    for same in (system, phc.ph(system.Q, system.B, name="plant")):
+        assert np.array_equal(same.updfcn(0.0, [1.0, 2.0], [3.0], {}), [2.0, -1.0])
+        assert np.array_equal(same.outfcn(0.0, [1.0, 2.0], [3.0], {}), [2.0])
+
+
+@pytest.mark.parametrize("names", [{}, {"name": "plant"}])
+def test_a_system_goes_when_its_last_user_does(names):
+    system = phc.ph(np.eye(2), [1.0, 0.0], **names)
+    gone = weakref.ref(system)
+    gc.disable()
+    try:
+        del system
+        assert gone() is None
+    finally:
+        gc.enable()
