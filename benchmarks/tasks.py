@@ -142,9 +142,9 @@ def cold_frequency_response(n: int) -> Task:
     return Task("frequency response, from dense Q", f"n = {n}", runs, None, {"python-control": 9.0}, n)
 
 
-def simulation(n: int, samples: int, intersample: str = "zoh", *, peers: bool = True) -> Task:
-    """White input from rest; python-control interpolates its input whatever one asks."""
-    system = modal_plant(n)
+def simulation(n: int, samples: int, intersample: str = "zoh", *, dense: bool = False, peers: bool = True) -> Task:
+    """White input from rest, the modes being known; python-control interpolates its input whatever one asks."""
+    system = phc.ph(*dense_hamiltonian(n)) if dense else modal_plant(n)
     h, u = 0.02, np.random.default_rng(1).standard_normal(samples)
     t, other = h * np.arange(samples), plain(system)
     runs = {OURS: lambda: phc.forced_response(system, t, u, intersample=intersample).outputs}
@@ -160,7 +160,12 @@ def simulation(n: int, samples: int, intersample: str = "zoh", *, peers: bool = 
         # a held input is another task than the interpolated one of python-control
         return found if found < 1e-3 else np.nan
 
-    return Task(f"simulation, {intersample}", f"n = {n}, T = {samples}", runs, error, needed, samples)
+    kind = f"simulation of dense Q, {intersample}" if dense else f"simulation, {intersample}"
+    return Task(kind, f"n = {n}, T = {samples}", runs, error, needed, samples)
+
+
+def simulation_of_dense(n: int, samples: int) -> Task:
+    return simulation(n, samples, "foh", dense=True)
 
 
 def million_samples() -> Task:
@@ -400,6 +405,7 @@ FAMILIES: dict[str, Family] = {
         "Simulation of 50 modes, input interpolated",
         "samples T",
     ),
+    "simulation of dense Q": Family(simulation_of_dense, [(n, T) for T in (10_000, 100_000) for n in (20, 50, 100)]),
     "large": Family(simulation, [(500, 100_000)]),
     "million": Family(million_samples, [()]),
     "williamson": Family(williamson, _each(20, 50, 100, 200, 500), "Williamson's form of a dense Q of condition 1e12"),

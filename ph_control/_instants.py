@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,13 @@ _PER_PERIOD = 20  # samples in the shortest period of a default time vector
 _PERIODS = 3  # of the slowest mode in it
 _LONGEST = 20_000  # samples of a default time vector
 _COARSEST = 8  # samples in the shortest period before a mode is given up
+
+
+class Instants(NamedTuple):
+    """Equally spaced instants and the time between them."""
+
+    t: Array
+    h: float
 
 
 def default_time_vector(d: Array, tfinal: float | None = None, samples: int | None = None) -> Array:
@@ -54,19 +62,6 @@ def listed(d: Array) -> str:
     """Text that names modes in a warning."""
     shown = ", ".join(f"{value:.4g}" for value in d[:3])
     return f"{len(d)} mode{'s' if len(d) > 1 else ''} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
-
-
-def time_step(t: Array) -> float:
-    """Time between samples.
-
-    Instants made as `t_0 + k h` are followed with that very `h`: their mean step may miss it by a unit in the last
-    place, and a mode would be off by `d t eps`.
-    """
-    if t.size == 1:
-        return 1.0
-    first = float(t[1] - t[0])
-    made_of_it = _checks.distance_from_grid(t, first) <= 2 * _checks.EPS * max(abs(float(t[0])), abs(float(t[-1])))
-    return first if made_of_it else float((t[-1] - t[0]) / (t.size - 1))
 
 
 def printed_step(t: Array) -> float:

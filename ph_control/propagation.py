@@ -1,8 +1,9 @@
 """Modes through time: discretisation and block propagation.
 
 A recursion `x_{k+1} = lambda x_k + b u_k`, `y_k = Re(c x_k) + D u_k` with one complex state per mode is cut
-into blocks of samples.  Inside a block the input acts through a Toeplitz matrix and the initial state
-through powers of `lambda`; between blocks only the modal state is carried.  All of it is matrix products.
+into blocks of samples.  Inside a block the input acts through a Toeplitz matrix and the state through powers of
+`lambda`, both matrix products; from block to block only the modal states are carried, as sums of what every block adds
+to them, turned back to a common instant.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
-from scipy.signal import lfilter
 
 from . import _twofloat as tf
 from .exceptions import StructureError
@@ -25,10 +25,9 @@ ComplexArray = NDArray[np.complex128]
 METHODS = ("exact", "midpoint", "euler")
 INTERSAMPLE = ("zoh", "foh")
 
-_BLOCK = 256
 _SHORT = 32  # samples of a block of states
-_SEGMENT = 1 << 16  # samples held at once
-_GROUP = 32  # blocks through which states are carried side by side
+_SAMPLES = 1 << 14  # held at once
+_STATES = 1 << 13  # held at once
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ def simulate(
     states : bool
         Whether to return the states as well.
     block : int, optional
-        Samples taken at once; by default about what costs least.
+        Samples taken at once, made even; by default about what costs least.
 
     Returns
     -------
@@ -162,134 +161,197 @@ def simulate(
     # with x = w + b1 u the recursion for w needs only the input at the start of a step
     b = step.b0 + step.multiplier[:, None] * step.b1
     start = x0 - step.b1 @ u[:, 0]
-    size = min(block or _block(len(x0)), u.shape[1])
-    P = _powers_below(step, size)
-    forced, free = _output_weights(step, b, P)
+    turns = _turns(step, min(block or _block(len(x0)), u.shape[1]), u.shape[1])
+    near, far = _responses(step, b, turns)
+    outward = turns.whole[:-1] * step.c[:, None]
     y = np.empty(u.shape)
-    for here, blocks, carried in _segments(step, b, u, start, P):
-        out = blocks @ forced
-        out += carried.view(float) @ free
-        y[:, here] = _samples(out, len(u))[:, : here.stop - here.start]
+    for here, blocks, sums in _segments(turns, b, u, start):
+        out = _forced(blocks, near, far)
+        for row, weights in zip(out, outward, strict=True):
+            turns.spread(sums * weights[: len(sums)], row)
+        y[:, here] = out.reshape(len(u), -1)[:, : here.stop - here.start]
     return y, _all_states(step, b, u, start) if states else None
 
 
 def _block(modes: int) -> int:
     """Samples to take at once: short ones leave more states to carry, long ones more products with inputs."""
-    return 1 << int(np.clip(np.round(np.log2(np.sqrt(250.0 * max(1, modes)))), 5, 9))
+    return 32 * int(np.clip(np.round(np.sqrt(300.0 * modes) / 32), 1, 8))
 
 
-def _output_weights(step: Step, b: ComplexArray, P: ComplexArray) -> tuple[Array, Array]:
-    """Outputs of a block from its inputs, (m size, m size), and from real and imaginary part of the state before it."""
-    (ports, N), size = step.c.shape, P.shape[1]
-    weights = step.c[:, :, None] * P
-    forced = np.zeros((ports, size, ports, size))
-    response = np.zeros((ports, ports, size))
-    response[:, :, 0] = (step.c @ step.b1).real
-    response[:, :, 1:] = np.einsum("inl,nj->ijl", weights[:, :, : size - 1], b).real
-    for i in range(ports):
-        for j in range(ports):
-            forced[j, :, i] = toeplitz(np.r_[response[i, j, 0], np.zeros(size - 1)], response[i, j])
-    free = np.moveaxis(np.stack([weights.real, -weights.imag]), (2, 0), (0, 1)).reshape(2 * N, ports * size)
-    return forced.reshape(ports * size, ports * size), np.ascontiguousarray(free)
+# --- blocks ------------------------------------------------------------------------------------------------------
 
 
-def _powers_below(step: Step, size: int) -> ComplexArray:
-    """`lambda^k` for `k = 0 .. size - 1`, shape (N, size): products of two exact powers."""
-    few = min(16, size)
-    near, far = step.powers(np.arange(float(few))), step.powers(np.arange(0.0, size, few))
-    return (far[:, :, None] * near[:, None, :]).reshape(len(near), far.shape[1] * few)[:, :size]
+class _Turns:
+    """What samples make of the states of a block, and these of samples, where no mode grows.
+
+    States are those in the middle of the block: seen from there a sample before turns by what one after turns back, so
+    that sums and differences of the two need one real table each, of cosines and of sines.
+    """
+
+    def __init__(self, step: Step, size: int, count: int) -> None:
+        self.size, half = size, size // 2
+        near, far = 2.0 ** np.arange(np.ceil(np.log2(half))), size * 2.0 ** np.arange(np.ceil(np.log2(count + 1)))
+        powers = step.powers(np.concatenate([[0.5 * size - 0.5, size - 1.0, 0.5], near, far])).T
+        #: from the start of a block to where its states are, and from those with the samples to those of the next one
+        self.ahead, self.after = powers[:2]
+        turns = _table(powers[2], powers[3 : 3 + len(near)], half)
+        self.cos, self.sin = np.ascontiguousarray(turns.real), np.ascontiguousarray(turns.imag)
+        #: through so many blocks, shape (count + 1, N)
+        self.whole = _table(np.ones_like(powers[2]), powers[3 + len(near) :], count + 1)
+
+    def gather(self, u: Array) -> ComplexArray:
+        """Sums of the samples of blocks (count, size), each turned to the middle, shape (count, N)."""
+        half = self.size // 2
+        before, behind = u[:, half - 1 :: -1], u[:, half:]
+        x = np.empty((len(u), self.cos.shape[1]), complex)
+        x.real = (before + behind) @ self.cos
+        x.imag = (before - behind) @ self.sin
+        return x
+
+    def spread(self, x: ComplexArray, y: Array) -> None:
+        """Add real parts of the states in the middle (count, N), turned to each sample, to `y` (count, size)."""
+        half = self.size // 2
+        even, odd = np.ascontiguousarray(x.real) @ self.cos.T, np.ascontiguousarray(x.imag) @ self.sin.T
+        y[:, half:] += even - odd
+        even += odd
+        y[:, half - 1 :: -1] += even
+
+    def carry(self, x: ComplexArray) -> None:
+        """Make of a state and what every block adds to it the states before the blocks, in place, all turned back."""
+        np.cumsum(x, axis=0, out=x)
+
+
+class _Growth:
+    """The same for modes that grow: states are those at the start of the block, and nothing is symmetric."""
+
+    def __init__(self, step: Step, size: int, count: int) -> None:
+        self.size, N = size, len(step.growth)
+        self.ahead = self.after = np.ones(N, complex)
+        self.whole = np.broadcast_to(self.ahead, (count + 1, N))
+        powers = step.powers(np.arange(float(size))).T
+        self.inward = powers[::-1].copy().view(float)
+        self.outward = np.stack([powers.real, -powers.imag], axis=-1).reshape(size, 2 * N)
+        # the rounding of one factor would be that of all blocks
+        turn = size * (step.phase[0].astype(np.longdouble) + step.phase[1])
+        leap = np.exp(size * step.growth.astype(np.longdouble)) * (np.cos(turn) + 1j * np.sin(turn))
+        self.leap = leap.astype(complex)
+        self.rest = (leap - self.leap).astype(complex)
+
+    def gather(self, u: Array) -> ComplexArray:
+        """Sums of the samples of blocks (count, size), as they arrive at the start of the next block."""
+        return (u @ self.inward).view(complex)
+
+    def spread(self, x: ComplexArray, y: Array) -> None:
+        """Add real parts of the states at the start (count, N), taken to each sample, to `y` (count, size)."""
+        y += np.ascontiguousarray(x).view(float) @ self.outward.T
+
+    def carry(self, x: ComplexArray) -> None:
+        """Make of a state and what every block adds to it the states before the blocks, in place."""
+        for k in range(1, len(x)):
+            x[k] += self.leap * x[k - 1] + self.rest * x[k - 1]
+
+
+def _turns(step: Step, size: int, samples: int) -> _Turns | _Growth:
+    """Tables for blocks of so many samples, made even, and segments of the record."""
+    size += size % 2
+    count = max(32, min(_SAMPLES // size, _STATES // max(1, len(step.growth))))
+    count = min(count, -(-samples // size))
+    return _Growth(step, size, count) if step.growth.any() else _Turns(step, size, count)
+
+
+def _table(first: ComplexArray, factors: ComplexArray, count: int) -> ComplexArray:
+    """`first lambda^k` for `k = 0 .. count - 1`, shape (count, N), from `lambda^(1, 2, 4, ..)`: doubling."""
+    table = np.empty((count, len(first)), complex)
+    table[0] = first
+    for level, factor in enumerate(factors):
+        known = 1 << level
+        np.multiply(table[: min(known, count - known)], factor, out=table[known : 2 * known])
+    return table
+
+
+def _responses(step: Step, b: ComplexArray, turns: _Turns | _Growth) -> tuple[Array, Array]:
+    """Outputs of half a block from the inputs of the same half, and of the half before: (m, m, size / 2, size / 2).
+
+    Toeplitz matrices of the impulse response, by output and input.
+    """
+    ports, half = len(step.c), turns.size // 2
+    response = np.zeros((ports, ports, 3 * half))
+    response[:, :, half] = (step.c @ step.b1).real
+    later = np.zeros((ports * ports, turns.size))
+    turns.spread((step.c[:, None] * (turns.ahead * b.T)).reshape(ports * ports, -1), later)
+    response[:, :, half + 1 :] = later.reshape(ports, ports, -1)[:, :, : 2 * half - 1]
+    windows = np.lib.stride_tricks.sliding_window_view(response, half, axis=2)
+    near, far = (np.ascontiguousarray(windows[:, :, last : last - half : -1]) for last in (half, 2 * half))
+    return near, far
+
+
+def _forced(blocks: Array, near: Array, far: Array) -> Array:
+    """Outputs (m, count, size) of blocks of inputs (m, count, size) within each block."""
+    ports, count, size = blocks.shape
+    half = size // 2
+    products = np.matmul(blocks.reshape(ports, -1, half), near).reshape(ports, ports, count, size)
+    products[:, :, :, half:] += np.matmul(blocks[:, :, :half], far)
+    out: Array = products[:, 0]
+    for other in range(1, ports):
+        out += products[:, other]
+    return out
+
+
+# --- from block to block -----------------------------------------------------------------------------------------
 
 
 def _segments(
-    step: Step, b: ComplexArray, u: Array, start: ComplexArray, P: ComplexArray
+    turns: _Turns | _Growth, b: ComplexArray, u: Array, start: ComplexArray
 ) -> Iterator[tuple[slice, Array, ComplexArray]]:
-    """Pieces of a record that fit a cache: where they are, inputs by blocks (count, m size), states before these."""
-    (ports, samples), size = u.shape, P.shape[1]
-    push = (b.T[:, None, :] * P.T[None, ::-1, :]).reshape(ports * size, len(P)).copy().view(float)
-    group = int(np.clip(np.sqrt(samples / size), 1, _GROUP))
-    leap = np.ascontiguousarray(step.powers(size * np.arange(group + 1.0)).T)
-    length = size * group * max(1, _SEGMENT // (size * group))
-    for first in range(0, samples, length):
-        here = slice(first, min(first + length, samples))
-        blocks = _blocks(u[:, here], size, group)
-        states, start = _carry((blocks @ push).view(complex), leap, start)
-        yield here, blocks, states
+    """Pieces of a record that fit a cache: where they are, inputs by blocks (m, count, size), states of these.
+
+    The states (count, N) are turned back to the first of a piece, `turns.whole` turns them on.
+    """
+    size, most = turns.size, len(turns.whole) - 1
+    inward = turns.whole[1:].conj() * (turns.after * b.T)[:, None]
+    start = start * turns.ahead
+    for first in range(0, u.shape[1], size * most):
+        here = slice(first, min(first + size * most, u.shape[1]))
+        blocks = _blocks(u[:, here], size)
+        count = blocks.shape[1]
+        sums = np.empty((count + 1, len(b)), complex)
+        sums[0] = start
+        np.multiply(turns.gather(blocks[0]), inward[0, :count], out=sums[1:])
+        for more, weights in zip(blocks[1:], inward[1:], strict=True):
+            sums[1:] += turns.gather(more) * weights[:count]
+        turns.carry(sums)
+        start = turns.whole[count] * sums[-1]
+        yield here, blocks, sums[:-1]
 
 
-def _blocks(u: Array, size: int, multiple: int = 1) -> Array:
-    """Samples by blocks, shape (count, m size), zeros after the last, up to a multiple of so many blocks."""
+def _blocks(u: Array, size: int) -> Array:
+    """Samples by blocks, shape (m, count, size), zeros after the last."""
     ports, samples = u.shape
-    count = multiple * -(-samples // (size * multiple))
-    padded = u
-    if count * size > samples or not u.flags.c_contiguous:
+    count = -(-samples // size)
+    if count * size > samples:
         padded = np.zeros((ports, count * size))
         padded[:, :samples] = u
-    return np.moveaxis(padded.reshape(ports, count, size), 0, 1).reshape(count, ports * size)
-
-
-def _samples(blocks: Array, ports: int) -> Array:
-    """Undo `_blocks`: shape (m, count size)."""
-    count, width = blocks.shape
-    return np.moveaxis(blocks.reshape(count, ports, width // ports), 1, 0).reshape(ports, -1)
-
-
-def _carry(push: ComplexArray, leap: ComplexArray, start: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """All `x_k` of `x_(k+1) = leap x_k + push_k`, and the last: in groups of blocks, all groups at once.
-
-    The exact powers of the leap, (group + 1, N), let rounding add up over the groups only.
-    """
-    (count, N), group = push.shape, len(leap) - 1
-    inside = push.reshape(count // group, group, N)
-    for i in range(1, group):
-        inside[:, i] += leap[1] * inside[:, i - 1]
-    before = np.empty((len(inside), N), complex)
-    for k, whole in enumerate(inside[:, -1]):
-        before[k] = start
-        start = leap[group] * start + whole
-    states = before[:, None] * leap[:group]
-    states[:, 1:] += inside[:, :-1]
-    return states.reshape(count, N), start
-
-
-def unit_states(step: Step, signal: Array, *, block: int = _BLOCK) -> ComplexArray:
-    """`X_k = sum_{j<k} lambda^(k-1-j) u_j` for a signal (T,), shape (N, T): what every mode makes of a unit input."""
-    samples = len(signal)
-    size = min(block, samples)
-    count = -(-samples // size)
-    padded = np.zeros(count * size)
-    padded[:samples] = signal
-    blocks = padded.reshape(count, size)
-    P = step.powers(np.arange(size + 1.0))
-    lam, leap = P[:, 1], P[:, size]
-    N = len(P)
-    X = np.empty((N, count, size), complex)
-    inside = np.empty((N, count, size), complex)
-    for mode in range(N):
-        inside[mode] = lfilter([1.0], [1.0, -lam[mode]], blocks, axis=-1)
-    carried = np.zeros((N, count), complex)
-    for k in range(1, count):
-        carried[:, k] = leap * carried[:, k - 1] + inside[:, k - 1, -1]
-    np.multiply(carried[:, :, None], P[:, None, :size], out=X)
-    X[:, :, 1:] += inside[:, :, :-1]
-    return X.reshape(N, count * size)[:, :samples]
+        u = padded
+    return np.ascontiguousarray(u).reshape(ports, count, size)
 
 
 def _all_states(step: Step, b: ComplexArray, u: Array, start: ComplexArray) -> ComplexArray:
     """States at every sample, shape (N, T): what was carried, turned, and what the block itself has contributed."""
     (ports, samples), N = u.shape, len(start)
-    size = min(_SHORT, samples)
-    P = _powers_below(step, size)
+    turns = _turns(step, _SHORT, samples)
+    P = step.powers(np.arange(float(_SHORT)))
     x = np.empty((N, samples), complex)
-    inside = np.zeros((N, ports * size, size), complex)
+    inside = np.zeros((N, ports, _SHORT, _SHORT), complex)
     for mode in range(N):
         for j in range(ports):
-            inside[mode, j * size : (j + 1) * size] = toeplitz(
-                np.zeros(size), np.r_[0.0, b[mode, j] * P[mode, : size - 1]]
-            )
-            inside[mode, range(j * size, (j + 1) * size), range(size)] = step.b1[mode, j]
-    for here, blocks, carried in _segments(step, b, u, start, P):
+            inside[mode, j] = toeplitz(np.zeros(_SHORT), np.r_[0.0, b[mode, j] * P[mode, :-1]])
+            inside[mode, j, range(_SHORT), range(_SHORT)] = step.b1[mode, j]
+    inside = np.moveaxis(inside, 1, 0)
+    for here, blocks, sums in _segments(turns, b, u, start):
+        carried = (sums * turns.whole[: len(sums)] / turns.ahead).T
         for mode in range(N):
-            part = (blocks @ inside[mode].view(float)).view(complex)
-            part += carried[:, mode, None] * P[mode]
+            part = carried[mode][:, None] * P[mode]
+            for block, weights in zip(blocks, inside[:, mode], strict=True):
+                part += (block @ weights.view(float)).view(complex)
             x[mode, here] = part.ravel()[: here.stop - here.start]
     return x

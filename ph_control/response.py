@@ -11,7 +11,7 @@ from control.timeresp import TimeResponseList
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from ._instants import default_time_vector, time_step
+from ._instants import Instants, default_time_vector
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem
 from .motion import Rule, check_finite, trajectory
@@ -91,8 +91,8 @@ def forced_response(
     keep = named["return_states"]
     return _each(
         sysdata,
-        lambda sys, t: _forced(
-            sys, t, named["inputs"], named["initial_state"], method, intersample, keep, transpose, squeeze
+        lambda sys, at: _forced(
+            sys, at, named["inputs"], named["initial_state"], method, intersample, keep, transpose, squeeze
         ),
         named["timepts"],
         None,
@@ -164,11 +164,11 @@ def step_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+    def run(sys: LosslessSystem, at: Instants) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
-            return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), named["initial_state"]
+            return np.eye(sys.ninputs)[:, port, None] * np.ones(at.t.size), named["initial_state"]
 
-        return _traces(sys, t, one, "Step", named, method, intersample, transpose, squeeze)
+        return _traces(sys, at, one, "Step", named, method, intersample, transpose, squeeze)
 
     return _each(sysdata, run, named["timepts"], named["timepts_num"])
 
@@ -220,11 +220,11 @@ def impulse_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+    def run(sys: LosslessSystem, at: Instants) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
-            return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
+            return np.zeros((sys.ninputs, at.t.size)), sys.B[:, port]
 
-        return _traces(sys, t, one, "Impulse", named, method, "zoh", transpose, squeeze)
+        return _traces(sys, at, one, "Impulse", named, method, "zoh", transpose, squeeze)
 
     return _each(sysdata, run, named["timepts"], named["timepts_num"])
 
@@ -276,11 +276,11 @@ def initial_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+    def run(sys: LosslessSystem, at: Instants) -> TimeResponseData:
         picked, one = _selected("output", named, sys.noutputs)
-        problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), named["initial_state"], method, "zoh")
+        problem = _Problem(sys, at, np.zeros((sys.ninputs, at.t.size)), named["initial_state"], method, "zoh")
         return _Response(
-            problem.states, sys, t, problem.outputs()[picked], issiso=sys.issiso() or one,
+            problem.states, sys, at.t, problem.outputs()[picked], issiso=sys.issiso() or one,
             output_labels=sys.output_labels[picked],
             title="Initial response for " + sys.name, transpose=transpose,
             return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
@@ -308,7 +308,7 @@ def _resolve_aliases(named: dict[str, Any], aliases: dict[str, Any]) -> None:
 
 
 def _each(
-    sysdata: Any, run: Callable[[LosslessSystem, Array], TimeResponseData], timepts: Any, samples: int | None
+    sysdata: Any, run: Callable[[LosslessSystem, Instants], TimeResponseData], timepts: Any, samples: int | None
 ) -> Any:
     """Run one system, or each of a list on common instants."""
     several = isinstance(sysdata, list | tuple)
@@ -321,14 +321,15 @@ def _each(
                 f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or "
                 "use the function of the same name of python-control"
             )
-    t = _instants(systems, timepts, samples)
-    responses = [run(sys, t) for sys in systems]
+    at = _instants(systems, timepts, samples)
+    responses = [run(sys, at) for sys in systems]
     return TimeResponseList(responses) if several else responses[0]
 
 
-def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:
+def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Instants:
     if isinstance(timepts, list | tuple) or np.ndim(timepts) > 0:
-        return _checks.time_vector(timepts)[0]
+        t, h = _checks.time_vector(timepts)
+        return Instants(t, h or 1.0)
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
     if samples is not None and not (isinstance(samples, int | np.integer) and 2 <= samples <= _MOST):
         raise StructureError(
@@ -336,17 +337,19 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
             f"than {_MOST:.0e}"
         )
     visible = [sys.modes.d[sys.modes.nu.any(axis=1)] for sys in systems]
-    return default_time_vector(np.concatenate(visible), tfinal, samples)
+    t = default_time_vector(np.concatenate(visible), tfinal, samples)
+    return Instants(t, _checks.time_step(t)[0])
 
 
 def _forced(
-    sys: LosslessSystem, t: Array, inputs: Any, initial_state: Any, method: str, intersample: str,
+    sys: LosslessSystem, at: Instants, inputs: Any, initial_state: Any, method: str, intersample: str,
     keep: bool | None, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
-    u = _input_signal(inputs, sys.ninputs, t.size, transpose)
-    problem = _Problem(sys, t, u, initial_state, method, intersample)
+    u = _input_signal(inputs, sys.ninputs, at.t.size, transpose)
+    problem = _Problem(sys, at, u, initial_state, method, intersample)
+    u.flags.writeable = keep is not None  # states that are still to come are made of it
     return _Response(
-        None if keep is False else problem.states, sys, t, problem.outputs(), inputs=u, issiso=sys.issiso(),
+        None if keep is False else problem.states, sys, at.t, problem.outputs(), inputs=u, issiso=sys.issiso(),
         output_labels=sys.output_labels, input_labels=sys.input_labels,
         title="Forced response for " + sys.name, transpose=transpose, return_x=bool(keep), squeeze=squeeze,
         sysname=sys.name, trace_types=["forced"], plot_inputs=True,
@@ -354,18 +357,18 @@ def _forced(
 
 
 def _traces(
-    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
+    sys: LosslessSystem, at: Instants, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
     method: str, intersample: str, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
     rows, one_output = _selected("output", named, sys.noutputs)
     shown, one_input = _selected("input", named, sys.ninputs)
     ports = range(sys.ninputs)[shown]
-    problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
+    problems = [_Problem(sys, at, *one(port), method, intersample) for port in ports]
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
     drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
     return _Response(
-        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, y,
+        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, at.t, y,
         inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
         title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(named["return_states"]),
@@ -412,10 +415,12 @@ def _initial_state(value: Any, size: int) -> Array:
 class _Problem:
     """One input and one initial state for one system; outputs and states are separate work."""
 
-    def __init__(self, sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str):
+    def __init__(
+        self, sys: LosslessSystem, at: Instants, u: Array, initial_state: Any, method: str, intersample: str
+    ) -> None:
         _checks.choice("method", method, METHODS)
         _checks.choice("intersample", intersample, INTERSAMPLE)
-        self.sys, self.u, self.rule = sys, u, Rule(time_step(t), method, intersample)
+        self.sys, self.u, self.rule = sys, u, Rule(at.h, method, intersample)
         self.z0 = _initial_state(initial_state, sys.nstates)
 
     def outputs(self) -> Array:
@@ -443,9 +448,11 @@ class _Response(TimeResponseData):
     ) -> None:
         self._compute: Callable[[], Array] | None = None
         self._states: Array | None = None
-        # no rows rather than None, on which `states` of TimeResponseData fails
-        none = np.zeros((0, *y.shape[1:]))
-        super().__init__(t, y, none, **described)
+        # of one sample, since all given to it is copied; no rows rather than no states, on which `states` fails
+        first = slice(None, 1)
+        u = described.pop("inputs", None)
+        super().__init__(t[first], y[..., first], y[:0, ..., first], None if u is None else u[..., first], **described)
+        self.t, self.y, self.u, self.x = t, y, u, y[:0]
         if compute is not None:
             self._compute, self.nstates, self.state_labels = compute, sys.nstates, list(sys.state_labels)
             if self.return_x:

@@ -47,6 +47,20 @@ def plain_recursion(step, u, x0):
     return (step.c @ x).real, x
 
 
+def fine_recursion(step, u, x0):
+    """The same in long doubles, with both digits of the phase; also the largest sum of what the modes contribute."""
+    phase = step.phase[0].astype(np.longdouble) + step.phase[1]
+    lam = np.exp(step.growth.astype(np.longdouble)) * (np.cos(phase) + 1j * np.sin(phase))
+    b0, b1, c = (M.astype(np.clongdouble) for M in (step.b0, step.b1, step.c))
+    x = x0.astype(np.clongdouble)
+    y, states, size = np.empty(u.shape), np.empty((len(x0), u.shape[1]), complex), 0.0
+    for k in range(u.shape[1]):
+        y[:, k], states[:, k] = (c @ x).real, x
+        size = max(size, float(np.max(np.abs(c) @ np.abs(x))))
+        x = lam * x + b0 @ u[:, k] + b1 @ u[:, min(k + 1, u.shape[1] - 1)]
+    return y, states, size
+
+
 # --- one step ------------------------------------------------------------------------------------------------------
 
 
@@ -158,6 +172,102 @@ def test_any_number_of_modes_rigid_bodies_ports_and_samples_agrees_with_the_recu
     size = np.abs(step.c) @ np.abs(x_truth) if n + rigid else np.zeros_like(y)
     assert np.max(np.abs(y - y_truth)) <= 20 * samples * EPS * np.max(size)
     assert np.max(np.abs(x - x_truth), initial=0.0) <= 20 * samples * EPS * np.max(np.abs(x_truth), initial=0.0)
+
+
+def hard_input(name, step, samples, rng):
+    """Samples whose response is hard in one way; `DRIVES` names them."""
+    k = np.arange(samples)
+    phase = step.phase[0][0]
+    return {
+        "noise": lambda: rng.standard_normal(samples),
+        "constant": lambda: np.ones(samples),
+        "resonance": lambda: np.cos(phase * k),
+        "beating": lambda: np.cos((phase + 200 * np.pi / samples) * k),
+        "large, then nothing": lambda: np.where(k < 300, 1.0, 0.0) * rng.standard_normal(samples),
+        "nothing, then a pulse": lambda: np.where(k == samples - 40, 1.0, 0.0),
+        "alternating": lambda: (-1.0) ** k,
+    }[name]()
+
+
+DRIVES = ["noise", "constant", "resonance", "beating", "large, then nothing", "nothing, then a pulse", "alternating"]
+LONG = 34_000  # samples, several of the pieces in which a record is worked off
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("rule", [("exact", "foh"), ("midpoint", "zoh")])
+def test_long_responses_to_hard_inputs_are_right_to_1e_13_of_the_largest_output(drive, rule):
+    rng = np.random.default_rng(3)
+    step = discretize(phc.modes([0.013, 0.4, 0.40001, 1.3, 2.9], rng.uniform(0.1, 2.0, 5)), 0.9, *rule)
+    u = hard_input(drive, step, LONG, rng)[None]
+    truth, _, _ = fine_recursion(step, u, np.zeros(5))
+    y, _ = simulate(step, u, np.zeros(5, complex))
+    assert np.max(np.abs(truth)) > 0.1
+    assert np.max(np.abs(y - truth)) < 1e-13 * np.max(np.abs(truth))
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_long_record_of_several_ports_with_rigid_bodies_is_right_in_outputs_and_states(rule):
+    rng = np.random.default_rng(4)
+    modes = random_modes(7, 2, 3, rng)
+    # steps so small that the growth of the Euler rule stays within a hundredfold
+    step = discretize(modes, 0.005 if rule[0] == "euler" else 0.3, *rule)
+    u = rng.standard_normal((3, LONG))
+    x0 = rng.standard_normal(9) + 1j * np.r_[rng.standard_normal(7), 0, 0]
+    y_truth, x_truth, size = fine_recursion(step, u, x0)
+    for block in (16, 50, None):
+        y, x = simulate(step, u, x0, states=True, block=block)
+        assert np.max(np.abs(y - y_truth)) < 1e-13 * size
+        assert np.max(np.abs(x - x_truth)) < 1e-13 * np.max(np.abs(x_truth))
+
+
+def test_what_cancels_at_a_transmission_zero_loses_no_more_than_the_digits_that_cancel():
+    """Between two equal modes the response to a sine is the difference of two large motions."""
+    modes = phc.modes([0.95, 1.05], [1.0, 0.95 / 1.05])
+    step = discretize(modes, 0.5, "exact", "foh")
+    zero = float(np.max(np.abs(modes.zeros)))
+    t = 0.5 * np.arange(LONG)
+    u = (np.sin(zero * t) * np.minimum(1.0, t / t[-1]) ** 2)[None]
+    truth, _, size = fine_recursion(step, u, np.zeros(2))
+    assert np.max(np.abs(truth)) < 0.02 * size
+    y, _ = simulate(step, u, np.zeros(2, complex))
+    assert np.max(np.abs(y - truth)) < 1e-13 * size
+
+
+@pytest.mark.parametrize("time_unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("amplitude", [1e-9, 1.0, 1e9])
+def test_the_error_scales_with_the_units(time_unit, amplitude):
+    rng = np.random.default_rng(5)
+    d, r, u = np.array([0.3, 0.7, 2.0]) / time_unit, np.array([1.0, 2.0, 0.5]), rng.standard_normal((1, LONG))
+    step = discretize(phc.modes(d, r), 0.8 * time_unit)
+    x0 = amplitude * (rng.standard_normal(3) + 1j * rng.standard_normal(3))
+    truth, _, size = fine_recursion(step, amplitude * u, x0)
+    y, _ = simulate(step, amplitude * u, x0)
+    assert np.max(np.abs(y - truth)) < 1e-13 * size
+    assert size > 0
+
+
+@pytest.mark.parametrize("n", [1, 2, 30, 300])
+def test_pieces_of_a_record_join_whatever_the_number_of_modes(n):
+    """Many modes leave fewer blocks to a piece."""
+    rng = np.random.default_rng(n)
+    step = discretize(phc.modes(np.sort(rng.uniform(0.01, 3.0, n)), rng.uniform(0.1, 1.0, n)), 1.0, "exact", "foh")
+    u, x0 = rng.standard_normal((1, 20_001)), rng.standard_normal(n) + 0j
+    truth, _, _ = fine_recursion(step, u, x0)
+    for block in (24, None):
+        y, _ = simulate(step, u, x0, block=block)
+        assert np.max(np.abs(y - truth)) < 1e-13 * np.max(np.abs(truth))
+
+
+def test_a_mode_that_grows_beyond_all_doubles_is_no_matter_before_it_is_struck():
+    """Under Euler `|lambda|^k` overflows within the record; silence before a late pulse must stay silence."""
+    step = discretize(phc.modes([1.0, 2.0], [1.0, 1.0]), 1.0, "euler")
+    u = np.zeros((1, 5000))
+    u[0, -20] = 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        y, _ = simulate(step, u, np.zeros(2, complex))
+    truth, _, _ = fine_recursion(step, u[:, -20:], np.zeros(2))
+    assert np.array_equal(y[0, :-20], np.zeros(4980))
+    assert np.max(np.abs(y[:, -20:] - truth)) < 1e-13 * np.max(np.abs(truth))
 
 
 def test_a_single_sample_is_the_initial_state_and_no_mode_is_silence():

@@ -334,6 +334,32 @@ def test_inputs_may_be_a_number_a_vector_or_a_row_and_are_not_modified():
     assert np.array_equal(z0, np.ones(6))
 
 
+def test_states_looked_at_later_are_those_of_the_inputs_and_instants_of_the_call():
+    sys = phc.ph(*MATRICES["one port"])
+    u, time = np.cos(TIME), TIME.copy()
+    at_once = phc.forced_response(sys, time, u, 1.0, return_states=True)
+    later = phc.forced_response(sys, time, u, 1.0)
+    u[:], time[:] = 0.0, 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        later.u[0, 0] = 5.0
+    assert np.array_equal(later.states, at_once.states)
+    assert np.array_equal(later.time, TIME)
+    assert np.array_equal(later.inputs, np.cos(TIME))
+    at_once.u[0, 0] = 5.0  # nothing hangs on it any more
+
+
+@pytest.mark.parametrize("t", [[0.0, 1e308, 1.5e308], [0.0, 1.0, 3.0], [0.0, 1e-320, 1.0], [1e9, 1e9 + 1, 1e9 + 3]])
+def test_unequal_instants_are_refused_whatever_their_size(t):
+    with pytest.raises(phc.StructureError, match="not equally spaced"):
+        phc.step_response(ONE, t)
+
+
+def test_instants_finer_than_their_own_rounding_must_still_increase():
+    t = 1e9 + 1e-8 * np.arange(50)  # a unit in the last place is 1.2e-7
+    with pytest.raises(phc.StructureError, match="does not increase"):
+        phc.step_response(ONE, t)
+
+
 # --- default instants ----------------------------------------------------------------------------------------------
 
 
