@@ -14,18 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
-from . import _twofloat as tf
 from ._display import ShownModes
 from .coefficients import COEFFICIENT_LIMIT, ScaledCoefficients, modes_from_coefficients, transfer_coefficients
 from .exceptions import NotLosslessError, StructureError
+from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _CHUNK = 1 << 20  # entries of a (frequency x mode) table held at once
-_CACHED = 1 << 15  # entries of one that stays in a cache
-_CANCELLED = 32  # sum of sizes over the size of the sum, beyond which it is repeated with twice the digits
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,13 +102,13 @@ class ModalForm(ShownModes):
     def zeros(self) -> ComplexArray:
         """Zeros, all on the imaginary axis, ascending imaginary part.
 
-        One port: 0 and `±i sqrt(x)` for the eigenvalues `x` of `diag(d^2)` compressed to the orthogonal complement
-        of `sqrt(kappa)`, each then refined between the poles that enclose it (Foster: poles and zeros interlace).
-        More ports: the eigenvalues of the skew dynamics compressed to where the output vanishes.
-        A mode that no port reaches is a zero as well as a pole.  Cost O(n^3).
+        One port: 0, unless there is a pole, and `±i w` for the roots `w` of `sum_l kappa_l / (d_l^2 - w^2)`, one
+        between two poles each (Foster: poles and zeros interlace), right to the last place or two; O(n^2).
+        More ports: the eigenvalues of the skew dynamics compressed to where the output vanishes; O(n^3).
+        A mode that no port reaches is a zero as well as a pole.
         """
         if self.nports == 1:
-            w = one_port_zeros(self.d, self.kappa, float(np.sum(self.rigid**2)) if len(self.rigid) else None)
+            w = one_port_zeros(self.d, self.kappa, float(self.kappa_0) if len(self.rigid) else None)
         else:
             w = many_port_zeros(self.d, self.nu, self.rigid)
         return _checks.readonly(imaginary(w))
@@ -143,7 +141,8 @@ class ModalForm(ShownModes):
         -----
         O(n) per point and entry.  On the imaginary axis the values of a one-port are exactly imaginary and
         right to 5e-14 relative, as a rule to 1e-14, next to a pole and next to a zero alike: where terms cancel, the
-        sum is repeated with twice the digits.
+        distance to the zero between the poles takes the place of the sum.  Of a zero itself some 30 digits are known,
+        so that a value of less than 1e-15 of its terms has fewer digits.
 
         Examples
         --------
@@ -152,26 +151,33 @@ class ModalForm(ShownModes):
         array([[[1.+0.j]]])
         """
         points = _checks.complex_points("the points", s)
-        out = np.empty((self.nports, self.nports, points.size), complex)
+        regular = np.isfinite(points)
+        on_axis = regular & (points.real == 0) & (self.nports == 1)
+        if on_axis.all() and self.nports == 1:
+            return self._on_axis(points.imag)[None, None]
+        out = np.zeros((self.nports, self.nports, points.size), complex)
+        if on_axis.any():
+            out[0, 0, on_axis] = self._on_axis(points[on_axis].imag)
+        elsewhere = np.flatnonzero(regular & ~on_axis)
         step = max(1, _CHUNK // max(1, self.n * self.nports))
-        for start in range(0, points.size, step):
-            part = slice(start, start + step)
-            with np.errstate(over="ignore", invalid="ignore"):
-                out[:, :, part] = self._evaluate(points[part])
+        with np.errstate(over="ignore", invalid="ignore"):
+            for start in range(0, len(elsewhere), step):
+                part = elsewhere[start : start + step]
+                out[:, :, part] = self._off_axis(points[part])
         return np.where(np.isfinite(out), out, complex(np.inf, 0.0))
 
-    def _evaluate(self, s: ComplexArray) -> ComplexArray:
-        if self.nports == 1 and not s.real.any() and np.isfinite(s.imag).all():
-            return self._on_axis(s.imag)[None, None]
-        out = np.zeros((self.nports, self.nports, s.size), complex)
-        at_infinity = np.isinf(s)
-        elsewhere = ~at_infinity
-        if self.nports == 1:
-            on_axis = (s.real == 0) & ~at_infinity
-            out[0, 0, on_axis] = self._on_axis(s[on_axis].imag)
-            elsewhere &= ~on_axis
-        out[:, :, elsewhere] = self._off_axis(s[elsewhere])
-        return out
+    @cached_property
+    def _reactance(self) -> Reactance:
+        live = self.r > 0
+        d, r = (self.d, self.r) if live.all() else (self.d[live], self.r[live])
+        return Reactance(d, r, float(np.sum(self.rigid**2)))
+
+    def _on_axis(self, w: Array) -> ComplexArray:
+        values = imaginary(self._reactance(w))
+        infinite = ~np.isfinite(values.imag)
+        if infinite.any():
+            values[infinite] = complex(np.inf, 0.0)
+        return values
 
     def _off_axis(self, s: ComplexArray) -> ComplexArray:
         alpha, beta = self._symmetric_residues
@@ -193,21 +199,6 @@ class ModalForm(ShownModes):
         out = out + np.where(residue[:, :, None] != 0, residue[:, :, None] / np.where(at_zero, 1.0, s), 0.0)
         infinite = np.einsum("lij,kl->ijk", visible, at_pole) | ((residue != 0)[:, :, None] & at_zero)
         return np.where(infinite, complex(np.inf, 0.0), out)
-
-    def _on_axis(self, w: Array) -> ComplexArray:
-        """One port at `s = i w`: `i sum_l kappa_l w / ((d_l - w)(d_l + w)) - i kappa_0 / w`."""
-        live = self.r > 0
-        d, r, kappa = (x if live.all() else x[live] for x in (self.d, self.r, self.kappa))
-        residue = float(np.sum(self.rigid**2))
-        value, weight = np.empty_like(w), np.empty_like(w)
-        step = max(32, _CACHED // max(1, len(d)))
-        for start in range(0, len(w), step):
-            part = slice(start, start + step)
-            value[part], weight[part] = _reactance(d, kappa, residue, w[part])
-        cancelled = weight > _CANCELLED * np.abs(value)
-        if cancelled.any():
-            value[cancelled] = _sum_with_twice_the_digits(d, r, residue, w[cancelled])
-        return np.where(np.isfinite(value), imaginary(value), complex(np.inf, 0.0))
 
     def freqresp(self, omega: ArrayLike) -> ComplexArray:
         """Frequency response `G(i omega)`.
@@ -424,51 +415,6 @@ def _row_space(rows: NDArray) -> NDArray:
     _, sigma, Vh = np.linalg.svd(rows, full_matrices=False)
     kept = sigma > max(rows.shape) * _checks.EPS * sigma.max(initial=0.0)
     return sigma[kept, None] * Vh[kept]
-
-
-def _reactance(d: Array, kappa: Array, residue: float, w: Array) -> tuple[Array, Array]:
-    """Imaginary part of `G(i w)` of one port, not finite at a pole, and the sum of the sizes of its terms."""
-    with np.errstate(divide="ignore"):
-        if _products_fit(d, w):
-            terms = d[:, None] - w
-            terms *= d[:, None] + w
-            np.divide(kappa[:, None], terms, out=terms)
-            terms *= w
-        else:
-            terms = kappa[:, None] * (w / (d[:, None] + w)) / (d[:, None] - w)
-        pole = residue / w if residue > 0 else 0.0
-        return tf.tree_sum(terms) - pole, tf.tree_sum(np.abs(terms, out=terms)) + np.abs(pole)
-
-
-def _sum_with_twice_the_digits(d: Array, r: Array, residue: float, w: Array) -> Array:
-    """`sum_l d_l r_l w / (d_l^2 - w^2) - residue / w` in pairs of doubles; `d` and `r` (n,), or (n, N) for N of `w`."""
-    total = np.empty(len(w))
-    step = max(32, _CACHED // max(1, len(d)))
-    for start in range(0, len(w), step):
-        part = slice(start, start + step)
-        frequency, weight = ((v[:, None] if v.ndim == 1 else v[:, part]) for v in (d, r))
-        x = (w[part], np.zeros_like(w[part]))
-        value = _sum_in_pairs(frequency, weight, x)
-        if residue > 0:
-            value = tf.add(value, tf.divide((x[1] - residue, x[1]), (np.where(x[0] == 0, 1.0, x[0]), x[1])))
-        total[part] = value[0] + value[1]
-    return total
-
-
-def _sum_in_pairs(d: Array, r: Array, w: tf.Pair) -> tf.Pair:
-    """`sum_l d_l r_l w / ((d_l - w)(d_l + w))`, at a pole without the factor that is 0 there."""
-    kappa = tf.two_prod(d, r)
-    away = np.where(np.abs(w[0]) == d, 0.0, w[0])
-    up, down = tf.two_sum(d, away), tf.two_sum(d, -away)
-    if _products_fit(d, w[0]):
-        return tf.multiply(tf.total(tf.divide(kappa, tf.multiply(up, down))), w)
-    return tf.total(tf.divide(tf.multiply(kappa, tf.divide(w, up)), down))
-
-
-def _products_fit(d: Array, w: Array) -> bool:
-    """Whether `(d - w)(d + w)` stays well in the range of doubles; else one divides by one factor after the other."""
-    sizes = np.concatenate([d.ravel(), np.abs(w)])
-    return bool(1e-70 < sizes.min(initial=1.0) and sizes.max(initial=1.0) < 1e70)
 
 
 def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:

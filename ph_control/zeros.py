@@ -1,43 +1,101 @@
 """Zeros of a lossless system: between its poles, where the input holds the output at rest.
 
-One port: the eigenvalues of `diag(d^2)` compressed to the orthogonal complement of `sqrt(kappa)`, each then refined
-between the poles that enclose it.  More ports: those of the skew dynamics compressed to where the output vanishes.
+One port: the roots of `sum_l kappa_l / (d_l^2 - w^2)`, of which each gap between two poles holds one (Foster).  LAPACK
+solves such equations for the singular values of a diagonal matrix with a row added.  More ports: the eigenvalues of
+the skew dynamics compressed to where the output vanishes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dlasd4
 
 from . import _checks
+from ._twofloat import Pair, two_sum
 from .symplectic import skew_normal_form
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_ROW = 1e140  # size of the added row: its square is a double, and its reciprocal nothing beside the terms of the sum
+_MODERATE = 1e30  # frequencies of which this holds
+_SPREAD = 1e100  # of frequencies, and of the roots of residues, up to which all products stay in the range of doubles
+
 
 def one_port_zeros(d: Array, kappa: Array, kappa_0: float | None) -> Array:
-    """Imaginary parts of the zeros of one port; `kappa_0` is None without a pole at 0."""
-    rigid = kappa_0 is not None
+    """Imaginary parts of the zeros of one port, ascending; `kappa_0` is None without a pole at 0."""
+    if kappa_0 is None and np.count_nonzero(kappa) == len(d) and np.count_nonzero(d[1:] > d[:-1]) == len(d) - 1:
+        return _mirrored(_roots(d, kappa), at_zero=True)
     live = kappa > 0
     # unreached modes, and all but one of several at the same frequency, are cancelled by a zero each
     unreached = d[~live]
     d, copies = np.unique(d[live], return_counts=True)
     kappa = np.add.reduceat(kappa[live], np.cumsum(copies) - copies) if len(d) else d
     cancelled = np.concatenate([unreached, np.repeat(d, copies - 1)])
-    if rigid:
+    at_zero = kappa_0 is None and len(d) > 0
+    if kappa_0 is not None:
         d, kappa = np.concatenate([[0.0], d]), np.concatenate([[kappa_0], kappa])
-    if len(d) > 1:
-        # singular values of diag(d) V: the square roots of the eigenvalues, without squaring the frequencies
-        V = _complement(np.sqrt(kappa / kappa.max())[:, None])
-        # a power of two for the unit of time, so that no square of a frequency leaves the range of doubles
-        unit = _power_of_two(d.max())
-        w = np.sort(np.linalg.svd(d[:, None] / unit * V, compute_uv=False))
-        w = unit * _refine_between_poles(w, d / unit, kappa / kappa.max())
-        cancelled = np.concatenate([cancelled, w])
-    w = np.sort(cancelled)
-    at_zero = [] if rigid or not len(d) else [0.0]
-    return np.concatenate([-w[::-1], at_zero, w])
+    return _mirrored(np.sort(np.concatenate([cancelled, _roots(d, kappa)])), at_zero)
+
+
+def _mirrored(w: Any, at_zero: bool) -> Array:
+    """Positive numbers, their opposites, and 0 between them or not."""
+    n = len(w)
+    both = np.zeros(2 * n + at_zero)
+    if n:
+        both[-n:] = w
+        np.negative(both[: -n - 1 : -1], out=both[:n])
+    return both
+
+
+def zeros_in_gaps(d: Array, kappa: Array, gaps: NDArray[np.intp]) -> Pair:
+    """Zeros above the poles `d[gaps]` as pairs of doubles, of which the distances from the poles keep all digits."""
+    found = _solve(d, kappa, gaps.tolist())
+    either_side = np.array([distance[k : k + 2] for k, (_, distance) in zip(gaps, found, strict=True)])
+    nearer = np.abs(either_side).argmin(axis=1)
+    return two_sum(d[gaps + nearer], -either_side[np.arange(len(gaps)), nearer])
+
+
+def _roots(d: Array, kappa: Array) -> list[float]:
+    return [root for root, _ in _solve(d, kappa, range(len(d) - 1))]
+
+
+def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Array]]:
+    """Root in each of these gaps, and all poles less that root."""
+    if not gaps:
+        return []
+    smallest, largest, weights = float(d[0] or d[1]), float(d[-1]), kappa.tolist()
+    heaviest = max(weights)
+    if largest / smallest > _SPREAD or min(weights) < heaviest * _SPREAD**-2:
+        return _bisect(d, kappa, np.array(gaps))
+    if not 1 / _MODERATE < largest < _MODERATE:
+        # a power of two rounds nothing
+        unit = float(2.0 ** np.floor(np.log2(largest)))
+        return [(unit * root, unit * distance) for root, distance in _solve(d / unit, kappa, gaps)]
+    row, found = np.sqrt(kappa / heaviest), []
+    for k in gaps:
+        distance, root, _, failed = dlasd4(k, d, row, _ROW)
+        if failed:
+            return _bisect(d, kappa, np.array(gaps))
+        found.append((root, distance))
+    return found
+
+
+def _bisect(d: Array, kappa: Array, gaps: NDArray[np.intp]) -> list[tuple[float, Array]]:
+    """As `_solve`, for numbers of any size: halving, as often as a double has bits."""
+    # positive doubles are in the order of their bits
+    below, above = d[gaps].view(np.int64), d[gaps + 1].view(np.int64)
+    while (above - below > 1).any():
+        middle = below + (above - below) // 2
+        w = middle.view(float)[:, None]
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            falls = (kappa * (w / (d + w)) / (d - w)).sum(axis=1) < 0
+        below, above = np.where(falls, middle, below), np.where(falls, above, middle)
+    return [(root, d - root) for root in above.view(float)]
 
 
 def many_port_zeros(d: Array, nu: ComplexArray, rigid: Array) -> Array:
@@ -57,31 +115,3 @@ def _complement(B: Array) -> Array:
     U, sigma, _ = np.linalg.svd(B)
     rank = int(np.sum(sigma > max(B.shape) * _checks.EPS * sigma.max(initial=0.0)))
     return U[:, rank:]
-
-
-def _power_of_two(x: float) -> float:
-    """Power of two near `x > 0`, so that scaling by it rounds nothing; 1 for `x = 0`."""
-    return float(2.0 ** np.floor(np.log2(x))) if x > 0 else 1.0
-
-
-def _refine_between_poles(w: Array, d: Array, kappa: Array) -> Array:
-    """Safeguarded Newton steps on `sum kappa / (d^2 - w^2) = 0`, each root kept between its poles."""
-    low, high = d[:-1], d[1:]
-    w = np.where((w > low) & (w < high), w, 0.5 * (low + high))
-    poles = low, high
-    for _ in range(100):
-        gap = (d - w[:, None]) * (d + w[:, None])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            terms = kappa / gap
-            value = terms.sum(axis=1)
-            newton = w - value / ((terms / gap).sum(axis=1) * 2 * w)
-        low, high = np.where(value < 0, w, low), np.where(value < 0, high, w)
-        new = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
-        # at a root rounding may lead a step out of the bracket; next to a pole a short step tells nothing
-        close = _checks.EPS * w
-        found = (np.abs(newton - w) <= 2 * close) & (np.minimum(w - poles[0], poles[1] - w) > 64 * close)
-        new = np.where(found, w, new)
-        if np.all(np.abs(new - w) <= 2 * _checks.EPS * w):
-            break
-        w = new
-    return w

@@ -13,7 +13,8 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 # low to high; a package counts as one place
 ORDER = (
     "exceptions", "_checks", "_display", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients", "reduction",
-    "symplectic", "semidefinite", "casimirs", "zeros", "modal", "conditioning", "reachability", "propagation",
+    "symplectic", "semidefinite", "casimirs", "zeros", "reactance", "modal", "conditioning", "reachability",
+    "propagation",
     "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
     "realization", "lifting", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
@@ -94,7 +95,7 @@ def test_the_known_imports_of_the_package_are_seen():
     imports = imported_modules(PACKAGE)
     assert {"exceptions", "_checks"} <= set(imports)
     assert imports["_checks"] == {"exceptions"}
-    assert imports["modal"] == {"_checks", "_display", "_twofloat", "coefficients", "exceptions", "zeros"}
+    assert imports["modal"] == {"_checks", "_display", "coefficients", "exceptions", "reactance", "zeros"}
     assert {"modal", "systems", "response"} <= imports["__init__"]
 
 

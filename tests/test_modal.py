@@ -118,7 +118,7 @@ def test_a_point_on_the_axis_does_not_depend_on_the_points_beside_it():
     modes = phc.modes([1.0, 2.0], [1.0, 1.0])
     w = np.sqrt(2.0)
     together = modes.evaluate([1j * w, 1 + 1j, -1.0])[0, 0]
-    assert together[0] == modes.evaluate([1j * w])[0, 0, 0]
+    assert abs(together[0] / modes.evaluate([1j * w])[0, 0, 0] - 1) < 8 * EPS
     assert together[1] == modes.evaluate([1 + 1j])[0, 0, 0]
     assert together[2] == modes.evaluate([-1.0])[0, 0, 0]
 
@@ -170,12 +170,15 @@ def test_the_frequency_response_has_the_shape_of_its_frequencies():
         two.freqresp(np.ones((2, 2)) / 2)
 
 
-def test_long_frequency_vectors_are_cut_into_parts_that_fit_together(monkeypatch):
+def test_long_vectors_of_points_are_cut_into_parts_that_fit_together(monkeypatch):
     modes = phc.modes(np.linspace(1, 2, 7), np.ones(7))
     w = np.linspace(0.1, 4, 101)
-    whole = modes.freqresp(w)
+    on_axis, off_axis = modes.freqresp(w), modes.evaluate(1j * w + 0.1)
     monkeypatch.setattr("ph_control.modal._CHUNK", 70)
-    assert np.array_equal(modes.freqresp(w), whole)
+    monkeypatch.setattr("ph_control.reactance._BLOCK", 70)
+    # products of matrices of another shape may add up in another order
+    assert np.max(np.abs(modes.freqresp(w) / on_axis - 1)) < 64 * EPS
+    assert np.max(np.abs(modes.evaluate(1j * w + 0.1) / off_axis - 1)) < 64 * EPS
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1j, "fast", None])

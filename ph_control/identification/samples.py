@@ -18,7 +18,7 @@ from .. import _checks
 from .. import _twofloat as tf
 from ..exceptions import StructureError
 from ..modal import ModalForm, from_frequencies, imaginary
-from ..modal import _sum_with_twice_the_digits as sum_with_twice_the_digits
+from ..reactance import sum_with_twice_the_digits
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -471,7 +471,8 @@ class ModeSamples:
             value += term
             weight += np.abs(term)
         i, j = np.nonzero((weight > 8 * np.abs(value)) & ~infinite)
-        value[i, j] = sum_with_twice_the_digits(self.d[j].T, self.r[j].T, 0.0, w[i])
+        d, r = self.d[j].T, self.r[j].T
+        value[i, j] = sum_with_twice_the_digits(d, tf.two_prod(d, r), w[i])
         return np.where(infinite, np.inf, value)
 
     def _oscillations(self, time: Array, amplitudes: Array, wave: np.ufunc) -> Array:
