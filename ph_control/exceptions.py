@@ -10,11 +10,30 @@ from collections.abc import Sequence
 
 
 class PHControlError(Exception):
-    """Root of all errors raised by this package."""
+    """Root of all errors raised by this package.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> try:
+    ...     phc.ph(phc.modes([-1.0], [1.0]))
+    ... except phc.PHControlError as error:
+    ...     print(type(error).__name__)
+    StructureError
+    """
 
 
 class StructureError(PHControlError, ValueError):
-    """The input is not what the call needs: shape, symmetry, definiteness, range or content."""
+    """The input is not what the call needs: shape, symmetry, definiteness, range or content.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.williamson([[1.0, 0.5], [0.0, 1.0]])
+    Traceback (most recent call last):
+    ...
+    ph_control.exceptions.StructureError: Q is not symmetric: ...
+    """
 
 
 class NotLosslessError(StructureError):
@@ -30,6 +49,15 @@ class NotLosslessError(StructureError):
     ----------
     violations : tuple of str
         The sentences above.
+
+    Examples
+    --------
+    >>> import control as ct, ph_control as phc
+    >>> try:
+    ...     phc.ph(ct.tf([1, 0], [1, 0.1, 4]))
+    ... except phc.NotLosslessError as error:
+    ...     print(len(error.violations), error.violations[0].split(":")[0])
+    1 pole -0.05+1.99937i is off the imaginary axis
     """
 
     def __init__(self, violations: Sequence[str]) -> None:
@@ -48,28 +76,98 @@ class NotLosslessError(StructureError):
 
 
 class IdentificationError(PHControlError):
-    """A model cannot be fitted to this record."""
+    """A model cannot be fitted to this record.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> phc.pem((np.ones(4), np.ones(4)), 3, dt=0.1)
+    Traceback (most recent call last):
+    ...
+    ph_control.exceptions.IdentificationError: ...
+    """
 
 
 class FileFormatError(StructureError):
-    """A file is not what it should be: damaged, of another kind, or of a newer schema."""
+    r"""A file is not what it should be: damaged, of another kind, or of a newer schema.
+
+    Examples
+    --------
+    >>> import io, ph_control as phc
+    >>> phc.read_csv(io.BytesIO(b"time,u,y\n0,1,2\n1,1,x\n"))
+    Traceback (most recent call last):
+    ...
+    ph_control.exceptions.FileFormatError: ...
+    """
 
 
 class FileMissingError(PHControlError, FileNotFoundError):
-    """A file to be read, or the folder of a file to be written, does not exist."""
+    """A file to be read, or the folder of a file to be written, does not exist.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.load("no such file.json")
+    Traceback (most recent call last):
+    ...
+    ph_control.exceptions.FileMissingError: ...
+    """
 
 
 class OutputExistsError(PHControlError, FileExistsError):
-    """The file to be written exists already and overwriting was not asked for."""
+    """The file to be written exists already and overwriting was not asked for.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, ph_control as phc
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "model.json"
+    >>> phc.save(phc.frenkel_kontorova(), path)
+    >>> phc.save(phc.frenkel_kontorova(), path)
+    Traceback (most recent call last):
+    ...
+    ph_control.exceptions.OutputExistsError: ...
+    """
 
 
 class IdentifiabilityWarning(UserWarning):
-    """The data do not determine some of the fitted parameters."""
+    """The data do not determine some of the fitted parameters.
+
+    Examples
+    --------
+    >>> import warnings, numpy as np, ph_control as phc
+    >>> t = 0.1 * np.arange(400)
+    >>> chain, u = phc.frenkel_kontorova(2), np.sin(t)  # the frequency of a zero of the chain
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always")
+    ...     result = phc.pem((u, phc.forced_response(chain, t, u, [1.0, 0.0, 0.0, 1.0]).outputs), 2, dt=0.1)
+    >>> [warning.category.__name__ for warning in told]
+    ['IdentifiabilityWarning']
+    """
 
 
 class ResolutionWarning(UserWarning):
-    """A time grid does not resolve, or does not show, some of the modes."""
+    """A time grid does not resolve, or does not show, some of the modes.
+
+    Examples
+    --------
+    >>> import warnings, ph_control as phc
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always")
+    ...     response = phc.step_response(phc.ph(phc.modes([1.0, 1e7], [1.0, 1.0])))
+    >>> {warning.category.__name__ for warning in told}
+    {'ResolutionWarning'}
+    """
 
 
 class ConditioningWarning(UserWarning):
-    """Rounding to doubles leaves fewer digits in a result than a user would expect."""
+    """Rounding to doubles leaves fewer digits in a result than a user would expect.
+
+    Examples
+    --------
+    >>> import warnings, numpy as np, ph_control as phc
+    >>> with warnings.catch_warnings(record=True) as told:
+    ...     warnings.simplefilter("always")
+    ...     matrix = phc.oh(np.arange(1.0, 31.0), np.ones(60)).A
+    >>> {warning.category.__name__ for warning in told}
+    {'ConditioningWarning'}
+    """

@@ -41,7 +41,7 @@ _PARALLEL = 1e-8  # ports whose weights in a group of modes differ by less give 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Answer to a question of equivalence; true if it holds.
+    """Answer to a question of equivalence, as of `same_filter`; true if it holds.
 
     Attributes
     ----------

@@ -175,6 +175,17 @@ def example_complaints(parts: dict[str, str]) -> list[str]:
     return [] if ">>>" in text or (shown and ">>>" in (shown.__doc__ or "")) else ["it has no example"]
 
 
+def shown_by_a_function(parts: dict[str, str]) -> bool:
+    """Whether the first line of a result names a function or method with an example: "made by `pem`"."""
+    for name in re.findall(r"`([\w.]+)`", parts["Summary"].split("\n")[0]):
+        maker: Any = phc
+        for part in name.split("."):
+            maker = getattr(maker, part, None)
+        if ">>>" in (maker.__doc__ or ""):
+            return True
+    return False
+
+
 def class_complaints(cls: type) -> list[str]:
     found = summary_complaints(cls.__doc__)
     parts = sections(cls.__doc__ or "")
@@ -185,8 +196,7 @@ def class_complaints(cls: type) -> list[str]:
     elif "__init__" in vars(cls):
         arguments = entries(parts.get("Parameters", ""))
         found += parameter_complaints(arguments, signature_names(cls.__init__, arguments))
-    # a result is made by a function, whose example shows it
-    return found if issubclass(cls, Exception) or dataclasses.is_dataclass(cls) else found + example_complaints(parts)
+    return found if dataclasses.is_dataclass(cls) and shown_by_a_function(parts) else found + example_complaints(parts)
 
 
 def method_complaints(cls: type, name: str, member: Any) -> list[str]:
@@ -347,7 +357,7 @@ def test_an_exception_that_is_raised_or_checked_for_must_be_documented():
 def test_fields_of_a_result_must_all_be_documented():
     @dataclasses.dataclass
     class Result:
-        """Result.
+        """Result of `pem`.
 
         Attributes
         ----------
@@ -361,6 +371,13 @@ def test_fields_of_a_result_must_all_be_documented():
     Wider = dataclasses.make_dataclass("Wider", ["r", "d"])
     Wider.__doc__ = Result.__doc__
     assert class_complaints(Wider) == ["its parameters are ['r', 'd'], documented are ['d']"]
+
+
+def test_a_result_needs_an_example_or_the_name_of_a_function_that_has_one():
+    Result = dataclasses.make_dataclass("Result", [])
+    for made, complaints in (("", ["it has no example"]), (" of `pem`", []), (" of `nothing`", ["it has no example"])):
+        Result.__doc__ = f"Result{made}."
+        assert class_complaints(Result) == complaints
 
 
 def test_a_class_that_users_make_needs_an_example():

@@ -26,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedExperiment(Report):
-    """What a fit says of one experiment.
+    """What a fit by `pem` says of one experiment.
 
     Attributes
     ----------

@@ -228,7 +228,7 @@ def _normal_between(low: Array, high: Array, centre: Array, random: np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class ModeSamples:
-    """Models drawn from the distribution of an estimate, and the bands of their responses.
+    """Models drawn by `PEMResult.sample` from the distribution of an estimate, and the bands of their responses.
 
     Attributes
     ----------
