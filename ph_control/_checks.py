@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg.lapack import dpocon, dpotrf
+from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.optimize import linear_sum_assignment
 
 from .exceptions import StructureError
@@ -22,7 +22,8 @@ _BLOCK = 1 << 14  # samples looked at together
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
-_ESTIMATED = 10.0  # by how much an estimate of a condition number may be too small
+AT_ONCE = 64  # rows of a matrix up to which its eigenvalues cost no more than the rest of building a system
+_NEAR = 10.0  # by how much the smallest eigenvalue is less than its estimate at most
 _TINY = float(np.finfo(float).tiny)
 
 
@@ -159,6 +160,14 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
     return array
 
 
+def built_matrix(Q: ArrayLike) -> Array:
+    """Check a Hamiltonian matrix when a system is built of it: a large one only as far as O(n^2) steps can."""
+    array = symmetric_matrix(Q)
+    if len(array) <= AT_ONCE or surely_indefinite(array):
+        not_indefinite(array)
+    return array
+
+
 def not_indefinite(Q: Array, *, name: str = "Q") -> None:
     """Refuse a Hamiltonian matrix with a negative eigenvalue.  O(n^3)."""
     if cholesky_factor(Q) is None:
@@ -200,8 +209,8 @@ def cholesky_factor(Q: Array) -> Array | None:
     """Lower `F` with `F F^T = Q` if `Q` is clearly definite; None leaves open what it is.
 
     Clearly definite: the smallest eigenvalue of `Q` scaled to unit diagonal is more than twice what counts as zero.
-    The norm of the inverse, as estimated in O(n^2) from the factor, bounds it as a rule; where that is close, a
-    factorisation of what is left when the bound is taken off the diagonal decides.
+    Where a few solutions with the factor show that it is not even near, a factorisation of what is left when the bound
+    is taken off the diagonal need not decide.
     """
     if Q.size == 0:
         return np.zeros((0, 0))
@@ -211,11 +220,18 @@ def cholesky_factor(Q: Array) -> Array | None:
     factor, failed = dpotrf(scaled.T, lower=1)
     if failed:
         return None
-    if dpocon(factor, 1.0, uplo="L")[0] < _ESTIMATED * bound:
+    if _near_smallest_eigenvalue(factor) < _NEAR * bound:
         scaled[np.diag_indices_from(scaled)] -= bound
         if dpotrf(scaled.T, lower=1)[1]:
             return None
     return np.asarray(scale[:, None] * factor)
+
+
+def _near_smallest_eigenvalue(factor: Array) -> float:
+    """Estimate from above, in O(n^2), by two steps of inverse iteration from a vector without any symmetry."""
+    start, _ = dpotrs(factor, np.sin(np.arange(1.0, len(factor) + 1) ** 2), lower=1)
+    end, _ = dpotrs(factor, start, lower=1)
+    return float(np.linalg.norm(start) / np.linalg.norm(end))
 
 
 def smallest_scaled_eigenvalue(Q: Array) -> tuple[float, float]:

@@ -131,8 +131,7 @@ def product(left: Pair, right: Pair, slices: int = 3, multiply: Multiply = np.ma
     high, *parts = product_parts(left, right, slices, multiply)
     low = np.zeros(())
     for part in parts:
-        high, rest = two_sum(high, part)
-        low = low + rest
+        high, low = two_sum(high, part + low)
     return high, low if low.ndim else np.zeros_like(high)
 
 

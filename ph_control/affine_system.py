@@ -67,7 +67,7 @@ class AffineHamiltonian(LosslessSystem):
     _integrated = True
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
-        matrix = _checks.hamiltonian_matrix(Q)
+        matrix = _checks.built_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
         bracket = ports.T @ apply_form(ports)
         size = float(np.max(np.abs(bracket), initial=0.0))
@@ -77,7 +77,10 @@ class AffineHamiltonian(LosslessSystem):
                 f"the outputs of the ports do not commute: max |B^T J B| = {size:.3g}, allowed {allowed:.1e}; the "
                 "inputs would then act on the derivatives of the outputs directly, which has no port-Hamiltonian form"
             )
-        self._velocity = PortHamiltonian._from_matrices(matrix, apply_form(0.0 - ports))
+        self._fill(PortHamiltonian._from_matrices(matrix, apply_form(0.0 - ports)), ports, names)
+
+    def _fill(self, velocity: PortHamiltonian, ports: Array, names: dict[str, Any]) -> None:
+        self._velocity = velocity
         self._interaction = _checks.readonly(ports)
         self._setup(len(ports), ports.shape[1], names)
 
@@ -134,8 +137,7 @@ class AffineHamiltonian(LosslessSystem):
         >>> phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0]).derivative().B.T + 0.0
         array([[0., 1.]])
         """
-        v = self._velocity
-        return PortHamiltonian._from_matrices(v.Q, v.B, **inherited_names(self, names, "inputs", "states"))
+        return ph(self._velocity, **inherited_names(self, names, "inputs", "states"))
 
     _converted = derivative
 
@@ -183,7 +185,7 @@ class AffineHamiltonian(LosslessSystem):
         return np.delete(zeros, at_zero[:1]) if not len(self.modes.rigid) else zeros.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self.Q.copy(), self._interaction.copy(), self._names())
+        return _restore, (type(self), self._velocity, self._interaction, self._names())
 
     def _repr_eval_(self) -> str:
         return self._repr_of(self.Q, self._interaction)
@@ -263,10 +265,11 @@ def _derivative(sys: Any) -> Any:
     return ct.ss(sys.A, sys.B, sys.C @ sys.A, 0.0)
 
 
-def _restore(kind: type[AffineHamiltonian], Q: Array, B: Array, names: dict[str, Any]) -> AffineHamiltonian:
+def _restore(
+    kind: type[AffineHamiltonian], velocity: PortHamiltonian, ports: Array, names: dict[str, Any]
+) -> AffineHamiltonian:
     self = kind.__new__(kind)
-    # the constructor of a subclass may take other arguments
-    AffineHamiltonian.__init__(self, Q, B, **names)
+    self._fill(velocity, ports, names)
     return self
 
 

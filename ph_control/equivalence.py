@@ -18,12 +18,11 @@ from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .exceptions import StructureError
 from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
 from .isomorphism import Verdict, block_unitary, real_form
-from .lossless import Judged, lossless_modes_with_errors
+from .lossless import Judged, hamiltonian_form, lossless_modes_with_errors
 from .lossless_system import LosslessSystem
 from .modal import ModalForm
 from .pairs import power_of_two, resonances, squared_weights
 from .symplectic import apply_form
-from .systems import _normal_form as normal_form_of
 from .systems import full_port_hamiltonian
 
 Array = NDArray[np.float64]
@@ -92,7 +91,7 @@ def _spectrum(sys: Any) -> Spectrum:
         return modal_spectrum(sys)
     if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian):
         return lossless_spectrum(sys)
-    normal = isinstance(sys, ct.StateSpace) and sys.isctime() and normal_form_of(sys) is not None
+    normal = isinstance(sys, ct.StateSpace) and sys.isctime() and hamiltonian_form(sys) is not None
     if normal or isinstance(sys, LosslessSystem):
         return lossless_spectrum(full_port_hamiltonian(sys))
     return _judged_spectrum(lossless_modes_with_errors(sys))

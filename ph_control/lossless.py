@@ -29,6 +29,7 @@ from .partial_fractions import (
     from_state_space,
     from_zeros_poles,
 )
+from .symplectic import apply_form
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -272,3 +273,23 @@ def _show(M: NDArray[Any]) -> str:
         value = complex(M.ravel()[0])
         return _complex(value) if value.imag else f"{value.real:.6g}"
     return np.array2string(M, precision=4, threshold=9, separator=", ").replace("\n", "")
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is in no normal form
+def hamiltonian_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
+    """`(Q, B)` if the matrices of a system are `(J Q, B, B^T Q, 0)` already, else None."""
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (sys.A, sys.B, sys.C, sys.D))
+    if len(A) % 2 or len(A) == 0 or D.size == 0 or D.any() or B.shape != C.T.shape:
+        return None
+    Q = -apply_form(A)
+    close = 8 * len(A) * _checks.EPS
+    # each entry against what it may be of in size: a large one must not hide what is wrong elsewhere
+    root = np.sqrt(np.abs(np.diag(Q)))
+    if not np.all(np.abs(Q - Q.T) <= close * np.outer(root, root)):
+        return None
+    if not np.all(np.abs(B.T @ Q - C) <= close * (np.abs(B).T @ np.abs(Q))):
+        return None
+    try:
+        return _checks.hamiltonian_matrix(Q), _checks.port_matrix(B, len(Q))
+    except StructureError:
+        return None

@@ -142,7 +142,9 @@ class LosslessSystem(ct.StateSpace):
 
     def poles(self) -> ComplexArray:
         """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
-        d = self.modes.d
+        return self._poles(self.modes.d)
+
+    def _poles(self, d: Array) -> ComplexArray:
         return imaginary(np.concatenate([-d[::-1], np.zeros(2 * (self.n - len(d))), d]))
 
     def zeros(self) -> ComplexArray:

@@ -230,6 +230,17 @@ def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
     return d[order], _in_order(np.concatenate(rotating), order), np.concatenate(rigid)
 
 
+def direct_sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Q and B of two systems side by side, states `(q1, q2, p1, p2)`."""
+    n1, n = len(first[0]) // 2, (len(first[0]) + len(second[0])) // 2
+    Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, first[1].shape[1]))
+    ours = np.r_[0:n1, n : n + n1]
+    theirs = np.r_[n1:n, n + n1 : 2 * n]
+    Q[np.ix_(ours, ours)], Q[np.ix_(theirs, theirs)] = first[0], second[0]
+    B[ours], B[theirs] = first[1], second[1]
+    return Q, B
+
+
 def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array] | None:
     """Frequencies and residues `(d, kappa)` of one port, without the modes behind them: a fraction of their cost.
 

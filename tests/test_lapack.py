@@ -117,3 +117,30 @@ def test_a_routine_with_other_arguments_is_not_called(monkeypatch, capsules):
     fake = {name: known[other] for name, other in capsules.items()}
     monkeypatch.setattr(_lapack, "cython_lapack", type("module", (), {"__pyx_capi__": fake}))
     assert _lapack._routine("dbdsqr") is None
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 30, 90])
+@pytest.mark.parametrize("kind", ["random", "repeated", "graded", "zero"])
+@pytest.mark.parametrize("scale", [1e-100, 1.0, 1e100])
+def test_a_bidiagonal_matrix_is_its_singular_values_between_orthonormal_vectors(n, kind, scale, monkeypatch):
+    rng = np.random.default_rng(n)
+    diagonal, above = {
+        "random": (rng.standard_normal(n), rng.standard_normal(n - 1)),
+        "repeated": (np.ones(n), np.zeros(n - 1)),
+        "graded": (np.logspace(0, -30, n), np.logspace(0, -30, n)[1:]),
+        "zero": (np.zeros(n), np.zeros(n - 1)),
+    }[kind]
+    M, kept = scale * bidiagonal(diagonal, above), (scale * diagonal, scale * above)
+    for available in (_lapack._AVAILABLE, False):
+        monkeypatch.setattr(_lapack, "_AVAILABLE", available)
+        U, sigma, Vt = _lapack.bidiagonal_svd(*(x.copy() for x in kept))
+        top = max(np.linalg.norm(M, 2), 1e-300)
+        assert np.all(np.diff(sigma) <= 0) and np.all(sigma >= 0)
+        assert np.abs((U * sigma) @ Vt - M).max() <= 20 * n * EPS * top
+        assert np.abs(sigma - np.linalg.svd(M, compute_uv=False)).max() <= 20 * n * EPS * top
+        for W in (U, Vt):
+            assert np.abs(W @ W.T - np.eye(n)).max() <= 20 * n * EPS
+
+
+def test_the_routines_that_are_expected_are_there():
+    assert _lapack._AVAILABLE

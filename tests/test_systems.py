@@ -482,6 +482,128 @@ def test_a_pickle_taken_before_any_look_gives_the_same_modes_after_it():
     assert np.array_equal(first.zeros(), second.zeros())
 
 
+# --- what is computed when ---------------------------------------------------------------------------------------
+
+
+def large(n=40, seed=0, low=1.0, high=8.0, ports=1):
+    """Of more degrees of freedom than are checked and computed at once."""
+    rng = np.random.default_rng(seed)
+    Q, _ = ref.random_hamiltonian(np.sort(rng.uniform(low, high, n)), rng, 0.3)
+    return Q, rng.standard_normal((2 * n, ports))
+
+
+def hidden_sign(n=40):
+    """An indefinite matrix that no diagonal entry and no pair of rows gives away: one eigenvalue is -0.5."""
+    u = np.ones(2 * n) / np.sqrt(2 * n)
+    return np.eye(2 * n) - 1.5 * np.outer(u, u)
+
+
+@pytest.fixture
+def no_cubic_work(monkeypatch):
+    def refused(*args, **kwargs):
+        raise AssertionError("this takes O(n^3) steps")
+
+    for place, name in [
+        (phc._checks, "cholesky_factor"), (phc._checks, "smallest_scaled_eigenvalue"), (phc.systems, "williamson"),
+        (phc.systems, "energy_coordinates"), (phc.systems, "port_spectrum"),
+    ]:  # fmt: skip
+        monkeypatch.setattr(place, name, refused)
+
+
+@pytest.mark.parametrize("make", [phc.ph, phc.affine])
+def test_building_and_copying_a_large_system_takes_no_cubic_work(make, no_cubic_work):
+    Q, B = large()
+    sys = make(Q, B)
+    for duplicate in (copy.copy, copy.deepcopy, lambda sys: pickle.loads(pickle.dumps(sys)), lambda sys: sys.copy()):
+        twin = duplicate(sys)
+        assert np.array_equal(twin.Q, Q)
+    with pytest.raises(AssertionError, match="O\\(n\\^3\\)"):
+        _ = sys.modes
+
+
+MISTAKES = {
+    "sign": lambda Q: Q - 2 * np.diag(np.diag(Q)) * (np.arange(len(Q)) == 5),
+    "pair": lambda Q: (
+        Q + 1e3 * (np.eye(len(Q))[:, [3]] * np.eye(len(Q))[7] + np.eye(len(Q))[:, [7]] * np.eye(len(Q))[3])
+    ),
+    "asymmetric": lambda Q: Q + np.eye(len(Q))[:, [3]] * np.eye(len(Q))[7],
+    "NaN": lambda Q: Q * np.where(np.eye(len(Q)) == 1, np.nan, 1.0),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_that_the_entries_show_is_refused_when_a_large_system_is_built(mistake):
+    Q, B = large()
+    with pytest.raises(phc.StructureError, match=r"Q is (indefinite|not symmetric|not finite)"):
+        phc.ph(MISTAKES[mistake](Q), B)
+
+
+def test_a_small_system_is_refused_when_it_is_built_whatever_the_mistake():
+    with pytest.raises(phc.StructureError, match="Q is indefinite"):
+        phc.ph(hidden_sign(32), np.ones(64))
+
+
+USES = {
+    "modes": lambda sys: sys.modes, "d": lambda sys: sys.d, "r": lambda sys: sys.r, "A": lambda sys: sys.A,
+    "C": lambda sys: sys.C, "S": lambda sys: sys.S, "v": lambda sys: sys.v, "poles": lambda sys: sys.poles(),
+    "zeros": lambda sys: sys.zeros(), "response": lambda sys: sys(1j), "canonical": lambda sys: sys.is_canonical,
+    "energy": lambda sys: sys.hamiltonian(np.ones(80)), "simulation": lambda sys: ct.step_response(sys, [0, 1]),
+    "minreal": phc.minreal, "copy": lambda sys: copy.copy(sys).d, "scaled": lambda sys: (2 * sys).d,
+    "sum": lambda sys: (sys + sys).d, "linear": lambda sys: ct.ss(sys), "tf": ct.tf,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_large_indefinite_matrix_is_refused_by_the_first_use_of_it(use):
+    sys = phc.ph(hidden_sign(), np.ones(80))
+    with pytest.raises(
+        phc.StructureError, match=r"Q is indefinite: smallest eigenvalue .* -0\.51, allowed >= -1\.4e-13"
+    ):
+        USES[use](sys)
+
+
+@pytest.mark.parametrize("use", ["modes", "A", "response"])
+def test_so_is_one_of_an_affine_system(use):
+    sys = phc.affine(hidden_sign(), np.eye(80)[0])
+    with pytest.raises(phc.StructureError, match="Q is indefinite"):
+        USES[use](sys)
+
+
+@pytest.mark.parametrize("n", [17, 40, 120])
+def test_frequencies_and_weights_alone_are_those_of_the_modes_and_give_way_to_them(n):
+    Q, B = large(n)
+    sys, whole = phc.ph(Q, B), phc.ph(Q, B).modes
+    alone = sys.d, sys.r
+    assert "_energy" not in sys._views
+    assert np.max(np.abs(alone[0] - whole.d)) <= 4 * n * EPS * whole.d[-1]
+    gap = np.min(np.abs(whole.d[:, None] - whole.d) + np.diag(np.full(n, np.inf)), axis=1)
+    assert np.all(np.abs(alone[1] - whole.r) <= 4 * n * EPS * whole.d[-1] / gap * whole.r.max())
+    assert np.array_equal(sys.poles()[n:].imag, alone[0])
+    assert alone[0] is sys.d
+    assert sys.modes.d is sys.d and sys.modes.r is sys.r
+    assert np.array_equal(sys.d, whole.d)
+
+
+def test_small_systems_and_many_ports_take_frequencies_from_the_modes():
+    for Q, B in (large(16), large(20, ports=2)):
+        sys = phc.ph(Q, B)
+        assert sys.d is sys.modes.d
+
+
+@pytest.mark.parametrize("duplicate", COPIES, ids=["copy", "deepcopy", "pickle", "ph"])
+def test_copies_share_what_has_been_computed(duplicate, monkeypatch):
+    sys, alone = phc.ph(*large()), phc.ph(*large())
+    modes, S, d = sys.modes, sys.S, alone.d
+    twin, other = duplicate(sys), duplicate(alone)
+    for name in ("energy_coordinates", "williamson", "port_spectrum"):
+        monkeypatch.setattr(phc.systems, name, None)
+    assert np.array_equal(twin.modes.nu, modes.nu) and np.array_equal(twin.S, S) and np.array_equal(other.d, d)
+    assert twin.hamiltonian(np.ones(80)) == sys.hamiltonian(np.ones(80))
+    assert not twin.S.flags.writeable and not twin.Q.flags.writeable
+    # and a multiple has the same Q
+    assert np.array_equal((3.0 * sys).d, sys.d)
+
+
 # --- names -------------------------------------------------------------------------------------------------------
 
 NAMES = {"name": "beam", "inputs": ["force"], "outputs": ["speed"], "states": ["q1", "q2", "p1", "p2"]}
