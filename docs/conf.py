@@ -57,6 +57,7 @@ sphinx_gallery_conf = {
     "reference_url": {"ph_control": None},
     "backreferences_dir": "gallery/backreferences",
     "download_all_examples": False,
+    "capture_repr": (),
     "show_signature": False,
     "write_computation_times": False,
     "remove_config_comments": True,
