@@ -98,7 +98,7 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str 
     lines.append("<tr>" + "".join(f"<th>{escaped(name)}</th>" for name in head) + "</tr>")
     shown = [*rows[: _ROWS // 2], ["⋮"] * len(head), *rows[-_ROWS // 2 :]] if len(rows) > _ROWS else rows
     lines += ["<tr>" + "".join(f"<td>{escaped(cell)}</td>" for cell in row) + "</tr>" for row in shown]
-    return _TEXT.format("<table>" + "".join(lines) + "</table>")
+    return _TEXT.format('<table style="text-align: right">' + "".join(lines) + "</table>")
 
 
 def modes_table(modes: Any) -> str:

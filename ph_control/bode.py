@@ -30,7 +30,8 @@ _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at th
 _DOT = 1 / 1200  # of the width of a picture
 _BINS = 150  # of a picture, each eight dots wide
 _CROWDED = 8  # poles and zeros in such a bin: a dot cannot tell one from the next
-_WIDE = 3  # bins next to one another, below which a crowd is no wider than a line
+_AROUND_BIN = 9
+_WIDE = 3  # bins next to one another: a crowd of fewer is no wider than a line, nor a hole in one
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
@@ -84,9 +85,15 @@ class Curve:
     def crowds(self, low: float, high: float) -> list[tuple[float, float]]:
         """Ranges, ascending and apart, where a picture from `low` to `high` cannot part poles from zeros."""
         edges = np.geomspace(low, high, _BINS + 1)
-        crowded = np.histogram(self.singular, edges)[0] >= _CROWDED
+        counts = np.histogram(self.singular, edges)[0]
+        # on the average of the bins around, so that chance makes no holes
+        crowded = (np.convolve(counts, np.ones(_AROUND_BIN) / _AROUND_BIN, "same") >= _CROWDED) & (counts > 0)
         turns = np.flatnonzero(np.diff(crowded, prepend=False, append=False))
-        runs = [] if self.tabulated else list(zip(turns[::2], turns[1::2], strict=True))
+        if self.tabulated or not len(turns):
+            return []
+        holes = np.flatnonzero(turns[2::2] - turns[1:-1:2] <= _WIDE)
+        turns = np.delete(turns, [*(2 * holes + 1), *(2 * holes + 2)])
+        runs = zip(turns[::2], turns[1::2], strict=True)
         return [(float(edges[start]), float(edges[end])) for start, end in runs if end - start >= _WIDE]
 
     def typical(self, level: Array, low: float, high: float) -> tuple[Array, Array]:

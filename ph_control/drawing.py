@@ -25,6 +25,7 @@ ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
 # beneath what is held against it, and wide enough to be seen on both sides of it where they are equal
 MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
 SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
+_PER_INCH = 12.5  # letters of a legend, with some room between its columns
 MINOR = 0.35  # opacity of the grid lines between the main ones
 
 
@@ -168,13 +169,18 @@ def legend_above(axis: Axes, least: int = 2) -> Any:
     handles, labels = axis.get_legend_handles_labels()
     if len(labels) < least:
         return None
-    # matplotlib fills column by column, each as wide as its longest entry
-    widest = [max(map(len, column)) for column in np.array_split(np.array(labels, dtype=object), 4) if len(column)]
-    columns = 4 if sum(widest) < 80 else 2
+    room = _PER_INCH * axis.figure.bbox.width / axis.figure.dpi
+    columns = next((count for count in (4, 2) if _letters(labels, count) < room), 1)
     return axis.legend(
         handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns,
         frameon=False, borderaxespad=0.2,
     )  # fmt: skip
+
+
+def _letters(labels: list[str], columns: int) -> int:
+    """Width of a legend: matplotlib fills column by column, each as wide as its longest entry."""
+    parts = np.array_split(np.array(labels, dtype=object), columns)
+    return sum(max(map(len, part)) for part in parts if len(part))
 
 
 def extremes(time: Array, values: Array, limit: int) -> tuple[Array, Array]:

@@ -21,7 +21,8 @@ ComplexArray = NDArray[np.complex128]
 
 QUANTITIES = ("kappa", "r")
 _ON_AXIS = 1e-7  # relative real part of a pole or zero that is on the axis but for the rounding of an eigenvalue
-_POLES_IN_STRIP = 24
+_POLES_IN_STRIP = 24  # that are told apart
+_STRIPS = 12  # that fit on a page; of more than 288 poles the marks overlap
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def strips(maps: Sequence[PoleZeroMap], count: int | None = None) -> list[tuple[
     if not len(marks):
         return [(0.0, 1.0)] * (count or 1)
     if count is None:
-        count = max(1, -(-max(len(one.upper[0]) for one in maps) // _POLES_IN_STRIP))
+        count = min(max(1, -(-max(len(one.upper[0]) for one in maps) // _POLES_IN_STRIP)), _STRIPS)
     cuts = _cuts(marks, poles, count)
     low, high = float(marks[0]), float(marks[-1])
     # from 0 on, unless all are far from it

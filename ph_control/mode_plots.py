@@ -160,7 +160,12 @@ def _weight_range(axis: Axes, tables: list[ModeTable], port: int, bottom: float,
 
 def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bottom: float, look: Look) -> Any:
     colour = look.line.get("color", f"C{k}")
-    stem = {"linewidth": 1.2 if len(table.d) <= _MANY_STEMS else 0.8, "linestyle": "-", **look.line, "color": colour}
+    stem = {
+        "linewidth": 1.2 if len(table.d) <= _MANY_STEMS else 0.8 if len(table.d) <= 5 * _MANY_STEMS else 0.3,
+        "linestyle": "-",
+        **look.line,
+        "color": colour,
+    }
     d, size = table.d / unit, table.size[:, port]
     height = np.maximum(size, bottom)
     known = (size > 0) & ~np.isinf(table.size_range[:, 1])
@@ -238,8 +243,9 @@ def pole_zero_plot(
     Notes
     -----
     If all poles and zeros are on the imaginary axis, its upper half is drawn, from left to right, one row for each
-    system, in strips of at most 24 poles; the lower half mirrors it.  The picture says whether poles and zeros
-    alternate, as Foster's theorem has it for one port, and how many cancel.  Otherwise the complex plane is drawn.
+    system, in strips of 24 poles, or in twelve of as many as it takes; the lower half mirrors it.  The picture says
+    whether poles and zeros alternate, as Foster's theorem has it for one port, and how many cancel.  Otherwise the
+    complex plane is drawn.
 
     The zeros cost O(n^3).
 
@@ -301,10 +307,11 @@ def _draw_row(
         axis.text(1.0, height + 0.16, text, transform=place, ha="right", va="bottom", fontsize="x-small", color="0.35")
         counts = ["poles", "zeros"] if height == 0 else ["_", "_"]
     # smaller where they are many
-    share = 1.0 if len(poles) <= _MANY else 0.75
+    share = 1.0 if len(poles) <= _MANY else max(0.4, 0.75 * min(1.0, (3 * _MANY / len(poles)) ** 0.5))
     lines = []
     for places, style, label, colour in ((poles, _POLE, counts[0], "C0"), (zeros, _ZERO, counts[1], "C1")):
         properties = {"color": colour, **line, **style, "markersize": share * style["markersize"]}
+        properties["markeredgewidth"] = style["markeredgewidth"] * (1.0 if share >= 0.75 else 0.5)
         lines += axis.plot(places, np.full(len(places), height), label=plain(label), **properties)
     return lines
 

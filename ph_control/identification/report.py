@@ -28,11 +28,15 @@ class FitReport(Report):
         result: Any = self
         above, _, _ = summary_of(self).partition("\n\n")
         title, _, lines = above.partition("\n")
-        errors = result.stderr["d"], result.stderr["r"]
-        columns = (result.d, errors[0], result.d / (2 * np.pi), result.r, errors[1])
+        d, r = result.d, result.r
+        errors = [[_error(value).strip() for value in result.stderr[name]] for name in ("d", "r")]
         rows = [
-            [str(l + 1), *(f"{values[l]:.7g}" for values in columns), _note(result, l)] for l in range(result.order)
-        ]
+            [
+                str(l + 1), f"{d[l]:.10g}", errors[0][l], f"{d[l] / 2 / np.pi:.8g}", f"{r[l]:.7g}", errors[1][l],
+                _note(result, l),
+            ]
+            for l in range(result.order)
+        ]  # fmt: skip
         head = ["mode", "d [rad/time]", "±", "cycles/time", "r", "±", "note"]
         return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(result.message)
 
