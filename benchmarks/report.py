@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.page import write
 from benchmarks.tasks import FAMILIES, OURS, Task, tasks
 
 PACKAGES = ("numpy", "scipy", "control", "slycot", "thewalrus", "pymor")
 HEAD = "| task | size | ours | peak | our error | others: time, ratio, peak, error | needed |\n" + 7 * "|---" + "|"
 GROWTH_HEAD = "| picture | time of ours grows as | of others |\n|---|---|---|"
-BEGIN, END = "<!-- begin of the run -->", "<!-- end of the run -->"
 
 _SHORT = 0.02  # seconds: what takes less is repeated until it does
 _LONG = 1.5  # what takes more runs once
@@ -227,16 +227,7 @@ def draw(curves: Curves, folder: Path) -> list[Path]:
     return made
 
 
-# --- the page -----------------------------------------------------------------------------------------------------
-
-
-def write(page: Path, parts: list[str]) -> None:
-    """Put a run into a page, in place of the one between the two markers."""
-    text = page.read_text(encoding="utf-8")
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise SystemExit(f"{page} must have the lines {BEGIN!r} and {END!r} once each, in this order")
-    before, after = text.partition(BEGIN)[0], text.partition(END)[2]
-    page.write_text(before + "\n\n".join([BEGIN, *filter(None, parts), END]) + after, encoding="utf-8")
+# --- the command ----------------------------------------------------------------------------------------------------
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -265,7 +256,7 @@ def main(argv: list[str] | None = None) -> int:
     if options.write is not None:
         base = options.write.resolve().parent
         shown = [f"![{path.stem.replace('_', ' ')}]({os.path.relpath(path.resolve(), base)})" for path in pictures]
-        write(options.write, [f"{header}. {took}", "\n".join(rows), growth(curves), *shown])
+        write(options.write, "the run", [f"{header}. {took}", "\n".join(rows), growth(curves), *shown])
     return 0
 
 

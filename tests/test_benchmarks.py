@@ -19,7 +19,7 @@ import ph_control as phc
 
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
 
-from benchmarks import cold, methods, montecarlo, peers, report, tasks, trials
+from benchmarks import cold, digits, methods, montecarlo, page, peers, report, tasks, trials
 from benchmarks.bound import fit_from_truth, output_and_jacobian, standard_errors
 from benchmarks.recordings import BAND, POWER_RATIO, Configuration, simulate, spaced_frequencies
 
@@ -425,22 +425,22 @@ def test_the_slope_is_that_of_the_larger_half():
 
 
 def test_a_run_replaces_only_the_one_on_the_page(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text(f"before\n\n{report.BEGIN}\n\nold\n\n{report.END}\n\nafter\n")
-    report.write(page, ["new", "", "parts"])
-    assert page.read_text() == f"before\n\n{report.BEGIN}\n\nnew\n\nparts\n\n{report.END}\n\nafter\n"
-    page.write_text(f"{report.END} {report.BEGIN}")
+    path = tmp_path / "page.md"
+    begin, end = page.marks("the run")
+    path.write_text(f"before\n\n{begin}\n\nold\n\n{end}\n\nafter\n")
+    page.write(path, "the run", ["new", "", "parts"])
+    assert path.read_text() == f"before\n\n{begin}\n\nnew\n\nparts\n\n{end}\n\nafter\n"
+    path.write_text(f"{end} {begin}")
     with pytest.raises(SystemExit, match="once each, in this order"):
-        report.write(page, ["new"])
-    assert page.read_text() == f"{report.END} {report.BEGIN}"
+        page.write(path, "the run", ["new"])
+    assert path.read_text() == f"{end} {begin}"
 
 
 def test_the_report_writes_what_it_prints(capsys, tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text(f"{report.BEGIN}{report.END}")
-    pictures = tmp_path / "pictures"
-    assert report.main(f"--tasks zeros --largest 50 --pictures {pictures} --write {page}".split()) == 0
-    printed, written = capsys.readouterr().out, page.read_text()
+    path, pictures = tmp_path / "page.md", tmp_path / "pictures"
+    path.write_text("".join(page.marks("the run")))
+    assert report.main(f"--tasks zeros --largest 50 --pictures {pictures} --write {path}".split()) == 0
+    printed, written = capsys.readouterr().out, path.read_text()
     rows = [line for line in printed.splitlines() if line.startswith("| zeros")]
     assert len(rows) == 3 and all(line in written for line in rows)
     (power,) = (line for line in written.splitlines() if line.startswith("| Zeros, modes known | n^"))
@@ -449,9 +449,34 @@ def test_the_report_writes_what_it_prints(capsys, tmp_path):
     assert (pictures / "performance_zeros.png").stat().st_size > 1e4
 
 
-def test_the_page_of_the_manual_has_a_place_for_a_run():
+@pytest.mark.parametrize("name", ["the run", "digits"])
+def test_the_page_of_the_manual_has_a_place_for_a_run(name):
     text = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
-    assert text.count(report.BEGIN) == text.count(report.END) == 1
+    begin, end = page.marks(name)
+    assert text.count(begin) == text.count(end) == 1
+
+
+def test_digits_are_counted_from_the_frequencies_and_weights_of_the_doubles_that_were_given():
+    Q, B = np.diag([9.0, 1.0, 1.0, 4.0]), np.array([1.0, 0.0, 0.0, 0.5])
+    d, r = digits.exact_modes(Q, B)
+    # q1, p1 of frequency 3 with the input along q1, q2, p2 of frequency 2 with the input along p2
+    assert [float(x) for x in d] == [2.0, 3.0]
+    assert np.allclose([float(x) for x in r], phc.ph(Q, B).r, rtol=1e-15)
+    assert (digits.errors(Q, B) <= 10 * EPS).all()
+    # a weight that is wrong by one per cent shows
+    assert np.isclose(digits._relative(np.array([2.02, 3.0]), d), 0.01)
+
+
+def test_the_digits_are_written_as_they_are_printed(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(digits, "SEEDS", 1)
+    path = tmp_path / "page.md"
+    path.write_text("".join(page.marks("digits")))
+    digits.main(["--sizes", "2", "--write", str(path)])
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 2 + 3 + 4 and "\n".join(rows) in path.read_text()
+    # weights lose what the gap to the next frequency asks for
+    lost = [float(line.split("|")[3]) for line in rows if "apart" in line]
+    assert lost[-1] > 1e3 * lost[0]
 
 
 def test_one_step_of_variable_projection_is_measured_in_a_process_of_its_own():
