@@ -212,19 +212,26 @@ def cholesky_factor(Q: Array) -> Array | None:
     Where a few solutions with the factor show that it is not even near, a factorisation of what is left when the bound
     is taken off the diagonal need not decide.
     """
+    found = definite_factor(Q)
+    return None if found is None else found[0]
+
+
+def definite_factor(Q: Array) -> tuple[Array, float] | None:
+    """`cholesky_factor`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
     if Q.size == 0:
-        return np.zeros((0, 0))
+        return np.zeros((0, 0)), 0.0
     scaled, scale = unit_diagonal(Q)
     bound = 16 * len(Q) * EPS
     # of a symmetric matrix the transpose, which is in the order of LAPACK
     factor, failed = dpotrf(scaled.T, lower=1)
     if failed:
         return None
-    if _near_smallest_eigenvalue(factor) < _NEAR * bound:
+    smallest = _near_smallest_eigenvalue(factor) / _NEAR
+    if smallest < bound:
         scaled[np.diag_indices_from(scaled)] -= bound
         if dpotrf(scaled.T, lower=1)[1]:
             return None
-    return np.asarray(scale[:, None] * factor)
+    return scale[:, None] * factor, 1.0 / max(smallest, bound)
 
 
 def _near_smallest_eigenvalue(factor: Array) -> float:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpocon
 
 from . import _checks
 from .conditioning import exact_closeness, rounding_unit
@@ -23,7 +22,6 @@ Starts = NDArray[np.intp]
 
 _FEW = 100  # modes that a loop is as fast for as array operations
 _MARGIN = 2.0  # between a quantity and the bound that it is held against, for the errors of both
-_ESTIMATED = 10.0  # by how much the norm of an inverse may exceed its estimate
 _NO_RIGID = _checks.readonly(np.zeros((0, 1)))
 
 
@@ -126,17 +124,18 @@ def of_exact(modes: ModalForm) -> Reduction | None:
     return Reduction(d, r, starts, np.add.reduceat(r, starts) > 0)
 
 
-def of_matrix(d: Array, kappa: Array, Q: Array) -> Reduction | None:
+def of_matrix(d: Array, kappa: Array, inverse: float, diagonal: Array) -> Reduction | None:
     """Decide for frequencies and residues of a definite `Q` that couples all; None where their errors leave it open.
 
-    The bounds are those of `conditioning.separate`.  A Cholesky factorisation, and O(n^2).
+    The bounds are those of `conditioning.separate`, between ends that follow from the diagonal of `Q` and a bound for
+    the norm of the inverse of `Q` scaled to unit diagonal.  O(n^2).
     """
     n = len(d)
     unit = rounding_unit(n)
-    root = np.sqrt(np.diag(Q))
+    root = np.sqrt(diagonal)
     size = unit * float(np.linalg.norm(root[:n] * root[n:]))
     # what rounding makes of the square of a shape, in units of its frequency: at least, at most
-    least, most = unit / (2 * n), unit * _inverse_bound(Q, root)
+    least, most = unit / (2 * n), unit * inverse
     together = d[1:] + d[:-1]
     apart = _MARGIN * (most * together + 2 * size) < d[1:] - d[:-1]
     if not (apart | (_MARGIN * (d[1:] - d[:-1]) <= least * together + 2 * size)).all():
@@ -170,10 +169,3 @@ def _weight_errors(
     by_residue, by_weight = lent @ amplitude, lent @ (amplitude / d)
     common = 0.5 * size * (root * by_weight + by_residue / root)
     return [shape * root * by_residue + common for shape in shapes]
-
-
-def _inverse_bound(Q: Array, root: Array) -> float:
-    """Bound of the norm of the inverse of `Q` scaled to unit diagonal."""
-    factor = np.linalg.cholesky(Q / root[:, None] / root)
-    reciprocal, _ = dpocon(factor.T, 1.0, uplo="U")
-    return float(_ESTIMATED / reciprocal) if reciprocal > 0 else np.inf

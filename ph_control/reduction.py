@@ -59,9 +59,17 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
 
 def block_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
     """Frequencies and residues of one port for a clearly definite block, in doubles; None for any other."""
-    factors = triangular_factors(Q)
-    if not factors:
-        return None
+    factors, _ = factors_and_inverse(Q)
+    return _spectrum(Q, b, factors) if factors else None
+
+
+def bounded_spectrum(Q: Array, b: Array) -> tuple[Array, Array, float] | None:
+    """`block_spectrum`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
+    factors, inverse = factors_and_inverse(Q)
+    return (*_spectrum(Q, b, factors), inverse) if factors else None
+
+
+def _spectrum(Q: Array, b: Array, factors: list[Array]) -> tuple[Array, Array]:
     unit = _common_units(Q)
     factors, b, n = _in_units(factors, unit), b / unit, len(Q) // 2
     if len(factors) == 2:
@@ -90,15 +98,21 @@ def triangular_factors(Q: Array) -> list[Array]:
 
     The list is empty if `Q` may be semidefinite.
     """
+    return factors_and_inverse(Q)[0]
+
+
+def factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
+    """`triangular_factors`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
     n = len(Q) // 2
     apart = not (Q[:n, n:].any() or Q[n:, :n].any())
-    found: list[Array] = []
+    factors, inverse = [], 0.0
     for part in (Q[:n, :n], Q[n:, n:]) if apart else (Q,):
-        factor = _checks.cholesky_factor(part)
-        if factor is None:
-            return []
-        found.append(factor)
-    return found
+        found = _checks.definite_factor(part)
+        if found is None:
+            return [], np.inf
+        factors.append(found[0])
+        inverse = max(inverse, found[1])
+    return factors, inverse
 
 
 def _common_units(Q: Array) -> Array:

@@ -13,7 +13,7 @@ from . import _checks
 from ._graphs import coupled_pairs
 from ._twofloat import Pair, divide, exactly, product
 from .exceptions import StructureError
-from .reduction import apply_form, back_to_symplectic, block_spectrum, poisson, reduce_block, skew_normal_form
+from .reduction import apply_form, back_to_symplectic, bounded_spectrum, poisson, reduce_block, skew_normal_form
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -241,8 +241,10 @@ def direct_sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple
     return Q, B
 
 
-def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array] | None:
+def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array, float] | None:
     """Frequencies and residues `(d, kappa)` of one port, without the modes behind them: a fraction of their cost.
+
+    With them a bound for the norm of the inverse of `Q` scaled to unit diagonal.
 
     With `Q = F F^T` the transfer function is `b^T (s - K)^{-1} b`, `K = F^T J F` skew and `b = F^T B`.  Householder
     reflections that begin with one of `b` make `K` tridiagonal; with it come frequencies, and as squares of the first
@@ -255,7 +257,7 @@ def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array] | None:
     moderate = size.max() < _MODERATE and np.diag(Q).min() > 1 / _MODERATE and size[len(Q) :].max() > 1 / _MODERATE
     if not moderate or len(_decoupled(Q)) > 1:
         return None
-    found = block_spectrum(Q, B)
+    found = bounded_spectrum(Q, B)
     return None if found is None or found[0][0] * _SPREAD <= found[0][-1] else found
 
 

@@ -165,18 +165,24 @@ class PortHamiltonian(LosslessSystem):
         return self._modes
 
     @View
+    def _port(self) -> tuple[Array, Array, float] | None:
+        """`port_spectrum`, where it can be had."""
+        return port_spectrum(self.Q, self.B[:, 0]) if self._given is not None and self.ninputs == 1 else None
+
+    @View
     def _seen(self) -> ModalForm | None:
         """Frequencies and residues alone, where they come cheaper than `modes`."""
-        found = port_spectrum(self.Q, self.B[:, 0]) if self._given is not None and self.ninputs == 1 else None
-        return None if found is None else from_frequencies(found[0], found[1] / found[0])
+        return None if self._port is None else reachability.plain_modes(self._port[0], self._port[1] / self._port[0])
 
     @View
     def _reduction(self) -> Reduction | None:
         """What the port reaches, where frequencies and residues alone tell it."""
         if self._given is None:
             return reachability.of_exact(self.modes)
-        seen = self._seen if self._modes is None else None
-        return None if seen is None else reachability.of_matrix(seen.d, seen.kappa, self.Q)
+        if self._modes is not None or self._port is None:
+            return None
+        d, kappa, inverse = self._port
+        return reachability.of_matrix(d, kappa, inverse, np.diag(self.Q))
 
     @View
     def _minimal(self) -> ModalForm:

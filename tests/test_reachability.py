@@ -94,7 +94,7 @@ def decided(Q, B):
     """`(fast, slow)`: the decision of frequencies and residues, None where there is none, and that of all the modes."""
     system = phc.ph(Q, B)
     found = port_spectrum(system.Q, system.B[:, 0])
-    fast = None if found is None else of_matrix(*found, system.Q)
+    fast = None if found is None else of_matrix(*found, np.diag(system.Q))
     return fast, separate(phc.ph(Q, B).modes, (system.Q, system.B), system._energy)
 
 
@@ -160,10 +160,13 @@ def test_on_the_way_from_equal_to_different_the_decision_is_right_or_open_and_no
 
 def test_a_matrix_near_a_singular_one_is_left_open():
     rng = np.random.default_rng(0)
-    Q, _ = matrix_of(np.array([1.0, 1.5, 2.0]), np.ones(3), 1e7, rng)
+    Q, B = matrix_of(np.array([1.0, 1.5, 2.0]), np.ones(3), 1e7, rng)
     d, kappa = np.array([1.0, 1.0 + 1e-6, 2.0]), np.ones(3)
-    assert of_matrix(d, kappa, Q) is None
-    assert of_matrix(d, kappa, np.eye(6)) is not None
+    _, _, inverse = port_spectrum(Q, B)
+    root = np.sqrt(np.diag(Q))
+    assert inverse >= 1 / np.linalg.eigvalsh(Q / root / root[:, None])[0]
+    assert of_matrix(d, kappa, inverse, np.diag(Q)) is None
+    assert of_matrix(d, kappa, 1.0, np.ones(6)) is not None
 
 
 # --- systems ---------------------------------------------------------------------------------------------------------
