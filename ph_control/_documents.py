@@ -15,7 +15,7 @@ import secrets
 import stat
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -363,10 +363,10 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise FileMissingError(f"the folder {path.parent} does not exist; make it first")
 
 
-def write_atomically(path: Path, text: str, *, overwrite: bool) -> None:
+def write_atomically(path: Path, content: str | bytes, *, overwrite: bool) -> None:
     """Write a file so that its name shows the old content or all of the new, never a part.
 
-    The text goes to a temporary file in the same folder, reaches the disk, and then takes the name.  Without
+    The content goes to a temporary file in the same folder, reaches the disk, and then takes the name.  Without
     `overwrite` a file that somebody else makes in the meantime is left alone.
     """
     refuse_existing(path, overwrite)
@@ -377,7 +377,7 @@ def write_atomically(path: Path, text: str, *, overwrite: bool) -> None:
     try:
         # not tempfile: its files are private, this one shall have the permissions of any new file
         with _new_file(temporary, target) as stream:
-            stream.write(text)
+            stream.write(content.encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
         if overwrite:
@@ -389,10 +389,10 @@ def write_atomically(path: Path, text: str, *, overwrite: bool) -> None:
             os.unlink(temporary)
 
 
-def _new_file(temporary: Path, target: Path) -> TextIO:
+def _new_file(temporary: Path, target: Path) -> BinaryIO:
     """Open the temporary file; where that is not allowed, the error names the file that the caller knows."""
     try:
-        return open(temporary, "x", encoding="utf-8", newline="\n")
+        return open(temporary, "xb")
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(target)) from None
 

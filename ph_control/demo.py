@@ -54,7 +54,7 @@ def record(
     return t, u, y + 0.1 * np.std(y) * rng.standard_normal(samples)
 
 
-def run(folder: Path, seed: int, report: Callable[[str], Any]) -> None:
+def run(folder: Path, seed: int, report: Callable[[str], Any]) -> list[tuple[Plant, PEMResult]]:
     """Record, identify, compare and save; everything goes into the existing, empty `folder`.
 
     Parameters
@@ -65,7 +65,13 @@ def run(folder: Path, seed: int, report: Callable[[str], Any]) -> None:
         Seed of the random input and noise.
     report : callable
         Receives the lines to show.
+
+    Returns
+    -------
+    list of tuple of Plant and PEMResult
+        What was recorded, and what was found.
     """
+    found = []
     for plant, rng in zip(plants(), np.random.default_rng(seed).spawn(2), strict=True):
         t, u, y = record(plant, rng)
         names = plant.system.input_labels[0], plant.system.output_labels[0]
@@ -80,6 +86,8 @@ def run(folder: Path, seed: int, report: Callable[[str], Any]) -> None:
         _pictures(plant, result, folder)
         report(f"   {recording.name}, {plant.name}.json, {plant.name}_fit.png, {plant.name}_bode.png")
         report("")
+        found.append((plant, result))
+    return found
 
 
 def _against_truth(plant: Plant, result: PEMResult) -> Iterator[str]:

@@ -1,207 +1,540 @@
-"""The command line: what it prints, writes and refuses."""
+"""The command line: fitting, the demonstration, and how runs end."""
 
+from __future__ import annotations
+
+import importlib
+import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import control as ct
 import numpy as np
 import pytest
+from shell import run, streams
 
 import ph_control as phc
-from ph_control import cli, demo
+from ph_control import cli, demo, propagation
+from ph_control.cli import fit as fit_command
+from ph_control.cli import options, outcome
+from ph_control.frequency_tables import FREQUENCY_UNITS
+from ph_control.identification.document import REPRESENTATIONS
+from ph_control.identification.regressors import QUANTITIES
+from ph_control.identification.selection import CRITERIA
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+
+
+def table(path: Path, header: str, *columns: np.ndarray) -> Path:
+    """A recording as a file."""
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.12g")
+    return path
 
 
 @pytest.fixture
 def recording(tmp_path):
     """A noisy recording of a chain of two masses, as a file."""
     t, u, y = demo.record(demo.plants()[1], np.random.default_rng(1), samples=600)
-    path = tmp_path / "recording.csv"
-    np.savetxt(path, np.c_[t, u, y], delimiter=",", header="time,force,speed", comments="", fmt="%.12g")
-    return path
+    return table(tmp_path / "recording.csv", "time,force,speed", t, u, y)
 
 
-def run(capsys, *arguments):
-    """Status, standard output and standard error of one call."""
-    status = cli.main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
+@pytest.fixture
+def damped(tmp_path):
+    """A recording that no lossless model describes."""
+    t, u = 0.1 * np.arange(600), np.random.default_rng(1).standard_normal(600)
+    y = ct.forced_response(ct.tf([1, 0], [1, 0.2, 1]), t, u).outputs
+    return table(tmp_path / "damped.csv", "time,force,speed", t, u, y)
 
 
-def test_fit_prints_the_summary_and_writes_model_and_picture(capsys, recording, tmp_path):
+def strict_json(text: str):
+    """JSON without the words that Python adds to it."""
+
+    def refuse(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+# --- fit -------------------------------------------------------------------------------------------------------------
+
+
+def test_fit_prints_the_summary_and_writes_model_and_picture(recording, tmp_path):
     model, picture = tmp_path / "model.json", tmp_path / "fit.png"
-    status, out, err = run(
-        capsys, "fit", recording, "--input", "force", "--output", "speed", "--order", "auto",
-        "--model", model, "--plot", picture,
-    )  # fmt: skip
-    assert (status, err) == (0, "")
-    assert "Port-Hamiltonian model of 'speed' from 'force': 2 modes" in out
-    assert f"Written: {model}, {picture}" in out
+    done = run("fit", recording, "--input", "force", "--output", "speed", "--model", model, "--plot", picture)
+    assert (done.status, done.error) == (0, "")
+    assert "Port-Hamiltonian model of 'speed' from 'force': 2 modes" in done.out
+    assert f"Written: {model}, {picture}" in done.out
     system = phc.load(model)
     assert isinstance(system, phc.PortHamiltonian) and system.input_labels == ["force"]
     assert np.allclose(system.d, [0.6180, 1.6180], atol=2e-3)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_columns_may_be_numbers_and_the_step_given(capsys, recording, tmp_path):
-    table = np.loadtxt(recording, delimiter=",", skiprows=1)
+def test_columns_may_be_numbers_and_the_step_given(recording, tmp_path):
+    values = np.loadtxt(recording, delimiter=",", skiprows=1)
     bare = tmp_path / "bare.dat"
-    np.savetxt(bare, table[:, 1:])
-    status, out, _ = run(capsys, "fit", bare, "--input", 0, "--output", 1, "--dt", 0.1, "--order", 2)
-    assert status == 0 and "2 modes" in out
+    np.savetxt(bare, values[:, 1:])
+    done = run("fit", bare, "--input", 0, "--output", 1, "--dt", 0.1, "--order", 2)
+    assert done.status == 0 and "2 modes" in done.out
 
 
-def test_result_and_bode_picture_are_written_on_request(capsys, recording, tmp_path):
+def test_layout_of_the_table_can_be_said(recording, tmp_path):
+    values = np.loadtxt(recording, delimiter=",", skiprows=1)
+    odd = tmp_path / "odd.txt"
+    odd.write_text("\n".join("|".join(f"{x:.10g}" for x in row) for row in values))
+    chosen = ("--time", 0, "--input", 1, "--output", 2, "--order", 2)
+    done = run("fit", odd, "--delimiter", "|", "--no-header", *chosen)
+    assert (done.status, done.error) == (0, "") and "2 modes" in done.out
+    by_step = run("fit", recording, "--no-time", "--dt", 0.1, "--input", "force", "--output", "speed", "--order", 2)
+    assert by_step.out == run("fit", recording, "--order", 2).out
+
+
+def test_result_and_bode_picture_are_written_on_request(recording, tmp_path):
     result, bode = tmp_path / "result.json", tmp_path / "bode.svg"
-    status, out, _ = run(capsys, "fit", recording, "--order", 2, "--result", result, "--bode", bode)
-    assert status == 0 and str(bode) in out
-    assert isinstance(phc.load(result), phc.PEMResult)
+    done = run("fit", recording, "--order", 2, "--result", result, "--bode", bode)
+    assert done.status == 0 and str(bode) in done.out
+    assert isinstance(phc.load(result), phc.PEMResult) and phc.load(result).system.name == "recording"
     assert bode.read_text().lstrip().startswith("<?xml")
-    status, shown, _ = run(capsys, "info", result)
-    assert status == 0 and shown.strip() == phc.load(result).summary().strip()
+    shown = run("info", result)
+    assert shown.status == 0 and shown.out.strip() == phc.load(result).summary().strip()
 
 
-def test_info_shows_what_a_model_is(capsys, tmp_path):
-    path = tmp_path / "model.json"
-    phc.save(phc.ph(phc.modes([1.0, 2.0], [0.5, 0.25]), name="plant"), path)
-    status, out, _ = run(capsys, "info", path)
-    assert status == 0
-    assert "PortHamiltonian plant: 2 degrees of freedom, 4 states, 1 port" in out
-    assert "canonical (controllable and observable): yes" in out
-    assert re.search(r"2\s+2\s+0\.3183\d+\s+0\.25\s+0\.5", out)
+def test_a_recording_may_come_in_and_the_model_go_out_through_pipes(recording):
+    piped = run("fit", "-", "--order", 2, "--model", "-", stdin=recording.read_bytes())
+    assert (piped.status, piped.error) == (0, "")
+    shown = run("info", "-", "--json", stdin=piped.output)
+    fitted = strict_json(run("fit", recording, "--order", 2, "--json").out)
+    assert strict_json(shown.out)["d"] == fitted["d"]
 
 
-def test_robot_arm_goes_through_without_crash_or_flattery(capsys, tmp_path):
+def test_the_answer_as_json_has_all_numbers_in_full(recording, tmp_path):
+    result = tmp_path / "result.json"
+    done = run("fit", recording, "--order", 3, "--json", "--result", result)
+    answer, kept = strict_json(done.out), phc.load(result)
+    for key in ("d", "r"):
+        assert answer[key] == getattr(kept, key).tolist()
+    for key in ("verdict", "message", "fit_percent", "bic", "order", "success", "whiteness"):
+        assert answer[key] == getattr(kept, key)
+    # the third mode has no weight, and so no error of it: null, not NaN
+    assert [value is None for value in answer["stderr"]["r"]] == np.isnan(kept.stderr["r"]).tolist()
+    assert None in answer["stderr"]["r"]
+    assert answer["written"] == [str(result)] and answer["described"] is True
+    assert answer["experiments"][0]["step"] == 0.1
+    assert [row["order"] for row in answer["order_table"]] == [row.order for row in kept.order_table]
+
+
+def test_several_recordings_are_several_experiments(recording, tmp_path):
+    t, u, y = demo.record(demo.plants()[1], np.random.default_rng(2), samples=400)
+    other = table(tmp_path / "other.csv", "time,force,speed", t, u, y + 5.0)
+    picture = tmp_path / "second.svg"
+    chosen = ("--order", 2, "--offset", "--plot", picture, "--experiment", 2)
+    done = run("fit", recording, other, *chosen, "--json")
+    answer = strict_json(done.out)
+    assert [one["samples"] for one in answer["experiments"]] == [600, 400]
+    assert [one["title"] for one in answer["experiments"]] == ["recording.csv", "other.csv"]
+    assert abs(answer["experiments"][1]["offset"] - 5.0) < 0.1
+    result = phc.pem([phc.read_csv(recording), phc.read_csv(other)], 2, offset=True)
+    assert answer["d"] == result.d.tolist()
+    assert picture.exists()
+
+
+def test_a_free_motion_of_another_quantity_is_fitted(tmp_path):
+    plant, t = phc.frenkel_kontorova(2), 0.1 * np.arange(500)
+    speed = phc.initial_response(plant, t, [1.0, 0.0, 0.0, -0.5]).outputs
+    decay = table(tmp_path / "decay.csv", "t,x", t, speed)
+    answer = strict_json(run("fit", decay, "--no-input", "--quantity", "displacement", "--json").out)
+    assert np.allclose(answer["d"], plant.d, rtol=1e-6) and answer["quantity"] == "displacement"
+    assert answer["stderr"]["r"] == [None, None]
+
+
+@pytest.fixture
+def shaker(tmp_path):
+    """A frequency response as a file, with weights."""
+    plant, omega = phc.frenkel_kontorova(2), np.linspace(0.205, 2.5, 80)
+    response = plant.modes.freqresp(omega)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((2, 80)) @ np.eye(80)
+    response = response * (1 + noise[0]) + 1j * noise[1]
+    path = tmp_path / "shaker.csv"
+    gain, phase = np.abs(response), np.degrees(np.angle(response))
+    columns = omega / 2 / np.pi, 20 * np.log10(gain), phase, 1 / gain**2
+    return table(path, "f [Hz],gain [dB],phase [deg],weight", *columns)
+
+
+def test_a_frequency_response_is_recognised_by_its_labels(shaker):
+    plant = phc.frenkel_kontorova(2)
+    done = run("fit", shaker, "--order", 2, "--json")
+    answer = strict_json(done.out)
+    assert done.status == 0 and np.allclose(answer["d"], plant.d, rtol=1e-2)
+    assert answer["experiments"][0]["step"] is None
+    assert answer["d"] == phc.pem(phc.read_frequency_csv(shaker), 2).d.tolist()
+
+
+def test_columns_units_and_weights_of_a_frequency_response_can_be_said(shaker):
+    plain = strict_json(run("fit", shaker, "--order", 2, "--json").out)
+    told = ("--frequency", 0, "--magnitude", 1, "--phase", 2, "--frequency-unit", "Hz", "--magnitude-unit", "dB",
+            "--phase-unit", "deg")  # fmt: skip
+    assert strict_json(run("fit", shaker, "--order", 2, "--json", *told).out)["d"] == plain["d"]
+    weighted = strict_json(run("fit", shaker, "--order", 2, "--json", "--weights", "weight").out)
+    values = np.loadtxt(shaker, delimiter=",", skiprows=1)
+    expected = phc.pem(phc.read_frequency_csv(shaker), 2, weights=values[:, 3])
+    assert weighted["d"] == expected.d.tolist() != plain["d"]
+    assert "in frequency" not in run("fit", shaker, shaker, "--order", 2).error
+
+
+def test_the_options_of_the_fit_reach_it(recording, tmp_path, monkeypatch):
+    seen = {}
+
+    def watched(data, order, **keywords):
+        seen.update(keywords, order=order)
+        return phc.pem(data, 2)
+
+    guess = tmp_path / "guess.json"
+    phc.save(phc.modes([0.6, 1.6], [1.0, 1.0]), guess)
+    monkeypatch.setattr("ph_control.identification.pem.pem", watched)
+    run(
+        "fit", recording, "--order", 2, "--max-order", 7, "--criterion", "aicc", "--method", "midpoint",
+        "--intersample", "foh", "--initial-state", "zero", "--offset", "--quantity", "acceleration",
+        "--representation", "controllable", "--guess", guess, "--seed", 5, "--workers", 2,
+    )  # fmt: skip
+    assert seen.pop("initial_guess").d.tolist() == [0.6, 1.6]
+    assert seen == {
+        "order": 2, "max_order": 7, "criterion": "aicc", "method": "midpoint", "intersample": "foh",
+        "initial_state": "zero", "offset": True, "quantity": "acceleration", "representation": "controllable", "rng": 5,
+        "workers": 2, "callback": None,
+    }  # fmt: skip
+
+
+def test_choices_are_those_of_the_library():
+    assert options.METHODS == propagation.METHODS and options.INTERSAMPLE == propagation.INTERSAMPLE
+    assert set(options.FREQUENCY_UNITS) == set(FREQUENCY_UNITS)
+    assert set(fit_command.QUANTITIES) == set(QUANTITIES) and set(fit_command.CRITERIA) == set(CRITERIA)
+    assert fit_command.REPRESENTATIONS == REPRESENTATIONS
+
+
+def test_a_refusal_is_status_1_and_the_model_is_written_all_the_same(damped, tmp_path):
+    model = tmp_path / "model.json"
+    done = run("fit", damped, "--max-order", 4, "--model", model)
+    assert done.status == 1 and done.error == ""
+    assert "NOT described by a collocated lossless model" in done.out and f"Written: {model}" in done.out
+    assert isinstance(phc.load(model), phc.PortHamiltonian)
+    piped = run("fit", damped, "--max-order", 4, "--model", "-")
+    assert piped.status == 1 and piped.output == model.read_bytes()
+    assert piped.error.startswith("ph-control: the verdict is: NOT described") and piped.error.count("\n") == 1
+    answer = strict_json(run("fit", damped, "--max-order", 4, "--json").out)
+    assert answer["described"] is False
+
+
+def test_noise_alone_is_nothing_to_model_with_status_1(tmp_path):
+    noise = np.random.default_rng(3).standard_normal((2, 300))
+    path = table(tmp_path / "noise.csv", "t,u,y", 0.1 * np.arange(300), *noise)
+    outputs = [tmp_path / name for name in ("m.json", "r.json", "p.png", "b.png")]
+    chosen = [part for pair in zip(("--model", "--result", "--plot", "--bode"), outputs, strict=True) for part in pair]
+    done = run("fit", path, *chosen)
+    assert done.status == 1 and "nothing to model" in done.out
+    assert all(path.exists() for path in outputs)
+
+
+def test_robot_arm_goes_through_without_crash_or_flattery(tmp_path):
     arm = DATA / "measured" / "robot_arm.dat"
     if not arm.exists():
         pytest.skip("the third-party recordings are not beside the project")
-    status, out, err = run(
-        capsys, "fit", arm, "--input", 0, "--output", 1, "--dt", 1, "--order", "auto",
-        "--model", tmp_path / "arm.json", "--plot", tmp_path / "arm.png",
-    )  # fmt: skip
-    assert (status, err) == (0, "")
-    text = " ".join(out.split())
+    chosen = ("--input", 0, "--output", 1, "--dt", 1)
+    done = run("fit", arm, *chosen, "--model", tmp_path / "arm.json", "--plot", tmp_path / "arm.png")
+    assert (done.status, done.error) == (1, "")
+    text = " ".join(done.out.split())
     assert float(re.search(r"fit +([\d.]+) %", text)[1]) < 90
     assert "constraint r >= 0 is active" in text and "does not describe this record" in text
     assert (tmp_path / "arm.json").exists() and (tmp_path / "arm.png").exists()
 
 
+# --- what is not done ------------------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("option", ["--model", "--result", "--plot", "--bode"])
-def test_existing_files_are_refused_before_the_fit_and_replaced_only_on_request(capsys, recording, tmp_path, option):
+def test_existing_files_are_refused_before_the_fit_and_replaced_only_on_request(recording, tmp_path, option):
     path = tmp_path / ("out.png" if option in ("--plot", "--bode") else "out.json")
     path.write_text("mine")
-    status, out, err = run(capsys, "fit", recording, option, path)
-    assert (status, out) == (1, "")
-    assert f"{path} exists" in err and "--overwrite" in err
+    done = run("fit", recording, option, path)
+    assert (done.status, done.out) == (2, "")
+    assert f"{path} exists" in done.error and "--overwrite" in done.error
     assert path.read_text() == "mine"
-    status, _, _ = run(capsys, "fit", recording, option, path, "--order", 1, "--overwrite")
-    assert status == 0 and path.read_bytes() != b"mine"
+    done = run("fit", recording, option, path, "--order", 2, "--overwrite")
+    assert done.status == 0 and path.read_bytes() != b"mine"
 
 
 @pytest.mark.parametrize(
     "arguments, message",
     [
         (["--input", "torque"], "torque.*force"),
+        (["--input", "force", "--no-input"], "contradict"),
+        (["--time", "force", "--no-time"], "contradict"),
+        (["--no-time"], "name it with --time, or give the time between samples with --dt"),
+        (["--dt", "0.2"], "dt is 0.2, but the step .* is 0.1; leave dt out, or pass --no-time"),
         (["--order", "200"], "order 200 has 800 unknowns"),
+        (["--order", "0"], "order is 0"),
+        (["--max-order", "0"], "max_order is 0"),
+        (["--workers", "0"], "workers is 0"),
         (["--plot", "{tmp}/fit.doc"], "no known picture format.*png"),
+        (["--plot", "-"], "no suffix .* pass --format"),
         (["--model", "{tmp}/nowhere/model.json"], "its folder does not exist"),
+        (["--model", "{tmp}"], "is not a regular file"),
+        (["--model", "{tmp}/" + "a" * 300], "cannot be the name of a file: File name too long"),
         (["--model", "{tmp}/a.json", "--result", "{tmp}/a.json"], "two of the output files"),
-        (["--dt", "-1"], "dt is -1"),
+        (["--model", "-", "--result", "-"], "more than once for standard output"),
+        (["--model", "-", "--json"], "--json and - both want standard output"),
+        (["--experiment", "2"], "--experiment is 2; there are 1"),
+        (["--guess", "{tmp}/absent.json"], "there is no file"),
+        (["--guess", "{tmp}/recording.csv"], "601 lines of text"),
+        (["--frequency", "0", "--dt", "1"], "--frequency is for frequency responses and --dt for recordings"),
+        (["--weights", "force"], "which column is the frequency|which column is the magnitude"),
+        (["--delimiter", "ab"], "delimiter is 'ab'"),
+        (["-"], "more than once|standard input is empty"),
     ],
 )
-def test_mistakes_end_in_a_message_and_write_nothing(capsys, recording, tmp_path, arguments, message):
+def test_mistakes_end_in_one_line_with_a_remedy_and_write_nothing(recording, tmp_path, arguments, message):
     before = set(tmp_path.iterdir())
-    filled = [argument.format(tmp=tmp_path) for argument in arguments]
-    status, out, err = run(capsys, "fit", recording, *filled)
-    assert (status, out) == (1, "")
-    assert err.startswith("ph-control: ") and re.search(message, err, re.S)
+    done = run("fit", recording, *[argument.format(tmp=tmp_path) for argument in arguments])
+    assert (done.status, done.out) == (2, "")
+    assert done.error.startswith("ph-control: ") and re.search(message, done.error)
+    assert done.error.count("\n") == 1
     assert set(tmp_path.iterdir()) == before
 
 
-def test_missing_and_damaged_files_are_said_to_be_so(capsys, tmp_path):
-    status, _, err = run(capsys, "fit", tmp_path / "absent.csv")
-    assert status == 1 and "absent.csv" in err
-    broken = tmp_path / "broken.json"
-    broken.write_text("{")
-    status, _, err = run(capsys, "info", broken)
-    assert status == 1 and "broken.json" in err and "Traceback" not in err
-
-
 @pytest.mark.parametrize(
-    "arguments", [[], ["fly"], ["fit"], ["fit", "x", "--order", "many"], ["fit", "x", "--method", "rk4"]]
+    "content, message",
+    [
+        (b"", "standard input is empty; the command before the pipe"),
+        (b"t,u,y\n", "standard input has a header in line 1 and no rows"),
+        (b"t,u,y\n0,1,2\n", "needs at least two samples"),
+        (b"t,u,y\n0,1,2\n1,x,3\n", r"standard input, line 3, column 1 \('u'\): 'x' is not a number"),
+        (b"t,u,y\n0,1,2\n1,2,3\n", "at least 5 are needed"),
+        (b"a,b\n1,2\n3,4\n", "no column is the time; name it with --time"),
+        (b"t,u,y\n" + b"".join(b"%d,%d,1e200\n" % (k, k % 3) for k in range(9)), "end of the range of doubles"),
+        (b"t,u,y\n" + b"".join(b"%d,1,%d\n" % (k, k % 3) for k in range(9)), "input is constant.*--no-input"),
+        (b"\x00\x01\xff", "standard input is not a text file"),
+        (b'{"format": "ph_control"}', "holds JSON, perhaps a model"),
+    ],
 )
-def test_wrong_usage_ends_with_status_2(capsys, arguments):
-    with pytest.raises(SystemExit) as stop:
-        cli.main(arguments)
-    assert stop.value.code == 2
-    assert "usage: ph-control" in capsys.readouterr().err
+def test_what_is_no_recording_is_said_to_be_so(content, message):
+    done = run("fit", "-", stdin=content)
+    assert (done.status, done.out) == (2, "")
+    assert re.search(message, done.error) and done.error.count("\n") == 1
 
 
-def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    status, out, err = run(capsys, "demo")
-    assert (status, err) == (0, "")
-    folder = tmp_path / "ph_control_demo"
-    names = {f"{plant}{end}" for plant in ("circuit", "chain") for end in (".csv", ".json", "_fit.png", "_bode.png")}
-    assert {path.name for path in folder.iterdir()} == names
-    assert "1 of 1 visible modes found" in out and "2 of 2 visible modes found" in out
-    assert np.allclose(phc.load(folder / "circuit.json").d, [1.0], rtol=1e-3)
-    assert np.allclose(phc.load(folder / "chain.json").d, [0.6180339887, 1.6180339887], rtol=1e-3)
-    # a second run finds a free folder; a folder with something in it is refused
-    status, out, _ = run(capsys, "demo", "--seed", 1)
-    assert status == 0 and (tmp_path / "ph_control_demo-2" / "chain.json").exists()
-    status, _, err = run(capsys, "demo", "--folder", folder)
-    assert status == 1 and "not an empty folder" in err
+def test_a_guess_that_is_not_lossless_is_bad_input_and_no_verdict_of_the_fit(recording, tmp_path):
+    guess = tmp_path / "guess.txt"
+    guess.write_text("1 0\n1 0.1 4\n")
+    done = run("fit", recording, "--guess", guess)
+    assert done.status == 2 and "--guess: " in done.error and "off the imaginary axis" in done.error
 
 
-def test_demo_recording_can_be_fitted_by_the_command_it_suggests(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    _, out, _ = run(capsys, "demo", "--folder", "here")
-    command = re.search(r"Next: ph-control (.*)", out)[1].split()
-    status, _, _ = run(capsys, *command)
-    assert status == 0 and (tmp_path / "my_model.json").exists()
-
-
-def test_progress_is_shown_on_a_terminal_only(capsys, recording, monkeypatch):
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    _, _, err = run(capsys, "fit", recording, "--order", 2)
-    assert "order 2 of at most 2, iteration" in err and err.endswith("\r\033[K")
-
-
-def test_module_runs_as_a_script():
-    done = subprocess.run(
-        [sys.executable, "-m", "ph_control.cli", "--help"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0 and "demo" in done.stdout
-
-
-def test_a_recording_is_never_overwritten_by_what_is_made_of_it(capsys, recording):
+def test_a_recording_is_never_overwritten_by_what_is_made_of_it(recording):
     before = recording.read_bytes()
-    status, _, err = run(capsys, "fit", recording, "--model", recording, "--overwrite")
-    assert status == 1 and "is the recording itself" in err
+    done = run("fit", recording, "--model", recording, "--overwrite")
+    assert done.status == 2 and "is one of the inputs" in done.error
     assert recording.read_bytes() == before
 
 
-def test_what_is_no_regular_file_is_refused(capsys, recording, tmp_path):
+def test_what_is_no_regular_file_is_refused(recording, tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    status, _, err = run(capsys, "fit", recording, "--model", tmp_path / "pipe", "--overwrite")
-    assert status == 1 and "not a regular file" in err
+    done = run("fit", recording, "--model", tmp_path / "pipe", "--overwrite")
+    assert done.status == 2 and "not a regular file" in done.error
+    assert "is a folder" in run("fit", tmp_path).error
 
 
-def test_layout_of_the_table_can_be_said(capsys, recording, tmp_path):
-    table = np.loadtxt(recording, delimiter=",", skiprows=1)
-    odd = tmp_path / "odd.txt"
-    odd.write_text("\n".join("|".join(f"{x:.10g}" for x in row) for row in table))
-    status, out, err = run(
-        capsys, "fit", odd, "--delimiter", "|", "--no-header", "--time", 0, "--input", 1, "--output", 2, "--order", 2
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ([], "required: COMMAND; see ph-control --help"),
+        (["fly"], "invalid choice: 'fly'"),
+        (["fit"], "required: RECORDING; see ph-control fit --help"),
+        (["fit", "x", "--order", "many"], "'many' is neither 'auto' nor a whole number"),
+        (["fit", "x", "--order", "9" * 5000], "'99999.*...' is neither"),
+        (["fit", "x", "--method", "rk4"], "invalid choice: 'rk4'"),
+        (["fit", "x", "--ordr", "3"], "no option --ordr; did you mean --order?"),
+        (["fit", "x", "--order=3", "--nonsense"], "no option --nonsense;"),
+        (["fit", "x", "--dt", "-1"], "'-1' is not positive"),
+        (["fit", "x", "--dt", "inf"], "'inf' is not finite"),
+        (["fit", "x", "--dt", "abc"], "'abc' is no number"),
+        (["fit", "x", "--seed", "-1"], "'-1' is negative"),
+        (["fit", "x", "--max-order", "1.5"], "'1.5' is no whole number"),
+    ],
+)
+def test_wrong_usage_is_status_2_and_one_line(arguments, message):
+    done = run(*arguments)
+    assert (done.status, done.out) == (2, "")
+    assert re.search(message, done.error) and done.error.count("\n") == 1 and "--help" in done.error
+
+
+def test_messages_speak_of_options_and_not_of_keywords():
+    spoken = outcome.in_shell_terms(
+        "pass header=True or header=False; use initial_state='estimate', max_order=30 or say which with input= and "
+        "output=; (intersample='foh'); pass (None, y), offset=True; time=False, dt=0.1."
     )
-    assert (status, err) == (0, "") and "2 modes" in out
+    assert spoken == (
+        "pass --header or --no-header; use --initial-state estimate, --max-order 30 or say which with --input and "
+        "--output; (--intersample foh); pass --no-input, --offset; --no-time, --dt 0.1."
+    )
 
 
-def test_version_is_told(capsys):
-    with pytest.raises(SystemExit) as stop:
-        cli.main(["--version"])
-    assert stop.value.code == 0 and capsys.readouterr().out.startswith("ph-control ")
+# --- demo, help, progress --------------------------------------------------------------------------------------------
+
+
+def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = run("demo")
+    assert (done.status, done.error) == (0, "")
+    folder = tmp_path / "ph_control_demo"
+    names = {f"{plant}{end}" for plant in ("circuit", "chain") for end in (".csv", ".json", "_fit.png", "_bode.png")}
+    assert {path.name for path in folder.iterdir()} == names
+    assert "1 of 1 visible modes found" in done.out and "2 of 2 visible modes found" in done.out
+    assert np.allclose(phc.load(folder / "circuit.json").d, [1.0], rtol=1e-3)
+    assert np.allclose(phc.load(folder / "chain.json").d, [0.6180339887, 1.6180339887], rtol=1e-3)
+    # a second run finds a free folder; a folder with something in it is refused
+    answer = strict_json(run("demo", "--seed", 1, "--json").out)
+    assert answer["folder"] == "ph_control_demo-2" and (tmp_path / "ph_control_demo-2" / "chain.json").exists()
+    assert np.allclose(answer["plants"][1]["fit"]["d"], answer["plants"][1]["true"]["d"], rtol=1e-3)
+    refused = run("demo", "--folder", folder)
+    assert refused.status == 2 and "not an empty folder" in refused.error
+    # what the demonstration proposes to do next works
+    command = re.search(r"Next: ph-control (.*)", done.out)[1].split()
+    assert run(*command).status == 0 and (tmp_path / "my_model.json").exists()
+
+
+def test_progress_is_shown_on_a_terminal_only(recording):
+    with streams(b"") as (output, error):
+        error.isatty = lambda: True
+        assert cli.main(["fit", str(recording), "--order", "2"]) == 0
+    assert "order 2 of at most 2, iteration" in error.getvalue() and error.getvalue().endswith("\r\033[K")
+    assert b"\r" not in output.getvalue()
+    assert run("fit", recording, "--order", 2).error == ""
+
+
+def test_an_interrupted_fit_gives_the_best_until_then_and_status_130(recording, tmp_path, monkeypatch):
+    def interrupt(progress):
+        if progress.order == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(fit_command, "_progress_line", interrupt)
+    with streams(b"") as (output, error):
+        error.isatty = lambda: True
+        status = cli.main(["fit", str(recording), "--order", "9", "--json", "--model", str(tmp_path / "best.json")])
+    assert status == 130 and "best model found until then" in error.getvalue()
+    answer = strict_json(output.getvalue().decode())
+    assert answer["interrupted"] is True and (tmp_path / "best.json").exists()
+
+
+def test_an_interrupt_elsewhere_writes_nothing(recording, tmp_path, monkeypatch):
+    def interrupt(*arguments, **keywords):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ph_control.identification.pem.pem", interrupt)
+    done = run("fit", recording, "--model", tmp_path / "model.json")
+    assert (done.status, done.out) == (130, "") and "nothing was written" in done.error
+    assert not (tmp_path / "model.json").exists()
+
+
+@pytest.mark.parametrize("command", ["", *cli.COMMANDS])
+def test_every_command_has_a_help_with_examples(command):
+    done = run(*[command] * bool(command), "--help")
+    assert done.status == 0 and done.error == ""
+    assert f"usage: ph-control{' ' * bool(command)}{command}" in done.out and "\nexamples:\n  ph-control" in done.out
+    assert max(map(len, done.out.splitlines())) <= 100
+
+
+def test_version_is_told():
+    done = run("--version")
+    assert done.status == 0 and done.out.startswith("ph-control ")
+
+
+# --- errors of the program and of the streams ------------------------------------------------------------------------
+
+
+def test_an_error_of_the_program_is_one_line_and_status_3_unless_its_traceback_is_wanted(recording, monkeypatch):
+    def broken(*arguments, **keywords):
+        raise TypeError("no such\nthing")
+
+    monkeypatch.setattr("ph_control.identification.pem.pem", broken)
+    done = run("fit", recording)
+    assert done.status == 3 and "TypeError: no such thing" in done.error and done.error.count("\n") == 1
+    with pytest.raises(TypeError, match="no such"):
+        run("--traceback", "fit", recording)
+
+
+@pytest.mark.parametrize(
+    "error, status, message",
+    [
+        (MemoryError(), 2, "not enough memory"),
+        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv: permission denied; check"),
+        (OSError(5, "Input/output error"), 2, "input/output error"),
+        (RecursionError("deep"), 3, "RecursionError: deep"),
+    ],
+)
+def test_what_goes_wrong_outside_the_program_is_said_in_one_line(recording, monkeypatch, error, status, message):
+    def failing(*arguments, **keywords):
+        raise error
+
+    monkeypatch.setattr("ph_control.recordings.read_csv", failing)
+    done = run("fit", recording)
+    assert done.status == status and message in done.error and done.error.count("\n") == 1
+
+
+def command(*arguments: str, **settings) -> subprocess.Popen:
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    environment = os.environ | {"PYTHONPATH": path} | settings.pop("env", {})
+    return subprocess.Popen(
+        [sys.executable, "-m", "ph_control", *arguments], env=environment, stderr=subprocess.PIPE, **settings
+    )
+
+
+def test_the_help_comes_without_the_libraries_of_numbers_and_pictures():
+    code = "import sys; from ph_control.cli import main; main(['--help']); main(['fit', '--help']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "ph_control.cli.fit" in loaded and not loaded & {"numpy", "scipy", "matplotlib", "control"}
+
+
+def test_a_reader_that_has_gone_is_no_error_to_speak_of(tmp_path):
+    model = tmp_path / "model.json"
+    phc.save(phc.modes([1.0], [1.0]), model)
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = command("info", str(model), stdout=writer, env={"MPLBACKEND": "no such backend"})
+    os.close(writer)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 141 and error == b""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_an_output_that_takes_nothing_is_an_error():
+    for arguments in (["--help"], ["info", "--num", "1,0", "--den", "1,0,4"]):
+        with open("/dev/full", "w") as full:
+            process = command(*arguments, stdout=full)
+            _, error = process.communicate(timeout=60)
+        assert process.returncode == 2
+        assert error.decode().startswith("ph-control: standard output cannot be written: No space")
+        assert error.count(b"\n") == 1
+
+
+def test_the_interrupt_key_ends_a_process_with_status_130():
+    code = "import sys; from ph_control.cli import main; print('here', flush=True); sys.exit(main(['fit', '-']))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    # it waits for the recording
+    assert process.stdout.readline() == b"here\n"
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130 and error.strip() == b"ph-control: interrupted; nothing was written"
+
+
+def test_the_entry_point_is_the_function_that_the_installation_calls():
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    module, function = re.search(r'^ph-control = "([\w.]+):(\w+)"$', text, re.M).groups()
+    assert getattr(importlib.import_module(module), function) is cli.main

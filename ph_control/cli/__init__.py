@@ -1,0 +1,86 @@
+"""The command line, `ph-control`: one module a command, and none of them is imported before it is asked for."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+
+from .options import Parser
+from .outcome import EXIT_CODES, guarded
+
+COMMANDS = {
+    "demo": "identify two known plants from noisy recordings, compare with the truth",
+    "fit": "identify a model from recordings or frequency responses",
+    "info": "show what a model is, and whether it is lossless",
+    "convert": "turn a model into another form or file format",
+    "compare": "hold models against recordings",
+    "plot": "draw models: bode, step, impulse, modes, poles, energy, fit",
+}
+
+_EPILOG = f"""Each command has its own help, with examples: ph-control fit --help. In place of a file name, - is
+standard input or standard output. Files that exist are replaced only with --overwrite. {EXIT_CODES}"""
+
+_EXAMPLES = """
+  ph-control demo
+  ph-control fit recording.csv --input force --output velocity --model fitted.json
+  ph-control convert plant.mat - | ph-control info -
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command `ph-control`.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments; default those of the process.
+
+    Returns
+    -------
+    int
+        Exit status: 0 done; 1 the answer is no, such as a system that is not lossless; 2 wrong usage, bad input, or
+        an output that cannot be written; 3 an error of the program itself; 130 interrupted; 141 nobody reads the
+        output any more.  A message of one line on standard error says why.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if "matplotlib" not in sys.modules:
+        # pictures go to files; a window system, or that of a notebook, may not be there
+        os.environ["MPLBACKEND"] = "Agg"
+    return guarded(lambda: _run(words), traceback="--traceback" in words[:1])
+
+
+def _run(words: list[str]) -> int:
+    place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
+    command: str = _parser().parse_args(words[: place + 1]).command
+    module = import_module(f".{command}", __name__)
+    parser = Parser(
+        prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}", description=module.DESCRIPTION,
+        examples=module.EXAMPLES,
+    )  # fmt: skip
+    module.add_options(parser)
+    code: int = module.run(parser.parse_intermixed_args(words[place + 1 :]))
+    return code
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="ph-control", usage="%(prog)s [--version] [--traceback] COMMAND ...", epilog=_EPILOG, examples=_EXAMPLES,
+        description="Lossless (port-Hamiltonian) models from recordings, for python-control.",
+    )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    parser.add_argument("--traceback", action="store_true", help="show where in the program an error arose")
+    group = parser.add_argument_group("commands")
+    listed = "\n".join(f"{name:9} {text}" for name, text in COMMANDS.items())
+    group.description = listed
+    group.add_argument("command", choices=tuple(COMMANDS), metavar="COMMAND", help="one of these")
+    return parser
+
+
+def _version() -> str:
+    try:
+        return version("ph_control")
+    except PackageNotFoundError:
+        return "(not installed)"

@@ -1,0 +1,94 @@
+"""Answers for machines: strict JSON with numbers in full."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from .outcome import emit
+
+
+def strict(value: Any) -> Any:
+    """What JSON has, of arrays, tuples and complex numbers (`[re, im]`); null where a number is not finite."""
+    if isinstance(value, dict):
+        return {str(key): strict(item) for key, item in value.items()}
+    # arrays and their numbers, without asking for the library that makes them
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [strict(item) for item in value]
+    if isinstance(value, complex):
+        return [strict(value.real), strict(value.imag)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def emit_json(answer: dict[str, Any]) -> None:
+    """Print an answer."""
+    emit(json.dumps(strict(answer), indent=2, allow_nan=False) + "\n")
+
+
+def modes_of(form: Any) -> dict[str, Any]:
+    """Fields of a modal form."""
+    return {
+        "d": form.d,
+        "frequency": form.d / (2 * math.pi),
+        "r": form.r,
+        "kappa": form.kappa,
+        "kappa_0": form.kappa_0 if len(form.rigid) else 0.0,
+    }
+
+
+def fit_of(result: Any) -> dict[str, Any]:
+    """Fields of the result of a fit."""
+    return {
+        "verdict": result.verdict,
+        "described": is_described(result),
+        "message": result.message,
+        "order": result.order,
+        "fit_percent": result.fit_percent,
+        **modes_of(result.modes),
+        "stderr": dict(result.stderr),
+        "noise_std": math.sqrt(result.noise_variance),
+        "loss": result.loss,
+        "loglik": result.loglik,
+        "aic": result.aic,
+        "bic": result.bic,
+        "whiteness": result.whiteness,
+        "active": result.active,
+        "unseen": result.unseen,
+        "rank_deficiency": result.rank_deficiency,
+        "success": result.success,
+        "iterations": result.n_iterations,
+        "method": result.method,
+        "intersample": result.intersample,
+        "quantity": result.quantity,
+        "representation": result.representation,
+        "experiments": [_experiment_of(one) for one in result.experiments],
+        "order_table": [
+            {"order": row.order, "loss": row.loss, "aic": row.aic, "bic": row.bic, "d": row.d}
+            for row in result.order_table
+        ],
+    }
+
+
+def _experiment_of(one: Any) -> dict[str, Any]:
+    record = one.record
+    return {
+        "title": record.title,
+        "input": record.input_label,
+        "output": record.output_label,
+        "samples": record.samples,
+        "missing": int((~record.observed).sum()),
+        "step": getattr(record, "dt", None),
+        "fit_percent": one.fit_percent,
+        "initial_state": one.initial_state,
+        "offset": one.offset,
+    }
+
+
+def is_described(result: Any) -> bool:
+    """Whether the verdict leaves a model standing."""
+    return bool(result.order) and not result.verdict.startswith("NOT")

@@ -1,0 +1,171 @@
+"""How a run ends: exit status, one line for every error, and never a traceback."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError
+
+DONE, NO, BAD, BROKEN, INTERRUPTED, UNREAD = 0, 1, 2, 3, 130, 141
+
+EXIT_CODES = (
+    "Exit status: 0 done, 1 the answer is no (not lossless, not described), 2 wrong usage or bad input, 3 an error of "
+    "the program, 130 interrupted."
+)
+
+# what messages of the library say in Python, as options
+_SPOKEN = (
+    (r"\(None, y\)", "--no-input"),
+    (r"\b(input|time|header)=False", r"--no-\1"),
+    (r"\b(header|offset|overwrite)=True", r"--\1"),
+    (r"\buse Hz=False", "leave --hz out"),
+)
+_KEYWORDS = (
+    "input", "output", "time", "dt", "delimiter", "decimal", "order", "max_order", "method", "intersample",
+    "initial_state", "offset", "quantity", "representation", "criterion", "frequency", "magnitude", "phase", "real",
+    "imag", "frequency_unit", "magnitude_unit", "phase_unit", "weights", "header", "overwrite",
+)  # fmt: skip
+_KEYWORD = re.compile(rf"\b({'|'.join(_KEYWORDS)})=(?:'([^']*)'|([\w.+-]*\w)?)")
+
+
+class NoError(PHControlError):
+    """The answer is no: a model is not lossless, for the reasons given."""
+
+    def __init__(self, source: str, violations: Sequence[str]) -> None:
+        self.violations = tuple(violations)
+        more = len(violations) - 1
+        rest = f" (and {more} more; ph-control info lists them)" if more else ""
+        super().__init__(f"{source} is not lossless, so it has no port-Hamiltonian form: {violations[0]}{rest}")
+
+
+def in_shell_terms(text: str) -> str:
+    """Text in which keywords of Python functions, as in `order='auto'`, are the options they are here."""
+    for pattern, option in _SPOKEN:
+        text = re.sub(pattern, option, text)
+    return _KEYWORD.sub(lambda m: f"--{m[1].replace('_', '-')} {m[2] or m[3] or ''}".rstrip(), text)
+
+
+def complain(message: str) -> None:
+    """One line on standard error; where that is closed, nothing."""
+    if sys.stderr is not None:
+        with suppress(OSError, ValueError):
+            print("ph-control: " + " ".join(message.split()), file=sys.stderr, flush=True)
+
+
+def emit(text: str) -> None:
+    """Write to standard output at once, so that an error of it is met here and not at the end of the process."""
+    if sys.stdout is None:
+        return
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except OSError as error:
+        _silence_output()
+        raise _of_output(error) from None
+
+
+def emit_bytes(content: bytes) -> None:
+    """The same for what is no text."""
+    if sys.stdout is None:
+        return
+    if sys.stdout.isatty():
+        raise PHControlError("standard output is a terminal, and this is no text: send it to a file, or name one")
+    try:
+        sys.stdout.flush()
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+    except OSError as error:
+        _silence_output()
+        raise _of_output(error) from None
+
+
+def _of_output(error: OSError) -> Exception:
+    if isinstance(error, BrokenPipeError):
+        return error
+    return PHControlError(f"standard output cannot be written: {error.strerror or error}; send it elsewhere")
+
+
+def _silence_output() -> None:
+    """Let the interpreter flush what is left into nothing, as it does at its end."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _encodable_output() -> Iterator[None]:
+    """Let labels that the encoding of the terminal does not have be shown by their numbers."""
+    streams = [stream for stream in (sys.stdout, sys.stderr) if hasattr(stream, "reconfigure")]
+    before = [stream.errors for stream in streams]
+    for stream in streams:
+        stream.reconfigure(errors="backslashreplace")
+    try:
+        yield
+    finally:
+        for stream, errors in zip(streams, before, strict=True):
+            with suppress(OSError, ValueError):
+                stream.reconfigure(errors=errors)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    # what the data do not show stands in the summary of the fit
+    if issubclass(category, UserWarning) and not issubclass(category, IdentifiabilityWarning):
+        complain(f"warning: {in_shell_terms(str(message))}")
+
+
+def guarded(run: Callable[[], int], *, traceback: bool = False) -> int:
+    """Exit status of a run, whatever happens in it."""
+    with _encodable_output(), warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = _show_warning
+        try:
+            code = _code_of(run)
+            # what the parser has printed is still on its way
+            emit("")
+            return code
+        except BrokenPipeError:
+            _silence_output()
+            return UNREAD
+        except KeyboardInterrupt:
+            complain("interrupted; nothing was written")
+            return INTERRUPTED
+        except Exception as error:
+            if traceback:
+                raise
+            code, message = _told(error)
+            complain(message)
+            return code
+
+
+def _code_of(run: Callable[[], int]) -> int:
+    """Exit status of a run; the parser ends it after help and after wrong usage."""
+    try:
+        return run()
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else DONE
+
+
+def _told(error: Exception) -> tuple[int, str]:
+    """Exit status and message of an error."""
+    if isinstance(error, NotLosslessError):
+        error = NoError("the system", error.violations)
+    if isinstance(error, NoError):
+        return NO, str(error)
+    if isinstance(error, PHControlError):
+        return BAD, in_shell_terms(str(error))
+    if isinstance(error, OSError):
+        reason = (error.strerror or str(error)).lower()
+        return BAD, f"{error.filename}: {reason}; check the name, the permissions and the space left" * bool(
+            error.filename
+        ) or f"{reason}; check the files and the space left"
+    if isinstance(error, MemoryError):
+        return BAD, "not enough memory for this; use less data, or a lower order"
+    return BROKEN, (
+        f"error of the program: {type(error).__name__}: {error}; this should not happen: please report it with the "
+        "command, and the output of ph-control --traceback COMMAND ..."
+    )
