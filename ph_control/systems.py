@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, lossless, reachability
 from ._display import latex_matrix
+from ._forms import HasForms
 from .casimirs import normal_form
 from .conditioning import Separation, separate
 from .exceptions import StructureError
@@ -26,7 +27,7 @@ _OF_Q = ("_proven", "_energy", "S")  # views that follow from Q alone
 _WEIGHTS = "the modal weights of this Q and B"
 
 
-class PortHamiltonian(LosslessSystem):
+class PortHamiltonian(HasForms, LosslessSystem):
     """Linear port-Hamiltonian system `z' = J Q z + B u`, `y = B^T Q z`.
 
     A `control.StateSpace`: every function of python-control takes it.  Use `ph` to make one from matrices, from

@@ -389,3 +389,20 @@ def test_where_the_residues_of_two_ports_cancel_the_coefficients_are_zero():
     G = phc.tf(phc.spring_chain([1.0, 2.0, 1.0], 10.0, ground=1.0, port=[0, 2]))
     numerator = G.num_list[0][1]
     assert len(numerator) == 2 and abs(numerator[0] / 50 - 1) < 1e-13 and numerator[1] == 0
+
+
+# --- as methods ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method, make", [("controllable_form", phc.ch), ("observable_form", phc.oh)])
+@pytest.mark.parametrize("canonical", [True, False])
+def test_a_form_is_a_method_of_a_system(method, make, canonical):
+    sys = phc.ph(np.diag([3.0, 1.0, 3.0, 1.0]), [0.5, 0.2 * canonical, 1.0, 0.0], inputs="F", outputs="v")
+    form, made = getattr(sys, method)(name="form"), make(sys)
+    assert type(form) is type(made) and form.n == sys.n and sys.is_canonical is canonical
+    assert np.array_equal(form.d, made.d) and np.array_equal(form.v, made.v)
+    assert (form.name, form.input_labels, form.output_labels) == ("form", ["F"], ["v"])
+    assert abs(form(0.3 + 0.7j) - sys(0.3 + 0.7j)) < 1e-13
+    two_ports = phc.ph(np.eye(4), np.eye(4)[:, 2:])
+    with pytest.raises(phc.StructureError, match="ports"):
+        getattr(two_ports, method)()

@@ -100,6 +100,8 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "oh": [lambda **k: phc.oh([1.0], [1.0, 0.0], **k), lambda **k: phc.oh(plant(), **k)],
     "sample": [lambda **k: phc.sample(plant(), 0.1, **k)],
     "tf": [lambda **k: phc.tf(plant(), **k), lambda **k: phc.tf(phc.ph(np.eye(2), np.eye(2)), **k)],
+    "PortHamiltonian.controllable_form": [lambda **k: plant().controllable_form(**k)],
+    "PortHamiltonian.observable_form": [lambda **k: plant().observable_form(**k)],
     "PortHamiltonian": [lambda **k: phc.PortHamiltonian(np.eye(2), [0, 1], **k)],
     "forced_response": [lambda **k: phc.forced_response(plant(), T, 1.0, **k)],
     "frenkel_kontorova": [lambda **k: phc.frenkel_kontorova(2, **k)],

@@ -15,7 +15,8 @@ ORDER = (
     "exceptions", "_checks", "_display", "_twofloat", "_lapack", "_graphs", "_instants", "coefficients", "reduction",
     "symplectic", "semidefinite", "casimirs", "zeros", "reactance", "modal", "conditioning", "reachability",
     "propagation",
-    "partial_fractions", "discrete", "lossless", "lossless_system", "systems", "canonical_forms", "affine_system",
+    "partial_fractions", "discrete", "lossless", "lossless_system", "_forms", "systems", "canonical_forms",
+    "affine_system",
     "realization", "lifting", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
     "energy", "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
@@ -88,6 +89,12 @@ def violations(imports: dict[str, set[str]], order: tuple[str, ...]) -> list[str
 
 def test_every_module_imports_only_lower_ones():
     assert violations(imported_modules(PACKAGE), ORDER) == []
+
+
+def test_modules_are_imported_by_name_in_three_places_only():
+    """The public names, the codecs of files, and the canonical forms as methods: all when they are asked for."""
+    found = {file.stem for file in PACKAGE.rglob("*.py") if "import_module" in file.read_text(encoding="utf-8")}
+    assert found == {"__init__", "files", "_forms"}
 
 
 def test_the_known_imports_of_the_package_are_seen():
