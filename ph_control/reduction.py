@@ -25,6 +25,7 @@ Slices = int  # how many slices of the factors a product is made of, see `produc
 _AMPLIFIED = 2.0**20  # by how much rounding may be amplified for two slices to leave no more than a double's
 _HARMLESS = 16.0  # by how much more than a double's the rounding of a product may be before it has twice the digits
 _STEPS = 5
+_TURN = 2.0**-30  # largest turn, in radians, whose square is no more than rounding
 _BLOCKED = 64  # columns of workspace with which LAPACK applies reflections in blocks
 
 
@@ -54,7 +55,7 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     factors = _in_units(factors, unit)
     # rounding that is amplified too much for two slices is not for three
     d, S = reduce(2, *factors) or reduce(3, *factors)  # type: ignore[misc]
-    return d, (S[0] / unit, S[1] / unit), (none, none)
+    return d, S if (unit == 1.0).all() else (S[0] / unit, S[1] / unit), (none, none)
 
 
 def block_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
@@ -117,14 +118,18 @@ def factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
 
 def _common_units(Q: Array) -> Array:
     """Powers of two by which positions and momenta come to have entries of one size."""
-    q, p = np.split(np.log2(np.diag(Q)), 2)
-    stretch = np.exp2(np.round(0.25 * (p - q)))
+    size, n = np.log2(np.diag(Q)), len(Q) // 2
+    stretch = np.exp2(np.round(0.25 * (size[n:] - size[:n])))
     return np.concatenate([stretch, 1 / stretch])
 
 
 def _in_units(factors: list[Array], unit: Array) -> list[Array]:
-    parts = np.split(unit, len(factors))
-    return [part[:, None] * factor for part, factor in zip(parts, factors, strict=True)]
+    if (unit == 1.0).all():
+        return factors
+    if len(factors) == 1:
+        return [unit[:, None] * factors[0]]
+    n = len(unit) // 2
+    return [unit[:n, None] * factors[0], unit[n:, None] * factors[1]]
 
 
 def _transposed_times(lower: Array, right: Array) -> Array:
@@ -154,8 +159,9 @@ def _coupled_rows(slices: Slices, F: Array) -> tuple[Array, Pair] | None:
     found = _rows(slices, sigma, (F, planes))
     if found is None:
         return None
-    S, excess = back_to_symplectic(np.concatenate([sigma, sigma]), found[0], slices)
-    return sigma + sigma * excess, S
+    (rows,), length = found
+    S, excess = back_to_symplectic(np.concatenate([sigma, sigma]), rows, slices)
+    return sigma + sigma * _quotient(excess, length), S
 
 
 def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Pair] | None:
@@ -167,47 +173,62 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Pair] |
     found = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
     if found is None:
         return None
-    X, Y, excess = _back_to_inverses(sigma, found[0], found[1], slices)
+    rows, length = found
+    X, Y, excess = _back_to_inverses(sigma, rows[0], rows[1], slices)
     S = np.zeros((2, 2 * n, 2 * n))
     S[:, :n, :n], S[:, n:, n:] = X, Y
-    return sigma + sigma * excess, (S[0], S[1])
+    return sigma + sigma * _quotient(excess, length), (S[0], S[1])
 
 
-def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> list[Pair] | None:
+def _quotient(excess: Array, length: Array) -> Array:
+    """By how much `(1 + excess) / length`, Rayleigh's quotient, is more than 1."""
+    return (excess - (length - 1.0)) / length
+
+
+def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[list[Pair], Array] | None:
     """Products `vectors^T F^T / sqrt(sigma)`, in doubles where their rounding harms nothing; None needs more slices.
 
     With `a` the sizes that terms of a row of `S` have before they cancel, rounding makes a defect of `eps a_j a_l`.
-    The row with less energy takes it away, at a cost of energy of `eps d_l a_l^2 a_j^2`, `d_l <= d_j`.
+    The row with less energy takes it away, at a cost of energy of `eps d_l a_l^2 a_j^2`, `d_l <= d_j`.  Also returns
+    the product of the lengths of the two vectors of each plane, 1 but for rounding.
     """
-    if not sigma.min(initial=1.0) > 0:
+    if not sigma.min() > 0:
         return None
-    scaled, size = [], np.zeros(len(sigma))
+    root, scaled, size, squares = np.sqrt(sigma), [], np.zeros((0, len(sigma))), np.zeros((0, len(sigma)))
     for F, vectors in factors:
-        # powers of two after which the sizes within a row or a column say what rounding does
-        unit = np.exp2(np.round(np.log2(np.linalg.norm(F, axis=0))))
-        root = np.sqrt(np.tile(sigma, vectors.shape[1] // len(sigma)))
-        right = np.asfortranarray(unit[:, None] * vectors / root)
-        scaled.append((F / unit, right))
-        size = np.maximum(size, np.einsum("ij,ij->j", right, right).reshape(-1, len(sigma)).max(axis=0))
-    if slices == 2 and size.max() > _AMPLIFIED:
+        right = np.divide(vectors, np.concatenate([root] * (vectors.shape[1] // len(sigma))), order="F")
+        column, entries = np.einsum("ij,ij->j", F, F), right * right
+        scaled.append((F, np.sqrt(column), right))
+        size = np.concatenate([size, (column @ entries).reshape(-1, len(sigma))])
+        squares = np.concatenate([squares, entries.sum(axis=0).reshape(-1, len(sigma))])
+    amplified = size.max(axis=0)
+    energy = np.maximum.accumulate(sigma * amplified)
+    harmless = np.max(amplified * energy) <= _HARMLESS * energy[-1]
+    needed = 1 if harmless else 2 if amplified.max() <= _AMPLIFIED else 3
+    if needed > slices:
         return None
-    energy = np.maximum.accumulate(sigma * size)
-    if np.max(size * energy) <= _HARMLESS * energy[-1]:
-        slices = 1
-    pairs = [product(exactly(F), exactly(right), slices, _lower_times) for F, right in scaled]
-    return [(high.T, low.T) for high, low in pairs]
+    rows = []
+    for F, column, right in scaled:
+        if needed > 1:
+            # powers of two after which the sizes within a row or a column say what rounding does
+            unit = np.exp2(np.round(np.log2(column)))
+            F, right = F / unit, unit[:, None] * right
+        high, low = product(exactly(F), exactly(right), needed, _lower_times)
+        rows.append((high.T, low.T))
+    return rows, sigma * np.sqrt(squares.prod(axis=0))
 
 
 def _lower_times(lower: Array, right: Array) -> Array:
     return np.asarray(dtrmm(1.0, lower, right, lower=1))
 
 
-def back_to_symplectic(weight: Array, S: Pair, slices: Slices = 3) -> tuple[Pair, Array]:
+def back_to_symplectic(weight: Array, S: Pair, slices: Slices = 3, *, modal: bool = True) -> tuple[Pair, Array]:
     """Newton steps on `S J S^T = J`; also by how much `q_l J p_l^T` was more than 1 before them.
 
     Rounding leaves a skew defect of about `eps d_max / sqrt(d_j d_l)`.  Of two rows the one with the smaller
-    weight takes most of their correction, so that the energy `S^T diag(weight) S` stays as it is.  In pairs of
-    doubles: a correction of what rounding to doubles does to S would be amplified by ||S||^2.
+    weight takes most of their correction, so that the energy `S^T diag(weight) S` stays nearly as it is.  Where `S` is
+    `modal`, turns of planes leave it exactly so.  In pairs of doubles: a correction of what rounding to doubles does to
+    S would be amplified by ||S||^2.
     """
     n = len(weight) // 2
     share = _shares(weight)
@@ -216,7 +237,15 @@ def back_to_symplectic(weight: Array, S: Pair, slices: Slices = 3) -> tuple[Pair
         defect = poisson(S, slices, less=1.0)
         step = _bounded(np.diag(defect, n))
         excess = excess + step + excess * step
-        S = two_sum(S[0], S[1] + (share * defect) @ apply_form(S[0]))
+        move = share * defect
+        if modal:
+            even, odd = 0.5 * (defect[:n, :n] + defect[n:, n:]), 0.5 * (defect[:n, n:] - defect[n:, :n])
+            even, odd = _turns(weight[:n], even, odd)
+            move[:n, :n] += even
+            move[n:, n:] += even
+            move[:n, n:] += odd
+            move[n:, :n] -= odd
+        S = two_sum(S[0], S[1] + move @ apply_form(S[0]))
         if _quadratic(defect):
             break
     return S, excess
@@ -232,11 +261,26 @@ def _back_to_inverses(d: Array, X: Pair, Y: Pair, slices: Slices) -> tuple[Pair,
         defect = sum(rest, defect)
         step = _bounded(np.diag(defect))
         excess = excess + step + excess * step
-        moves = (share * defect) @ X[0], (share * defect.T) @ Y[0]
+        (turn,) = _turns(d, 0.5 * (defect + defect.T))
+        moves = (share * defect + turn) @ X[0], (share * defect.T + turn) @ Y[0]
         X, Y = two_sum(X[0], X[1] - moves[0]), two_sum(Y[0], Y[1] - moves[1])
         if _quadratic(defect):
             break
     return X, Y, excess
+
+
+def _turns(d: Array, *parts: Array) -> list[Array]:
+    """Turns of modes into each other, beside their shares, that undo a defect as it is between harmonic modes.
+
+    Zero where frequencies are too near for a small turn.
+    """
+    gap = d - d[:, None]
+    near = gap == 0
+    rate = 2.0 * d[:, None] * d / ((d[:, None] + d) * np.where(near, 1.0, gap))
+    turns = [rate * part for part in parts]
+    for turn in turns:
+        near |= np.abs(turn) > _TURN
+    return [np.where(near, 0.0, turn) for turn in turns]
 
 
 def _shares(weight: Array) -> Array:

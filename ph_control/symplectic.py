@@ -331,7 +331,8 @@ def _complete(d: Array, S: Pair, still: Pair) -> Array:
         np.concatenate([x[0][:half], positions, q, x[0][half:], momenta[0], p]),
         np.concatenate([x[1][:half], 0 * positions, 0 * q, x[1][half:], momenta[1], 0 * p]),
     )
-    (full, _), _ = back_to_symplectic(np.concatenate([d, 0 * size, cyclic, d, size**2, cyclic]), rows)
+    weight = np.concatenate([d, 0 * size, cyclic, d, size**2, cyclic])
+    (full, _), _ = back_to_symplectic(weight, rows, modal=False)
     one = np.ones_like(d)
     return full * np.concatenate([one, 1 / size, 1 + cyclic, one, size, 1 + cyclic])[:, None] / unit
 
