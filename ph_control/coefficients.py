@@ -7,6 +7,8 @@ residues there are computed with twice the digits: what remains is the rounding 
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +25,8 @@ Exponents = NDArray[np.int64]
 COEFFICIENT_LIMIT = 1e-4  # relative error of a frequency beyond which coefficients no longer tell it
 _LOWEST = -(2**60)  # stands for the exponent of 0
 _FAR = 1100  # binary places: a term that much smaller than another leaves no trace in their sum
+_PLAIN = 1000  # binary exponents that doubles surely hold
+_SMALLEST = -1074  # binary exponent of the smallest double
 _ROOM = np.finfo(np.longdouble).maxexp - 24  # binary exponents up to which plain numbers are used
 
 
@@ -110,6 +114,38 @@ def transfer_coefficients(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledC
     mantissa, exponent = np.zeros(2 * len(x)), np.zeros(2 * len(x), np.int64)
     mantissa[0::2], exponent[0::2] = P.mantissa[:-1], P.exponent[:-1]
     return ScaledCoefficients(mantissa, exponent), ScaledCoefficients(N.mantissa[::-1].copy(), N.exponent[::-1].copy())
+
+
+def plain_coefficients(d: Array, r: Array) -> tuple[Array, Array] | None:
+    """As `transfer_coefficients`, in doubles, of modes `d` ascending; None where a number on the way may be too large.
+
+    With `e` so small that its square is nothing, `P + i e N = prod (s^2 + x_l + i e kappa_l)`: a product of complex
+    numbers, in whose real and imaginary parts all terms are positive still.
+    """
+    n = len(d)
+    if n == 0:
+        return None
+    # bounds of binary logarithms: of the frequencies, of the largest weight, of all coefficients
+    reach = max(abs(math.log2(d[0])), abs(math.log2(d[-1])))
+    weight = math.log2(max(r.tolist()) or 1.0)
+    largest = n * (2 * reach + 1)
+    if largest > _PLAIN / 2:
+        x = 2 * np.log2(d)
+        largest = float(max(np.logaddexp2(0, x).sum(), -np.minimum(0, x).sum()))
+    small = int(3 * reach + weight) + 40 + n.bit_length()
+    # on the way, the smallest weight may be the smallest double beside the largest
+    if largest + reach + abs(weight) + n.bit_length() + small > min(_PLAIN, _ROOM + _SMALLEST):
+        return None
+    wide, epsilon = d.astype(np.longdouble), 0.5**small
+    factors = np.zeros(n + n % 2, np.clongdouble)
+    factors.real[:n], factors.imag[:n] = wide * wide, wide * (r * epsilon)
+    first, second = factors[0::2], factors[1::2]
+    pairs = np.empty((len(first), 3), np.clongdouble)
+    pairs[:, 0], pairs[:, 1], pairs[:, 2] = first * second, first + second, 1.0
+    whole = functools.reduce(np.convolve, pairs)[n % 2 :]
+    a = np.zeros(2 * n)
+    a[0::2] = whole.real[:n]
+    return a, whole.imag[n - 1 :: -1].astype(float) / epsilon
 
 
 def sum_of_fractions(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:

@@ -15,7 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
 from ._display import ShownModes
-from .coefficients import COEFFICIENT_LIMIT, ScaledCoefficients, modes_from_coefficients, transfer_coefficients
+from .coefficients import (
+    COEFFICIENT_LIMIT,
+    ScaledCoefficients,
+    modes_from_coefficients,
+    plain_coefficients,
+    transfer_coefficients,
+)
 from .exceptions import NotLosslessError, StructureError
 from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
@@ -251,7 +257,7 @@ class ModalForm(ShownModes):
 
         Notes
         -----
-        Binary product tree of `(x + d_l^2, kappa_l)`: every term is positive, so nothing cancels.  O(n^2).  The
+        Products of `x + d_l^2` and `kappa_l`: every term is positive, so nothing cancels.  O(n^2).  The
         coefficients are right to the last places; how much the modes can be told from them is another question, see
         `from_coefficients`.
 
@@ -262,6 +268,9 @@ class ModalForm(ShownModes):
         >>> a, c
         (array([4., 0., 5., 0.]), array([3., 6.]))
         """
+        plain = plain_coefficients(self.d, self.r) if self.r.ndim == 1 and not len(self.rigid) else None
+        if plain is not None:
+            return plain
         a, c = self.scaled_coefficients()
         if not (a.fit_doubles and c.fit_doubles):
             raise StructureError(

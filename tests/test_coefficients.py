@@ -119,6 +119,29 @@ def test_a_product_that_leaves_the_range_only_on_the_way_is_right():
     assert max(abs(float(Fraction(x) / t - 1)) for x, t in zip(c[::-1].tolist(), odd, strict=True)) < 8 * EPS
 
 
+@relaxed
+@given(
+    st.integers(1, 12), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 3.0, 6.0]), st.sampled_from([-90, -9, 0, 90])
+)
+def test_plain_doubles_are_right_to_the_last_place(n, seed, decades, gain):
+    rng = np.random.default_rng(seed)
+    d = np.sort(10.0 ** rng.uniform(-decades / 2, decades / 2, n))
+    r = 10.0 ** (rng.uniform(-12, 0, n) + gain) * (rng.random(n) < 0.8)
+    found = engine.plain_coefficients(d, r)
+    assert found is not None
+    for values, truths in zip((found[0][0::2], found[1][::-1]), coefficients(d, r), strict=True):
+        assert all(abs(Fraction(x) - t) <= Fraction(EPS) * t for x, t in zip(values.tolist(), truths, strict=True))
+
+
+@pytest.mark.parametrize("name", ["slow", "fast", "spread", "two groups", "squares of 1 to 500"])
+def test_plain_doubles_are_left_alone_where_they_could_overflow(name):
+    assert engine.plain_coefficients(LARGE[name], weights(len(LARGE[name]))) is None
+
+
+def test_without_modes_there_is_nothing_to_multiply():
+    assert engine.plain_coefficients(np.zeros(0), np.zeros(0)) is None
+
+
 def test_coefficients_of_a_system_that_no_port_reaches_are_those_of_zero_over_its_poles():
     a, c = phc.modes([1.0, 2.0], [0.0, 0.0]).coefficients()
     assert np.array_equal(a, [4, 0, 5, 0])
