@@ -78,6 +78,20 @@ def test_slopes_of_the_columns_are_their_derivatives_on_bins_and_between(hold, q
         assert (np.abs(slope).max(axis=1) > 100 * allowed).all()
 
 
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize("driven", [True, False])
+def test_the_transform_of_a_model_is_that_of_its_columns(hold, quantity, driven):
+    """Of modes on a bin, next to one, two at the same bin, and between."""
+    spectrum = Spectrum.of(experiment_of(hold=hold, quantity=quantity, driven=driven)[0])
+    d = spectrum.frequency(np.array([4.0, 9.0 + 1e-6, 17.0 - 3e-4, 17.2, 25.5]))
+    at = SmoothColumns(spectrum, d, np.arange(0, 60))
+    rng = np.random.default_rng(4)
+    kappa, motion = rng.random(5), rng.standard_normal(5) + 1j * rng.standard_normal(5)
+    parts = [kappa[:, None] * at.forced, motion[:, None] * at.plus, motion.conj()[:, None] * at.minus]
+    assert np.abs(at.output(kappa, motion) - sum(parts).sum(axis=0)).max() <= 100 * EPS * np.abs(parts).max()
+
+
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("place", [12.0, 12.0 + 1e-12, 12.0 - 1e-7, 12.0 + 1e-4, 12.002, 12.4])
 def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(hold, place):

@@ -113,12 +113,7 @@ class SmoothColumns:
     """Columns of modes (n,) at bins (K,), of the same span, that pass smoothly through the bins; and their derivatives.
 
     The ends are told by a motion `x`: `tau = (1 - lambda^T) x - sigma kappa`.  The first factor has its zero, and
-    `sigma` takes from the column of `kappa` its pole, at the bin nearest to the mode.
-
-    Attributes
-    ----------
-    forced, plus, minus : ndarray, shape (n, K)
-        What belongs to `kappa`, to the motion and to its conjugate.
+    `sigma` takes from the column of `kappa` its pole, at the bin nearest to the mode.  Columns are of shape (n, K).
     """
 
     def __init__(self, spectrum: Spectrum, d: Array, bins: Bins) -> None:
@@ -136,9 +131,16 @@ class SmoothColumns:
         apart = self._step.growth + 2j * np.pi / T * (place - centre)
         self._length, self._back = T, np.exp(T * apart).conj()[:, None]
         self._total, self._total_slope = (0.5 * part[:, None] for part in _geometric(apart, T))
-        self.plus = (1 - self._back) * self._z * self._right
-        self.minus = np.where(self._at_centre, self._total, (1 - self._back).conj() * self._z * self._left)
-        self.forced = self._forced()
+
+    @cached_property
+    def plus(self) -> ComplexArray:
+        """What belongs to the motion."""
+        return np.asarray((1 - self._back) * self._z * self._right)
+
+    @cached_property
+    def minus(self) -> ComplexArray:
+        """What belongs to its conjugate."""
+        return np.where(self._at_centre, self._total, (1 - self._back).conj() * self._z * self._left)
 
     @cached_property
     def _weights(self) -> tuple[tuple[Array | ComplexArray, ...], tuple[ComplexArray, ...]]:
@@ -156,16 +158,22 @@ class SmoothColumns:
         (weight, b0, b1), (weight_slope, db0, db1) = self._weights
         return np.asarray(weight_slope * (b0 + b1 * z) + weight * (db0 + db1 * z))
 
+    def _pole(self, gain: Callable[[ComplexArray], ComplexArray]) -> ComplexArray:
+        """`sigma` of each mode, shape (n, 1)."""
+        return gain(self._z_0.conj()).conj() * self._U_0 / self._z_0
+
     def _numerators(self, gain: Callable[[ComplexArray], ComplexArray]) -> Pair:
         """What stands over the pole and its mirror, 0 over the latter at the centre."""
-        sigma = gain(self._z_0.conj()).conj() * self._U_0 / self._z_0
+        sigma = self._pole(gain)
         return self._U * gain(self._z) - sigma.conj() * self._z, self._U * gain(self._z.conj()).conj() - sigma * self._z
 
     @cached_property
     def _over_poles(self) -> Pair:
         return self._numerators(self._gain)
 
-    def _forced(self) -> ComplexArray:
+    @cached_property
+    def forced(self) -> ComplexArray:
+        """What belongs to `kappa`."""
         if not self._one.driven:
             return np.zeros(self.plus.shape, complex)
         ahead, behind = self._over_poles
@@ -189,8 +197,23 @@ class SmoothColumns:
         return forced, plus, minus
 
     def output(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
-        """Transform of a model."""
-        return np.asarray(kappa @ self.forced + motion @ self.plus + motion.conj() @ self.minus)
+        """Transform of a model, `kappa @ forced + motion @ plus + conj(motion) @ minus`, without these columns.
+
+        What stands over the poles is a polynomial in `z` and the input, whose coefficients meet the poles in products.
+        """
+        driven, acceleration = self._one.driven, self._one.quantity == "acceleration"
+        weight, b0, b1 = (np.ravel(part) for part in self._weights[0])
+        turned = motion * (1 - self._back[:, 0])
+        if driven:
+            turned = turned - kappa * self._pole(self._gain)[:, 0].conj()
+        over = np.stack([kappa * weight * b0, kappa * weight * b1, turned])
+        still, moving, free = over @ self._right + over.conj() @ self._left
+        found = self._z * free
+        if driven:
+            found += self._U * (still + self._z * moving + (kappa.sum() if acceleration else 0.0))
+        mode, place = np.nonzero(self._at_centre)
+        np.add.at(found, place, motion[mode].conj() * self._total[mode, 0])
+        return np.asarray(found)
 
     def sensitivity(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
         """Its derivative by each frequency."""
