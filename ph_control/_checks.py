@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 _BLOCK = 1 << 14  # samples looked at together
+_CACHED = 1 << 13  # entries of a matrix looked at together
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
@@ -90,7 +91,7 @@ def finite(name: str, array: NDArray[Any]) -> None:
 
 def in_range(name: str, array: Array, smallest: float = SMALLEST) -> None:
     """Refuse an array, other than zero, of a size whose square or reciprocal leaves the range of doubles."""
-    size = float(np.max(np.abs(array), initial=0.0))
+    size = _largest(array)
     if size > LARGEST or 0 < size < smallest:
         raise StructureError(
             f"{name} is out of range: its largest entry is {size:.3g}, allowed {smallest:.0e} to {LARGEST:.0e}; "
@@ -149,8 +150,7 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
             f"{name} has odd size {rows}; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)"
         )
     in_range(name, array)
-    size = float(np.max(np.abs(array), initial=0.0))
-    asymmetry = float(np.max(np.abs(array - array.T), initial=0.0))
+    size, asymmetry = _largest(array), _asymmetry(array)
     allowed = 1000 * rows * EPS if rtol is None else relative_tolerance(rtol)
     if asymmetry > allowed * size:
         raise StructureError(
@@ -158,6 +158,23 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
             f"allowed {allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant"
         )
     return array
+
+
+def _largest(array: Array) -> float:
+    """Largest absolute value, without an array of them: memory that is new costs more than what is done in it."""
+    return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
+
+
+def _bands(rows: int) -> list[slice]:
+    """Rows of a square matrix, as many at a time as stay in a cache."""
+    step = max(1, _CACHED // max(1, rows))
+    return [slice(start, start + step) for start in range(0, rows, step)]
+
+
+def _asymmetry(array: Array) -> float:
+    return max(
+        (_largest(array[band, band.start :] - array[band.start :, band].T) for band in _bands(len(array))), default=0.0
+    )
 
 
 def built_matrix(Q: ArrayLike) -> Array:
@@ -192,7 +209,8 @@ def surely_indefinite(Q: Array) -> bool:
     if diagonal.min(initial=0.0) < 0:
         return True
     root = np.sqrt(diagonal)
-    return bool((np.abs(Q) > (1 + 16 * len(Q) * EPS) * np.outer(root, root)).any())
+    bound = (1 + 16 * len(Q) * EPS) * root
+    return any(bool((np.abs(Q[band]) > bound[band, None] * root).any()) for band in _bands(len(Q)))
 
 
 def unit_diagonal(Q: Array) -> tuple[Array, Array]:
@@ -201,7 +219,10 @@ def unit_diagonal(Q: Array) -> tuple[Array, Array]:
     # a zero diagonal is left unscaled: then any entry in its row shows up as a negative eigenvalue
     size = float(np.max(scale, initial=0.0))
     scale = np.where(scale > 0, scale, size if size > 0 else 1.0)
-    scaled = (0.5 * (Q + Q.T)) / scale[:, None] / scale[None, :]
+    scaled = Q + Q.T
+    scaled *= 0.5
+    scaled /= scale[:, None]
+    scaled /= scale
     return scaled, scale
 
 
@@ -223,15 +244,17 @@ def definite_factor(Q: Array) -> tuple[Array, float] | None:
     scaled, scale = unit_diagonal(Q)
     bound = 16 * len(Q) * EPS
     # of a symmetric matrix the transpose, which is in the order of LAPACK
-    factor, failed = dpotrf(scaled.T, lower=1)
+    factor, failed = dpotrf(scaled.T, lower=1, overwrite_a=1)
     if failed:
         return None
     smallest = _near_smallest_eigenvalue(factor) / _NEAR
     if smallest < bound:
+        scaled, _ = unit_diagonal(Q)
         scaled[np.diag_indices_from(scaled)] -= bound
-        if dpotrf(scaled.T, lower=1)[1]:
+        if dpotrf(scaled.T, lower=1, overwrite_a=1)[1]:
             return None
-    return scale[:, None] * factor, 1.0 / max(smallest, bound)
+    factor *= scale[:, None]
+    return factor, 1.0 / max(smallest, bound)
 
 
 def _near_smallest_eigenvalue(factor: Array) -> float:

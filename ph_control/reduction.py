@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dtrmm
+from scipy.linalg.blas import dger, dtrmm
 from scipy.linalg.lapack import dgehrd, dorghr
 
 from . import _checks
@@ -78,20 +78,35 @@ def _spectrum(Q: Array, b: Array, factors: list[Array]) -> tuple[Array, Array]:
         d, right, left = components(_transposed_times(Fq, Fp), Fp.T @ b[n:], Fq.T @ b[:n])
         return d[::-1].copy(), (left**2 + right**2)[::-1]
     (F,) = factors
-    # reflections of this matrix begin with one that takes `F^T b` to the first axis, and go on in the rest alone
-    bordered = np.zeros((2 * n + 1, 2 * n + 1))
-    bordered[1 : n + 1, 1:] = _transposed_times(F[:n, :n], F[n:])
-    bordered[1:, 1 : n + 1] -= bordered[1 : n + 1, 1:].T
-    b = F.T @ b
-    length = float(np.linalg.norm(b))
-    bordered[1:, 0] = b / (length or 1.0)
-    bordered[0] = -bordered[:, 0]
-    _, superdiagonal = _reflected(bordered)
+    b, half = F.T @ b, _transposed_times(F[:n, :n], F[n:])
+    # in the memory of F, which nobody needs any more: what is new has to be cleared by the system first
+    K = np.ascontiguousarray(F.T)
+    K[:n, :n], K[:n, n:] = half[:, :n] - half[:, :n].T, half[:, n:]
+    K[n:, :n], K[n:, n:] = -half[:, n:].T, 0.0
+    length = _turn_to_first_axis(K, b)
+    _, superdiagonal = _reflected(K, overwrite=True)
     # of a tridiagonal matrix, even places meet odd ones only: a bidiagonal one, whose first column is that of `b`
     along = np.zeros(n)
     along[0] = length
-    d, first, _ = bidiagonal_components(np.abs(superdiagonal[1::2]), np.abs(superdiagonal[2::2]), along)
+    d, first, _ = bidiagonal_components(np.abs(superdiagonal[0::2]), np.abs(superdiagonal[1::2]), along)
     return d[::-1].copy(), first[::-1] ** 2
+
+
+def _turn_to_first_axis(K: Array, b: Array) -> float:
+    """Reflect a skew matrix, in place and in the order of C, as takes `b` to the first axis; return the length of `b`.
+
+    With `K v = w` and the unit vector `v` of the reflection that is `K + 2 (v w^T - w v^T)`.
+    """
+    length = float(np.linalg.norm(b))
+    if length > 0:
+        v = b / length
+        v[0] += np.copysign(1.0, v[0])
+        v /= np.linalg.norm(v)
+        w = K @ v
+        # LAPACK sees the transpose
+        dger(2.0, w, v, a=K.T, overwrite_a=1)
+        dger(-2.0, v, w, a=K.T, overwrite_a=1)
+    return length
 
 
 def triangular_factors(Q: Array) -> list[Array]:
@@ -358,11 +373,11 @@ def _planes(K: Array) -> tuple[Array, Array]:
     return sigma[::-1].copy(), basis
 
 
-def _reflected(K: Array) -> tuple[Callable[[], Array], Array]:
+def _reflected(K: Array, *, overwrite: bool = False) -> tuple[Callable[[], Array], Array]:
     """Superdiagonal of the tridiagonal form of a skew matrix, and a call that gives the orthogonal basis it is in."""
     work = _BLOCKED * max(1, len(K))
     # the transpose, which is in the order of LAPACK, is -K
-    H, scales, _ = dgehrd(K.T, lwork=work)
+    H, scales, _ = dgehrd(K.T, lwork=work, overwrite_a=overwrite)
     return lambda: np.asarray(dorghr(H, scales, lwork=work)[0]), 0.5 * (np.diag(H, -1) - np.diag(H, 1))
 
 
