@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,7 +33,8 @@ def listed_or_literal(vector: NDArray[Any]) -> str:
     """The same for a call that takes lists: shorter where every entry is there."""
     if vector.size > 1000 or not vector.size:
         return literal(vector)
-    return np.array2string(vector, separator=", ", floatmode="unique", threshold=1000)
+    numbers = ", ".join(repr(float(value)) for value in vector)
+    return "[" + textwrap.fill(numbers, 100, subsequent_indent=" ", break_on_hyphens=False) + "]"
 
 
 def escaped(text: Any) -> str:

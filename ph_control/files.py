@@ -160,7 +160,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     ...     path = pathlib.Path(folder, "model.json")
     ...     phc.save(phc.modes([1.0, 3.0], [0.5, 0.25]), path)
     ...     phc.load(path)
-    modes([1., 3.], [0.5 , 0.25])
+    modes([1.0, 3.0], [0.5, 0.25])
     """
     write_atomically(as_path(path), document_of(obj), overwrite=overwrite)
 

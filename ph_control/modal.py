@@ -346,7 +346,7 @@ class ModalForm(ShownModes):
         --------
         >>> import ph_control as phc
         >>> phc.ModalForm.from_coefficients([4.0, 0.0, 5.0, 0.0], [3.0, 6.0])
-        modes([1., 2.], [1., 1.])
+        modes([1.0, 2.0], [1.0, 1.0])
         """
         even, odd = _checks.transfer_coefficients(a, c)
         if len(even) == 0:
@@ -395,7 +395,7 @@ class ModalForm(ShownModes):
         --------
         >>> import ph_control as phc
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
-        modes([1.], [0.75])
+        modes([1.0], [0.75])
         """
         close = 8 * max(1, self.n) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
         weight = np.linalg.norm(np.sqrt(self.d)[:, None] * self.nu, axis=1) ** 2

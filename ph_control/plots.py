@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .bode import BodeData, Curve, bode_data, shown_range
 from .drawing import (
     BAND,
+    DOTS,
     DRAWN,
     MEASURED,
     SAMPLES,
@@ -44,8 +45,7 @@ _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an
 _MANY = 50  # poles and zeros
 _CROWD_BELOW = 2.0  # place among what is drawn, above the grid
 
-_DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
-_PALE_DOTS: dict[str, Any] = {**_DOTS, "markersize": 2.5, "color": "0.78"}
+_PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78"}
 _LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
 _PREDICTED: dict[str, Any] = {"color": "C0", "linewidth": 1.0}
 _RESIDUAL: dict[str, Any] = {"color": "C3", "linewidth": 0.8}
@@ -293,10 +293,10 @@ def _draw_bands(axis: Axes, numbers: BodeData, lines: list[Any], values: list[An
 def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[Any]:
     omega = measured.omega / unit
     if measured.doubtful is None or not measured.doubtful.any():
-        return axis.plot(omega, values, label=plain(measured.label), zorder=2.2, **_DOTS)
+        return axis.plot(omega, values, label=plain(measured.label), zorder=2.2, **DOTS)
     sure = ~measured.doubtful
     return [
-        *axis.plot(omega[sure], values[sure], label=plain(measured.label), zorder=2.2, **_DOTS),
+        *axis.plot(omega[sure], values[sure], label=plain(measured.label), zorder=2.2, **DOTS),
         *axis.plot(omega[~sure], values[~sure], label="coherence below 0.5", zorder=2.1, **_PALE_DOTS),
     ]
 

@@ -493,7 +493,7 @@ def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
     --------
     >>> import ph_control as phc
     >>> phc.modes([3.0, 1.0], [0.5, 2.0])
-    modes([1., 3.], [2. , 0.5])
+    modes([1.0, 3.0], [2.0, 0.5])
     """
     if r is not None:
         return from_frequencies(d, r)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike, NDArray
 
-from .drawing import BAND, DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
+from .drawing import BAND, DOTS, DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
 from .transients import Trace, TransientData, transient_data
 
 if TYPE_CHECKING:
@@ -23,18 +23,11 @@ _ENVELOPE: dict[str, Any] = {"linewidth": 0.6, "zorder": 1.2, "hatch": "////"}
 
 
 def step_plot(
-    sysdata: Any,
-    timepts: ArrayLike | None = None,
-    *,
-    timepts_num: int | None = None,
-    confidence: Any = None,
-    level: float = 0.95,
-    time_unit: str = "s",
-    output_unit: str | None = None,
-    label: str | Sequence[str] | None = None,
-    ax: Any = None,
-    **style: Unpack[LineStyle],
-) -> ct.ControlPlot:
+    sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
+    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str = "s",
+    output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
+    ax: Any = None, **style: Unpack[LineStyle],
+) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit step, in which no motion is lost between samples.
 
     Parameters
@@ -42,9 +35,12 @@ def step_plot(
     sysdata : system, or list of systems
         `PortHamiltonian`, `ModalForm`, any other LTI system of python-control; a `PEMResult` stands for its `system`.
     timepts : array_like, shape (T,), or a number
-        Instants, or the last one.  By default 3 periods of the slowest mode, 20 samples in the shortest.
+        Instants, or the last one.  By default 3 periods of the slowest mode, or as long as was measured, and 20 samples
+        in the shortest period.
     timepts_num : int, optional
         Number of instants.
+    data : control.TimeResponseData, optional
+        Measured response to a unit step, one trace for each input, to draw as dots.
     confidence : PEMResult or ModeSamples, or list of them, optional
         Whose `step_band` to shade around the first system, or around each.  A result of `pem` draws 300 models, always
         the same.
@@ -54,6 +50,8 @@ def step_plot(
         Units, for the labels.
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
+    data_label : str, optional
+        Legend entry of the measurement.
     ax : array of matplotlib.axes.Axes, shape (p, m), optional
         Axes to draw on, outputs below one another, inputs side by side.  By default a new figure.
     **style
@@ -68,8 +66,8 @@ def step_plot(
     Raises
     ------
     StructureError
-        If the systems differ in their ports, the instants are not usable, or `confidence` holds no models, or its
-        band is asked for at instants that do not resolve every mode.
+        If the systems differ in their ports, the instants or the data are not usable, or `confidence` holds no models,
+        or its band is asked for at instants that do not resolve every mode.
 
     Notes
     -----
@@ -90,32 +88,26 @@ def step_plot(
     ('v [m/s]', 'Time [s]', 'Step response of chain')
     >>> plt.close(plot.figure)
     """
-    numbers = transient_data(
-        sysdata, "step", timepts, timepts_num, confidence=confidence, level=level, label=label
-    )  # fmt: skip
     look = Look.of(style)
+    numbers = transient_data(
+        sysdata, "step", timepts, timepts_num,
+        confidence=confidence, level=level, data=data, label=label, data_label=data_label,
+    )  # fmt: skip
     return _draw(numbers, look, time_unit, output_unit, ax)
 
 
 def impulse_plot(
-    sysdata: Any,
-    timepts: ArrayLike | None = None,
-    *,
-    timepts_num: int | None = None,
-    confidence: Any = None,
-    level: float = 0.95,
-    time_unit: str = "s",
-    output_unit: str | None = None,
-    label: str | Sequence[str] | None = None,
-    ax: Any = None,
-    **style: Unpack[LineStyle],
-) -> ct.ControlPlot:
+    sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
+    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str = "s",
+    output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
+    ax: Any = None, **style: Unpack[LineStyle],
+) -> ct.ControlPlot:  # fmt: skip
     """Responses to a unit impulse, in which no motion is lost between samples.
 
     Parameters
     ----------
-    sysdata, timepts, timepts_num, confidence, level, time_unit, output_unit, label, ax, **style
-        As in `step_plot`; the band is the `impulse_band` of the models.
+    sysdata, timepts, timepts_num, data, confidence, level, time_unit, output_unit, label, data_label, ax, **style
+        As in `step_plot`, for a unit impulse; the band is the `impulse_band` of the models.
 
     Returns
     -------
@@ -140,10 +132,11 @@ def impulse_plot(
     4.0
     >>> plt.close(plot.figure)
     """
-    numbers = transient_data(
-        sysdata, "impulse", timepts, timepts_num, confidence=confidence, level=level, label=label
-    )  # fmt: skip
     look = Look.of(style)
+    numbers = transient_data(
+        sysdata, "impulse", timepts, timepts_num,
+        confidence=confidence, level=level, data=data, label=label, data_label=data_label,
+    )  # fmt: skip
     return _draw(numbers, look, time_unit, output_unit, ax)
 
 
@@ -188,6 +181,9 @@ def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Lo
                 both = np.union1d(t, other)
                 low, high, t = np.interp(both, t, low), np.interp(both, other, high), both
             axis.fill_between(t, low, high, label=plain(band.label), color=line.get_color(), **BAND)
+    if numbers.measured is not None:
+        t, y = extremes(numbers.measured.time, numbers.measured.values[i, j], DRAWN)
+        lines += axis.plot(t, y, label=plain(numbers.measured.label), zorder=2.2, **DOTS)
     return lines
 
 

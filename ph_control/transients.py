@@ -35,6 +35,7 @@ _MOST = 200_000
 _TABLE = 5_000_000  # entries of a (mode x instant) table, in all
 _MOST_STEPPED = 50_000  # samples of a system that is stepped from one to the next
 _MOST_IN_BAND = 20_000_000  # entries of a (model x mode x instant) table, in all
+_UNIT_STEP = 0.01  # by which a measured step may miss 1
 _GONE = 5.0  # time constants after which a motion is over
 
 
@@ -76,11 +77,21 @@ class Band:
 
 
 @dataclass(frozen=True)
+class Measured:
+    """Measured response, shape (p, m, T), at `time`; NaN where missing."""
+
+    label: str
+    time: Array
+    values: Array
+
+
+@dataclass(frozen=True)
 class TransientData:
     """All that a picture of step or impulse responses draws."""
 
     traces: list[Trace]
     bands: list[Band | None]
+    measured: Measured | None
     end: float
     input_labels: list[str]
     output_labels: list[str]
@@ -95,13 +106,18 @@ def transient_data(
     *,
     confidence: Any = None,
     level: float = 0.95,
+    data: ct.TimeResponseData | None = None,
     label: str | Sequence[str] | None = None,
+    data_label: str | None = None,
 ) -> TransientData:
     """Compute what `step_plot` and `impulse_plot` draw; the arguments are theirs."""
     systems = as_systems(sysdata)
     labels = labels_of(sysdata, systems, label)
     models = models_around(confidence, systems, "step_band", "impulse_band")
     lossless = [_modes(sys) for sys in systems]
+    measured = None if data is None else _measured(data, systems[0], kind, data_label)
+    if timepts is None and measured is not None:
+        timepts = float(measured.time[-1])
     given = None
     if timepts is not None and np.ndim(timepts) > 0:
         given = _instants(timepts)
@@ -121,7 +137,29 @@ def transient_data(
     common = all(sys.output_labels == first.output_labels for sys in systems)
     outputs = first.output_labels if common else ["Output"] if first.noutputs == 1 else _numbered(first.noutputs)
     title = title_of(f"{kind.capitalize()} response", systems, label is not None)
-    return TransientData(traces, bands, end, first.input_labels, outputs, title)
+    return TransientData(traces, bands, measured, end, first.input_labels, outputs, title)
+
+
+def _measured(data: Any, sys: Any, kind: str, label: str | None) -> Measured:
+    if not isinstance(data, ct.TimeResponseData):
+        raise StructureError(f"data is a {type(data).__name__}; pass the measured response as control.TimeResponseData")
+    # one trace for each input, as control.step_response has it
+    outputs, inputs = (None if x is None or not np.size(x) else np.asarray(x, float) for x in (data.y, data.u))
+    shape = sys.noutputs, sys.ninputs
+    if outputs is None or (len(outputs), outputs.shape[1] if outputs.ndim == 3 else 1) != shape:
+        raise StructureError(
+            f"the data have outputs of shape {np.shape(data.y)}; needed those of {shape[0]} outputs for a {kind} at "
+            f"each of {shape[1]} inputs"
+        )
+    if kind == "step" and inputs is not None:
+        steps = inputs.reshape(sys.ninputs, sys.ninputs, -1)
+        heights = steps[np.arange(sys.ninputs), np.arange(sys.ninputs)]
+        if np.abs(heights - 1.0).max() > _UNIT_STEP:
+            raise StructureError(
+                f"the input of the data is no unit step: it lies between {heights.min():.4g} and {heights.max():.4g}, "
+                f"allowed 1 +- {_UNIT_STEP}; divide the outputs by its height, or use compare(data, model)"
+            )
+    return Measured(label or "data", np.asarray(data.time, float), outputs.reshape(*shape, -1))
 
 
 def _numbered(count: int) -> list[str]:

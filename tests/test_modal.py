@@ -354,7 +354,7 @@ def test_a_copy_is_the_same_and_as_locked(through):
 
 
 def test_the_text_is_a_call_of_modes_and_with_rigid_bodies_one_of_the_class():
-    assert repr(phc.modes([1.0, 2.0], [0.5, 0.25])) == "modes([1., 2.], [0.5 , 0.25])"
+    assert repr(phc.modes([1.0, 2.0], [0.5, 0.25])) == "modes([1.0, 2.0], [0.5, 0.25])"
     assert repr(phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0]).modes).endswith("array([[1.]]))")
 
 

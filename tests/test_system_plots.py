@@ -1,6 +1,7 @@
 """Pictures of systems: transients that no sampling aliases, modes, poles and zeros, energies."""
 
 import itertools
+import re
 
 import control as ct
 import matplotlib.pyplot as plt
@@ -201,6 +202,57 @@ def test_an_ordinary_system_too_fast_for_its_horizon_is_shown_in_part_and_says_s
     assert trace.time[-1] < 1000.0
     dots = step_plot(stiff, np.linspace(0.0, 1.0, 50)).lines[0, 0][0]
     assert dots.get_linestyle() == "None"
+
+
+def measured_response(system, kind, t, **keywords):
+    respond = phc.step_response if kind == "step" else phc.impulse_response
+    return respond(system, t, **keywords)
+
+
+@pytest.mark.parametrize("kind, plot_function", [("step", step_plot), ("impulse", impulse_plot)])
+def test_a_measured_response_is_drawn_as_dots_for_as_long_as_it_was_measured(kind, plot_function):
+    chain, t = phc.frenkel_kontorova(name="chain"), np.linspace(0.0, 7.0, 36)
+    record = measured_response(chain, kind, t)
+    record.y[..., 3] = np.nan
+    plot = plot_function(chain, data=record, data_label="sensor <1>", color="C2")
+    line, dots = plot.lines[0, 0]
+    assert np.array_equal(dots.get_xdata(), t) and np.array_equal(dots.get_ydata(), record.y.ravel(), equal_nan=True)
+    assert dots.get_linestyle() == "None" and dots.get_color() != line.get_color() == "C2"
+    assert plot.axes[0, 0].get_xlim() == (0.0, 7.0) and line.get_xdata()[-1] == 7.0
+    assert legend_texts(plot.axes[0, 0]) == ["chain", "sensor <1>"]
+    assert plot_function(chain, 20.0, data=record).axes[0, 0].get_xlim() == (0.0, 20.0)
+
+
+def test_measured_steps_at_several_inputs_have_a_trace_each():
+    system, t = phc.ph(*gyroscopic()), np.linspace(0.0, 5.0, 51)
+    record = phc.step_response(system, t)
+    plot = step_plot(system, data=record)
+    for (i, j), lines in np.ndenumerate(plot.lines):
+        assert np.array_equal(lines[1].get_ydata(), record.y[i, j])
+
+
+@pytest.mark.parametrize(
+    "data, message",
+    [
+        ([1.0, 2.0], "data is a list; pass the measured response as control.TimeResponseData"),
+        (
+            ct.TimeResponseData(np.arange(3.0), np.zeros((1, 3)), inputs=np.full((1, 3), 5.0), issiso=True),
+            "is no unit step: it lies between 5 and 5, allowed 1 +- 0.01; divide the outputs by its height, or use",
+        ),
+        (
+            ct.TimeResponseData(np.arange(3.0), np.zeros((2, 3)), inputs=np.ones((1, 3))),
+            "outputs of shape (2, 3); needed those of 1 outputs for a step at each of 1 inputs",
+        ),
+        (ct.TimeResponseData(np.arange(3.0), np.zeros((1, 3)), issiso=True), None),
+    ],
+    ids=["list", "height", "outputs", "without inputs"],
+)
+def test_data_that_are_no_step_response_say_why(data, message):
+    if message is None:
+        assert len(step_plot(phc.modes(1.0, 1.0), data=data).lines[0, 0]) == 2
+        return
+    with pytest.raises(StructureError, match=re.escape(message)):
+        step_plot(phc.modes(1.0, 1.0), data=data)
 
 
 @pytest.mark.parametrize("kind", PLOTS)

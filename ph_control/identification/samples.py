@@ -303,7 +303,7 @@ class ModeSamples:
         >>> from ph_control.identification.samples import ModeSamples
         >>> samples = ModeSamples([[2.0], [3.0]], [[0.5], [0.5]])
         >>> len(samples), samples[1]
-        (2, modes([3.], [0.5]))
+        (2, modes([3.0], [0.5]))
         >>> samples.freqresp([0.0, 1.0])
         array([[0.+0.j        , 0.+0.33333333j],
                [0.+0.j        , 0.+0.1875j    ]])
