@@ -4,7 +4,8 @@ A steel frame of 147 degrees of freedom
 
 A plane frame of seven storeys and six bays, welded from HEB 200 beams and fixed to the ground: 49 joints with two
 displacements and a rotation each. It is of the size and kind of the frame in the LUND matrices of the Harwell-Boeing
-collection (147 degrees of freedom, 2.3 to 236 Hz), and made here from the formulas of a beam, so that all is known.
+collection (147 degrees of freedom, 2.3 to 236 Hz in SI units), and made here from the formulas of a beam, so that all
+is known.
 """
 
 import matplotlib.pyplot as plt
