@@ -371,6 +371,13 @@ def test_wrong_usage_is_status_2_and_one_line(arguments, message):
     assert re.search(message, done.error) and done.error.count("\n") == 1 and "--help" in done.error
 
 
+def test_after_two_dashes_names_may_begin_with_one(recording, monkeypatch):
+    monkeypatch.chdir(recording.parent)
+    recording.rename("-odd.csv")
+    assert run("fit", "--order", 2, "--", "-odd.csv").status == 0
+    assert "there is no option -odd.csv" in run("fit", "-odd.csv", "x.csv").error
+
+
 def test_messages_speak_of_options_and_not_of_keywords():
     spoken = outcome.in_shell_terms(
         "pass header=True or header=False; use initial_state='estimate', max_order=30 or say which with input= and "

@@ -61,8 +61,15 @@ def _run(words: list[str]) -> int:
         examples=module.EXAMPLES,
     )  # fmt: skip
     module.add_options(parser)
-    code: int = module.run(parser.parse_intermixed_args(words[place + 1 :]))
+    code: int = module.run(parser.parse_intermixed_args(_plain(words[place + 1 :])))
     return code
+
+
+def _plain(words: list[str]) -> list[str]:
+    """Arguments without `--`, after which names may begin with a dash: they name files in this folder."""
+    place = words.index("--") if "--" in words else len(words)
+    names = [f"./{word}" if word.startswith("-") and word != "-" else word for word in words[place + 1 :]]
+    return words[:place] + names
 
 
 def _parser() -> Parser:
