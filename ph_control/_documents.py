@@ -13,6 +13,7 @@ import math
 import os
 import secrets
 import stat
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -33,20 +34,24 @@ _NON_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 # --- values to JSON ----------------------------------------------------------------------------------------------
 
 
-def plain(value: Any) -> Any:
-    """Turn arrays, numpy scalars, tuples and complex numbers into what JSON has."""
+def _spelt(value: float) -> str | None:
+    return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+
+
+def plain(value: Any, spelt: Callable[[float], str | None] = _spelt) -> Any:
+    """Turn arrays, numpy scalars, tuples and complex numbers into what JSON has; `spelt` says what is not finite."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: plain(item, spelt) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         if np.iscomplexobj(value):
             value = np.stack([np.real(value), np.imag(value)], axis=-1)
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, spelt) for item in value]
     if isinstance(value, complex):
-        return [plain(value.real), plain(value.imag)]
+        return [plain(value.real, spelt), plain(value.imag, spelt)]
     if isinstance(value, float) and not math.isfinite(value):
-        return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+        return spelt(value)
     return value
 
 

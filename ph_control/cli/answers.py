@@ -9,25 +9,16 @@ from typing import Any
 from .outcome import emit
 
 
-def strict(value: Any) -> Any:
-    """What JSON has, of arrays, tuples and complex numbers (`[re, im]`); null where a number is not finite."""
-    if isinstance(value, dict):
-        return {str(key): strict(item) for key, item in value.items()}
-    # arrays and their numbers, without asking for the library that makes them
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
-    if isinstance(value, complex):
-        return [strict(value.real), strict(value.imag)]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def strict(value: Any, indent: int | None = 2) -> str:
+    """JSON of arrays, tuples and complex numbers (`[re, im]`); null where a number is not finite."""
+    from .._documents import plain
+
+    return json.dumps(plain(value, lambda number: None), indent=indent, allow_nan=False) + "\n"
 
 
 def emit_json(answer: dict[str, Any]) -> None:
     """Print an answer."""
-    emit(json.dumps(strict(answer), indent=2, allow_nan=False) + "\n")
+    emit(strict(answer))
 
 
 def modes_of(form: Any) -> dict[str, Any]:

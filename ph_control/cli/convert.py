@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from argparse import Namespace
 from pathlib import Path
 from typing import Any
@@ -136,7 +135,7 @@ def _encoded(made: Any, form: str | None, kind: str) -> str | bytes:
         return document_of(made)
     if kind == "mat":
         return matlab_of(arrays)
-    return json.dumps(strict(arrays), allow_nan=False) + "\n" if kind == "json" else _text(arrays, kind)
+    return strict(arrays, indent=None) if kind == "json" else _text(arrays, kind)
 
 
 def _text(arrays: dict[str, Any], kind: str) -> str:
