@@ -326,6 +326,13 @@ def test_what_is_no_recording_is_said_to_be_so(content, message):
     assert re.search(message, done.error) and done.error.count("\n") == 1
 
 
+def test_who_types_a_recording_is_told_how_to_end_it():
+    with streams(b"t,u\n") as (_, error):
+        sys.stdin.isatty = lambda: True
+        assert cli.main(["fit", "-"]) == 2
+    assert "it ends with Ctrl-D" in error.getvalue().splitlines()[0]
+
+
 def test_a_guess_that_is_not_lossless_is_bad_input_and_no_verdict_of_the_fit(recording, tmp_path):
     guess = tmp_path / "guess.txt"
     guess.write_text("1 0\n1 0.1 4\n")
@@ -442,7 +449,7 @@ def test_an_interrupt_elsewhere_writes_nothing(recording, tmp_path, monkeypatch)
 
     monkeypatch.setattr("ph_control.identification.pem.pem", interrupt)
     done = run("fit", recording, "--model", tmp_path / "model.json")
-    assert (done.status, done.out) == (130, "") and "nothing was written" in done.error
+    assert (done.status, done.out) == (130, "") and "no file is written in part" in done.error
     assert not (tmp_path / "model.json").exists()
 
 
@@ -538,7 +545,7 @@ def test_the_interrupt_key_ends_a_process_with_status_130():
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == 130 and error.strip() == b"ph-control: interrupted; nothing was written"
+    assert process.returncode == 130 and error.strip() == b"ph-control: interrupted; no file is written in part"
 
 
 def test_the_entry_point_is_the_function_that_the_installation_calls():

@@ -35,7 +35,7 @@ def measurements(names: Sequence[str], options: Namespace) -> Measurements:
     """Read tables; they hold frequency responses if the options or the labels say so."""
     sources = [opened(name) for name in names]
     for source in sources:
-        if source.getvalue().lstrip()[:1] == b"{":
+        if source.getvalue()[:64].lstrip()[:1] == b"{":
             raise FileFormatError(
                 f"{source.name} holds JSON, perhaps a model, and a table of measurements is needed; ph-control info "
                 "shows models"

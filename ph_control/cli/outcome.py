@@ -132,7 +132,7 @@ def guarded(run: Callable[[], int], *, traceback: bool = False) -> int:
             _silence_output()
             return UNREAD
         except KeyboardInterrupt:
-            complain("interrupted; nothing was written")
+            complain("interrupted; no file is written in part")
             return INTERRUPTED
         except Exception as error:
             if traceback:

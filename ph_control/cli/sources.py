@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..exceptions import FileFormatError, StructureError
+from .outcome import complain
 
 
 class Source(io.BytesIO):
@@ -37,6 +38,8 @@ def opened(name: str) -> Source:
         return Source(read_bytes(name), name)
     if sys.stdin is None:
         raise StructureError("standard input is closed; name a file in place of -")
+    if sys.stdin.isatty():
+        complain("reading standard input from the terminal; it ends with Ctrl-D on a line of its own")
     stream = getattr(sys.stdin, "buffer", sys.stdin)
     content = read_bytes(stream)
     if not content.strip():
