@@ -391,7 +391,7 @@ def frequency_grid(
 
     Notes
     -----
-    Marks closer than a tenth of `closest` count as one.
+    Marks closer than a tenth of `closest` count as one, but for a `closest` of 1e-12 or less have a point between them.
 
     Examples
     --------
@@ -420,7 +420,15 @@ def frequency_grid(
         parts.append((groups[:, None] + side * far[:, None] * (near / far)[:, None] ** shrinking).ravel())
     grid = np.unique(np.concatenate(parts))
     grid = grid[(grid >= low) & (grid <= high)]
-    return grid[_distance(grid, marks) > 0.1 * closest * grid]
+    grid = grid[_distance(grid, marks) > 0.1 * closest * grid]
+    if closest > _CLOSEST_PH:
+        return grid
+    # marks that are exact are told apart however close they are, as long as a double is between them
+    below, above = marks[:-1], marks[1:]
+    middle = below + 0.5 * (above - below)
+    alone = (np.searchsorted(grid, below) == np.searchsorted(grid, above)) & (middle > below) & (middle < above)
+    middle = middle[alone & (middle >= low) & (middle <= high)]
+    return np.sort(np.concatenate([grid, middle])) if len(middle) else grid
 
 
 def _distance(x: Array, marks: Array) -> Array:

@@ -362,6 +362,22 @@ def test_all_changes_of_the_reactance_are_drawn_and_the_curve_agrees_with_mpmath
             assert abs(level[k] - float(20 * mpmath.log10(abs(G)))) <= 20 / np.log(10) * 1e-12 + 4 * EPS * abs(level[k])
 
 
+@pytest.mark.parametrize("gap", [1e-9, 1e-12, 1e-13, 1e-14, 3e-15])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_modes_that_differ_in_their_last_digits_change_the_phase_as_well(gap, scale):
+    d, r = scale * np.array([1.0, 1.0 + gap, 7.0]), [2.0, 1.0, 0.5]
+    plot = bode_plot(phc.ph(phc.modes(d, r)))
+    (w, level), phase = plot.lines[0, 0][0].get_data(), plot.lines[1, 0][0].get_ydata()
+    assert set(phase.tolist()) == {-90.0, 90.0} and np.isfinite(level).all()
+    assert np.count_nonzero(np.diff(phase)) == 5
+    with mpmath.workdps(60):
+        for k in np.flatnonzero((w >= d[0] * (1 - 1e-11)) & (w <= d[1] * (1 + 1e-11))):
+            x = mpmath.mpf(w[k])
+            G = sum(mpmath.mpf(b) * mpmath.mpf(a) * x / (mpmath.mpf(a) ** 2 - x**2) for a, b in zip(d, r, strict=True))
+            assert np.sign(float(G)) == np.sign(phase[k])
+            assert abs(level[k] - float(20 * mpmath.log10(abs(G)))) <= 20 / np.log(10) * 1e-12 + 4 * EPS * abs(level[k])
+
+
 def test_magnitudes_and_phases_can_be_drawn_in_other_units():
     chain = frenkel_kontorova()
     decibels, absolute = bode_plot(chain), bode_plot(chain, dB=False, deg=False, gain_unit="m/s/N")
