@@ -24,6 +24,8 @@ Slices = int  # how many slices of the factors a product is made of, see `produc
 
 _AMPLIFIED = 2.0**20  # by how much rounding may be amplified for two slices to leave no more than a double's
 _HARMLESS = 16.0  # by how much more than a double's the rounding of a product may be before it has twice the digits
+_TIGHT = 2.0  # size of the terms of a bracket over that of the bracket, up to which doubles have its digits
+_REPEATED = 64  # rows of a matrix up to which a second reduction costs less than products with more digits
 _STEPS = 5
 _TURN = 2.0**-30  # largest turn, in radians, whose square is no more than rounding
 _BLOCKED = 64  # columns of workspace with which LAPACK applies reflections in blocks
@@ -44,18 +46,12 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     `Q = S^T diag(d, d) S + E^T E`, where the rows `E` commute (in Poisson's sense) with one another and with `S`.
     """
     factors = triangular_factors(Q)
-    if not factors:
-        return _semidefinite_rows(Q)
     none = np.zeros((0, len(Q)))
-    if len(Q) == 2:
+    if factors and len(Q) == 2:
         d, rows = _single_plane(*factors)
-        return d, (rows, np.zeros_like(rows)), (none, none)
-    unit = _common_units(Q)
-    reduce = _coupled_rows if len(factors) == 1 else _separate_rows
-    factors = _in_units(factors, unit)
-    # rounding that is amplified too much for two slices is not for three
-    d, S = reduce(2, *factors) or reduce(3, *factors)  # type: ignore[misc]
-    return d, S if (unit == 1.0).all() else (S[0] / unit, S[1] / unit), (none, none)
+        return d, exactly(rows), exactly(none)
+    found = _definite_rows(Q, factors) if factors else None
+    return _semidefinite_rows(Q) if found is None else (found[0], exactly(found[1]), exactly(none))
 
 
 def block_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
@@ -154,6 +150,20 @@ def _transposed_times(lower: Array, right: Array) -> Array:
 # --- definite blocks ------------------------------------------------------------------------------------------
 
 
+def _definite_rows(Q: Array, factors: list[Array]) -> tuple[Array, Array] | None:
+    """Frequencies and rows `S` of `Q`, given its triangular factors; None if rounding leaves a frequency of zero."""
+    unit = _common_units(Q)
+    factors = _in_units(factors, unit)
+    reduce = _coupled_rows if len(factors) == 1 else _separate_rows
+    # how many digits products need shows when frequencies and vectors are known; more often than not the fewest do
+    first = 2 if len(factors) == 1 and len(Q) > _REPEATED else 1
+    attempts = (reduce(slices, *factors) for slices in range(first, 4))
+    found = next((attempt for attempt in attempts if attempt is not None), None)
+    if found is None or (unit == 1.0).all():
+        return found
+    return found[0], found[1] / unit
+
+
 def _single_plane(*factors: Array) -> tuple[Array, Array]:
     """Frequency and rows of one degree of freedom: `S = F^T / sqrt(d)`, `d` the product of the diagonal of `F`."""
     F = factors[0] if len(factors) == 1 else np.diag([factors[0][0, 0], factors[1][0, 0]])
@@ -162,7 +172,7 @@ def _single_plane(*factors: Array) -> tuple[Array, Array]:
     return np.array([d]), np.array([[squeeze, F[1, 0] / np.sqrt(d)], [0.0, 1 / squeeze]])
 
 
-def _coupled_rows(slices: Slices, F: Array) -> tuple[Array, Pair] | None:
+def _coupled_rows(slices: Slices, F: Array) -> tuple[Array, Array] | None:
     """Frequencies and rows `S` of `Q = F F^T`; None if that needs more slices."""
     n = len(F) // 2
     K = np.zeros((2 * n, 2 * n))
@@ -174,12 +184,12 @@ def _coupled_rows(slices: Slices, F: Array) -> tuple[Array, Pair] | None:
     found = _rows(slices, sigma, (F, planes))
     if found is None:
         return None
-    (rows,), length = found
-    S, excess = back_to_symplectic(np.concatenate([sigma, sigma]), rows, slices)
-    return sigma + sigma * _quotient(excess, length), S
+    (rows,), length, _ = found
+    S, excess = back_to_symplectic(np.concatenate([sigma, sigma]), rows, max(2, slices))
+    return sigma + sigma * _quotient(excess, length), S[0]
 
 
-def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Pair] | None:
+def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Array] | None:
     """As `_coupled_rows`, of `Q = diag(Fq Fq^T, Fp Fp^T)`."""
     n = len(Fq)
     parts = product_parts(exactly(Fq.T), exactly(Fp), slices, lambda a, b: _transposed_times(a.T, b))
@@ -188,11 +198,11 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Pair] |
     found = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
     if found is None:
         return None
-    rows, length = found
-    X, Y, excess = _back_to_inverses(sigma, rows[0], rows[1], slices)
-    S = np.zeros((2, 2 * n, 2 * n))
-    S[:, :n, :n], S[:, n:, n:] = X, Y
-    return sigma + sigma * _quotient(excess, length), (S[0], S[1])
+    rows, length, tight = found
+    X, Y, excess = _back_to_inverses(sigma, rows[0], rows[1], 1 if tight else max(2, slices))
+    S = np.zeros((2 * n, 2 * n))
+    S[:n, :n], S[n:, n:] = X, Y
+    return sigma + sigma * _quotient(excess, length), S
 
 
 def _quotient(excess: Array, length: Array) -> Array:
@@ -200,12 +210,11 @@ def _quotient(excess: Array, length: Array) -> Array:
     return (excess - (length - 1.0)) / length
 
 
-def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[list[Pair], Array] | None:
-    """Products `vectors^T F^T / sqrt(sigma)`, in doubles where their rounding harms nothing; None needs more slices.
+def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[list[Pair], Array, bool] | None:
+    """Products `vectors^T F^T / sqrt(sigma)` with the digits that they need; None if these are more slices than given.
 
-    With `a` the sizes that terms of a row of `S` have before they cancel, rounding makes a defect of `eps a_j a_l`.
-    The row with less energy takes it away, at a cost of energy of `eps d_l a_l^2 a_j^2`, `d_l <= d_j`.  Also returns
-    the product of the lengths of the two vectors of each plane, 1 but for rounding.
+    Also the product of the lengths of the two vectors of each plane, 1 but for rounding, and whether terms hardly
+    cancel in brackets.
     """
     if not sigma.min() > 0:
         return None
@@ -214,12 +223,11 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
         right = np.divide(vectors, np.concatenate([root] * (vectors.shape[1] // len(sigma))), order="F")
         column, entries = np.einsum("ij,ij->j", F, F), right * right
         scaled.append((F, np.sqrt(column), right))
-        size = np.concatenate([size, (column @ entries).reshape(-1, len(sigma))])
+        size = np.concatenate([size, np.sqrt(column @ entries).reshape(-1, len(sigma))])
         squares = np.concatenate([squares, entries.sum(axis=0).reshape(-1, len(sigma))])
-    amplified = size.max(axis=0)
-    energy = np.maximum.accumulate(sigma * amplified)
-    harmless = np.max(amplified * energy) <= _HARMLESS * energy[-1]
-    needed = 1 if harmless else 2 if amplified.max() <= _AMPLIFIED else 3
+    x, y = size if len(factors) == 2 else [size.max(axis=0)] * 2
+    harmless = max(_cost_of_rounding(sigma, x, y), _cost_of_rounding(sigma, y, x)) <= _HARMLESS
+    needed = 1 if harmless else 2 if x.max() * y.max() <= _AMPLIFIED else 3
     if needed > slices:
         return None
     rows = []
@@ -230,7 +238,18 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
             F, right = F / unit, unit[:, None] * right
         high, low = product(exactly(F), exactly(right), needed, _lower_times)
         rows.append((high.T, low.T))
-    return rows, sigma * np.sqrt(squares.prod(axis=0))
+    return rows, sigma * np.sqrt(squares.prod(axis=0)), bool(np.max(x * y) <= _TIGHT)
+
+
+def _cost_of_rounding(d: Array, x: Array, y: Array) -> float:
+    """What rounding of rows may cost, in units of `eps` times the largest energy of a row.
+
+    With `x` and `y` the sizes that terms of conjugate rows have before they cancel, rounding makes a defect of
+    `eps x_j y_l`.  The row with less energy takes it away, at the cost of `d_l x_l x_j` for each part, `d_l <= d_j`.
+    """
+    energy = d * x * x
+    first, second = np.maximum.accumulate(d * x * y), np.maximum.accumulate(energy)
+    return float(max(np.max(x * x * first), np.max(x * y * second)) / energy.max())
 
 
 def _lower_times(lower: Array, right: Array) -> Array:
@@ -266,22 +285,25 @@ def back_to_symplectic(weight: Array, S: Pair, slices: Slices = 3, *, modal: boo
     return S, excess
 
 
-def _back_to_inverses(d: Array, X: Pair, Y: Pair, slices: Slices) -> tuple[Pair, Pair, Array]:
+def _back_to_inverses(d: Array, X: Pair, Y: Pair, slices: Slices) -> tuple[Array, Array, Array]:
     """As `back_to_symplectic` for `S = diag(X, Y)`, whose brackets are `X Y^T`."""
     share = _shares(d)
     excess = np.zeros(len(d))
-    for _ in range(_STEPS):
+    for k in range(_STEPS):
+        if k:
+            X, Y = two_sum(*X), two_sum(*Y)
         defect, *rest = product_parts(X, (Y[0].T, Y[1].T), slices)
         defect[np.diag_indices(len(d))] -= 1.0
-        defect = sum(rest, defect)
+        for part in rest:
+            defect += part
         step = _bounded(np.diag(defect))
         excess = excess + step + excess * step
         (turn,) = _turns(d, 0.5 * (defect + defect.T))
-        moves = (share * defect + turn) @ X[0], (share * defect.T + turn) @ Y[0]
-        X, Y = two_sum(X[0], X[1] - moves[0]), two_sum(Y[0], Y[1] - moves[1])
+        X = X[0], X[1] - (share * defect + turn) @ X[0]
+        Y = Y[0], Y[1] - (share * defect.T + turn) @ Y[0]
         if _quadratic(defect):
             break
-    return X, Y, excess
+    return X[0] + X[1], Y[0] + Y[1], excess
 
 
 def _turns(d: Array, *parts: Array) -> list[Array]:
@@ -289,20 +311,22 @@ def _turns(d: Array, *parts: Array) -> list[Array]:
 
     Zero where frequencies are too near for a small turn.
     """
-    gap = d - d[:, None]
-    near = gap == 0
-    rate = 2.0 * d[:, None] * d / ((d[:, None] + d) * np.where(near, 1.0, gap))
-    turns = [rate * part for part in parts]
+    rate = d / d[:, None]
+    rate -= 1.0 / rate
+    with np.errstate(divide="ignore", invalid="ignore"):
+        np.divide(2.0, rate, out=rate)
+        turns = [rate * part for part in parts]
+        small = [np.abs(turn) <= _TURN for turn in turns]
     for turn in turns:
-        near |= np.abs(turn) > _TURN
-    return [np.where(near, 0.0, turn) for turn in turns]
+        turn[~np.logical_and.reduce(small)] = 0.0
+    return turns
 
 
 def _shares(weight: Array) -> Array:
     """Of the correction that rows j and l share, the part of j: the less, the more energy it has."""
     total = weight[:, None] + weight
     if weight.min(initial=1.0) > 0:
-        return np.asarray(weight / total)
+        return np.divide(weight, total, out=total)
     return np.where(total > 0, weight / np.where(total > 0, total, 1.0), 0.5)
 
 

@@ -270,7 +270,8 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
     kinds: list[Array] = [np.zeros((3, 0))]
     upper: list[Array] = [np.zeros((0, 2 * n))]
     lower: list[Array] = [np.zeros((0, 2 * n))]
-    for block in _decoupled(Q):
+    blocks = _decoupled(Q)
+    for block in blocks:
         half = len(block) // 2
         d, S, still = reduce_block(_part(Q, block))
         free = len(still[0])
@@ -283,7 +284,7 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
         lower.append(_embed(rows[half:], block, 2 * n))
     kind, d1, d2 = np.concatenate(kinds, axis=1)
     order = np.lexsort([d1, kind])
-    rows = np.concatenate([*upper, *lower])
+    rows = np.concatenate([*upper, *lower]) if len(blocks) != 1 else rows
     return d1[order], d2[order], _in_order(rows, np.concatenate([order, order + n]))
 
 
