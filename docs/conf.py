@@ -47,9 +47,14 @@ autodoc_typehints = "none"
 default_role = "literal"
 
 # The examples write their pictures into the folder they run in: for the gallery that is a copy.
-shutil.copytree(HERE.parent / "examples", HERE / "_build" / "examples", dirs_exist_ok=True)
+COPY = HERE / "_build" / "examples"
+shutil.rmtree(COPY, ignore_errors=True)
+COPY.mkdir(parents=True)
+for pattern in ("*.py", "*.rst"):
+    for file in (HERE.parent / "examples").glob(pattern):
+        shutil.copy(file, COPY)
 sphinx_gallery_conf = {
-    "examples_dirs": "_build/examples",
+    "examples_dirs": str(COPY),
     "gallery_dirs": "gallery",
     "filename_pattern": "",
     "within_subsection_order": "FileNameSortKey",
