@@ -208,13 +208,27 @@ def _components(d: Array, radius: Array) -> Labels:
 
 
 def _split(modes: ModalForm, label: Labels, errors: ModalErrors) -> Separation:
-    members = [np.flatnonzero(label == k) for k in dict.fromkeys(label.tolist())]
-    groups = tuple(_group(modes, g, float(errors.nu[g].max())) for g in members)
+    order = np.argsort(label, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(label) else []
+    members = sorted(parts, key=lambda part: int(part[0]))
+    groups = tuple((_group if len(g) > 1 else _alone)(modes, g, float(errors.nu[g].max())) for g in members)
     _, sigma, Vh, rank = _reached(modes.rigid, float(errors.rigid.max(initial=0.0)))
     strength = np.empty(len(modes.d))
     for group in groups:
         strength[group.members] = group.strength
     return Separation(modes, groups, sigma[:rank, None] * Vh[:rank], errors, strength)
+
+
+def _alone(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Group:
+    """`_group` of a single mode, whose rotation is a change of phase."""
+    row = modes.nu[members]
+    size = float(np.linalg.norm(row))
+    if size <= max(tolerance, row.size * _checks.EPS * size):
+        return Group(members, np.ones((1, 1), complex), modes.d[members], row[:0], size, size)
+    lead = row[0, np.abs(row).argmax()]
+    turn = np.abs(lead) / lead
+    nu = np.array([[size]], complex) if row.size == 1 else turn * row
+    return Group(members, np.full((1, 1), turn), modes.d[members], nu, size, 0.0)
 
 
 def _group(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Group:
