@@ -44,6 +44,9 @@ class Reduction:
     starts: Starts
     reached: NDArray[np.bool_]
 
+    def _counts(self) -> Starts:
+        return np.append(self.starts[1:], len(self.d)) - self.starts
+
     @property
     def is_minimal(self) -> bool:
         """Whether each mode is reached on its own."""
@@ -56,8 +59,7 @@ class Reduction:
         else:
             total = np.add.reduceat(self.r, self.starts)
             first = self.d[self.starts]
-            count = np.diff(self.starts, append=len(self.d))
-            moved = np.add.reduceat(self.r * (self.d - np.repeat(first, count)), self.starts)
+            moved = np.add.reduceat(self.r * (self.d - np.repeat(first, self._counts())), self.starts)
             r = total[self.reached]
             d = first[self.reached] + moved[self.reached] / r
         return plain_modes(d, r)
@@ -66,7 +68,7 @@ class Reduction:
         """Frequencies that the port does not reach, ascending: of k modes in a reached group, k - 1."""
         if self.is_minimal:
             return np.zeros(0)
-        counts = np.diff(self.starts, append=len(self.d))
+        counts = self._counts()
         first = self.starts[self.reached & (counts == 2)]
         (low, high), (light, heavy) = ((x[first], x[first + 1]) for x in (self.d, self.r))
         # of two what is left has the weights exchanged
@@ -137,8 +139,9 @@ def of_matrix(d: Array, kappa: Array, inverse: float, diagonal: Array) -> Reduct
     # what rounding makes of the square of a shape, in units of its frequency: at least, at most
     least, most = unit / (2 * n), unit * inverse
     together = d[1:] + d[:-1]
-    apart = _MARGIN * (most * together + 2 * size) < d[1:] - d[:-1]
-    if not (apart | (_MARGIN * (d[1:] - d[:-1]) <= least * together + 2 * size)).all():
+    gaps = d[1:] - d[:-1]
+    apart = gaps > _MARGIN * (most * together + 2 * size)
+    if not (apart | (_MARGIN * gaps <= least * together + 2 * size)).all():
         return None
     r, starts = kappa / d, _starts(apart)
     strength = np.sqrt(np.add.reduceat(r, starts))
