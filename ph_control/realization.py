@@ -161,7 +161,11 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     dropped.  Where frequencies are closer than they are known, nothing can tell them apart, and merging them keeps
     their total residue.  With m ports a frequency stays up to m times.  A rigid-body mode stays as one
     degree of freedom for each pole at 0, although its position is not observable: no smaller system is
-    port-Hamiltonian.  O(n^3).
+    port-Hamiltonian.
+
+    Modes that are known are merged in O(n).  Of a matrix it is O(n^3), and for one port mostly without mode shapes:
+    each bound of an error lies between two that need none, and where both lead to the same decision it is made.  `d`
+    and `r` are then as accurate as those of a system that has not been asked for its `modes`.
 
     Examples
     --------
@@ -214,7 +218,8 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     Notes
     -----
     Of k modes of one frequency, which have no coordinates of their own, an element of `U(k)` takes one onto the
-    input.  The direct sum holds within the error bounds by which modes were called equal or unreached.  O(n^3).
+    input.  The direct sum holds within the error bounds by which modes were called equal or unreached.  O(n^3).  The
+    two systems cost no more than `minreal`; `T`, which takes all mode shapes, is computed when it is looked at.
 
     Examples
     --------
