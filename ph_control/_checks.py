@@ -25,7 +25,7 @@ SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
 AT_ONCE = 64  # rows of a matrix up to which its eigenvalues cost no more than the rest of building a system
 _NEAR = 10.0  # by how much the smallest eigenvalue is less than its estimate at most
-_TINY = float(np.finfo(float).tiny)
+TINY = float(np.finfo(float).tiny)
 
 
 def readonly(array: NDArray[Any]) -> NDArray[Any]:
@@ -45,6 +45,19 @@ def shown(value: Any) -> str:
 
 def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
     """Convert to a fresh array of finite doubles with `ndim` dimensions."""
+    raw = value if type(value) is np.ndarray and value.dtype.char == "d" else _real_numbers(name, value)
+    array = np.array(raw, dtype=float)
+    if ndim is not None and array.ndim != ndim:
+        raise StructureError(
+            f"{name} has {array.ndim} dimensions (shape {array.shape}), needed {ndim}; "
+            "reshape it so that nothing is guessed"
+        )
+    finite(name, array)
+    return array
+
+
+def _real_numbers(name: str, value: ArrayLike) -> NDArray[Any]:
+    """Array of what is not an array of doubles."""
     if np.ma.is_masked(value):
         raise StructureError(f"{name} has masked entries; fill them, since a mask would be lost here")
     try:
@@ -66,20 +79,14 @@ def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
         )
     if raw.dtype.kind not in "biuf":
         raise StructureError(f"{name} does not hold real numbers: its type is {raw.dtype}; pass an array of floats")
-    array = np.array(raw, dtype=float)
-    if ndim is not None and array.ndim != ndim:
-        raise StructureError(
-            f"{name} has {array.ndim} dimensions (shape {array.shape}), needed {ndim}; "
-            "reshape it so that nothing is guessed"
-        )
-    finite(name, array)
-    return array
+    return raw
 
 
 def finite(name: str, array: NDArray[Any]) -> None:
     """Refuse NaN and infinity, naming the first place."""
     good = np.isfinite(array)
-    if not good.all():
+    # counting takes a quarter of the time of `all` where there are few
+    if np.count_nonzero(good) < good.size:
         bad = ~good
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         place = where[0] if len(where) == 1 else where
@@ -104,7 +111,7 @@ def representable(what: str, *arrays: NDArray[Any], nonzero: NDArray[np.bool_] |
 
     `nonzero` says where results are not 0: there an underflow would pass for a weight that is absent.
     """
-    lost = any((nonzero & (np.abs(array) < _TINY)).any() for array in arrays)
+    lost = any((nonzero & (np.abs(array) < TINY)).any() for array in arrays)
     if lost or not all(np.isfinite(array).all() for array in arrays):
         raise StructureError(
             f"{what} leave the range of doubles (1e-308 to 1e308); choose other units of time or amplitude"
@@ -290,10 +297,11 @@ def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
 
 def natural_frequencies(d: ArrayLike) -> Array:
     """Check a vector of natural frequencies: positive and finite."""
-    array = np.atleast_1d(real_array("d", d))
+    array = real_array("d", d)
+    array = array if array.ndim else array[None]
     if array.ndim != 1:
         raise StructureError(f"d has shape {array.shape}; it must be a vector of n natural frequencies")
-    if array.size and array.min() <= 0:
+    if np.count_nonzero(array > 0) < array.size:
         worst = int(array.argmin())
         raise StructureError(f"d is not positive: d[{worst}] = {array[worst]:.6g}; natural frequencies are > 0 (rad/s)")
     return array
@@ -301,10 +309,11 @@ def natural_frequencies(d: ArrayLike) -> Array:
 
 def residue_weights(r: ArrayLike, n: int) -> Array:
     """Check a vector of residue weights: n numbers, none negative."""
-    array = np.atleast_1d(real_array("r", r))
+    array = real_array("r", r)
+    array = array if array.ndim else array[None]
     if array.shape != (n,):
         raise StructureError(f"r has shape {array.shape}; with {n} natural frequencies it must be ({n},)")
-    if n and array.min() < 0:
+    if np.count_nonzero(array < 0):
         worst = int(array.argmin())
         raise StructureError(
             f"r is negative: r[{worst}] = {array[worst]:.6g}, allowed >= 0; a negative residue is not passive"

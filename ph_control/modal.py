@@ -432,9 +432,11 @@ def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:
     weights = _checks.residue_weights(r, len(frequencies))
     with np.errstate(over="ignore"):
         residues = frequencies * weights
-    if np.isinf(residues).any():
-        raise StructureError("a residue d r exceeds the range of doubles; scale the output or time")
-    _checks.representable("the residues d r", residues, nonzero=weights > 0)
-    order = np.argsort(frequencies, kind="stable")
-    frequencies, weights = frequencies[order], weights[order]
+    if np.count_nonzero((residues >= _checks.TINY) & (residues < np.inf)) < np.count_nonzero(weights):
+        if np.isinf(residues).any():
+            raise StructureError("a residue d r exceeds the range of doubles; scale the output or time")
+        _checks.representable("the residues d r", residues, nonzero=weights > 0)
+    if np.count_nonzero(frequencies[1:] < frequencies[:-1]):
+        order = np.argsort(frequencies, kind="stable")
+        frequencies, weights = frequencies[order], weights[order]
     return ModalForm(frequencies, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights)
