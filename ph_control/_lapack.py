@@ -52,9 +52,12 @@ def bidiagonal_components(
         sigma, superdiagonal, x = diagonal.copy(), above.copy(), right.copy()
         y = np.zeros(n) if left is None else left.copy()
         size, one, none, count = _int(n), _int(1), _int(0), _int(left is not None)
-        turned = x, size, np.zeros(1), one, y, size
-        if not _call("dbdsqr", b"U", size, one, none, count, sigma, superdiagonal, *turned, np.empty(4 * n)):
-            return sigma, x, y
+        turned, work = (x, size, np.zeros(1), one, y, size), np.empty(4 * n)
+        if not _call("dbdsqr", b"U", size, one, none, count, sigma, superdiagonal, *turned, work):
+            # where it has vectors to turn, it is content with 90 eps; without any it takes the way of small errors
+            better, superdiagonal = diagonal.copy(), above.copy()
+            failed = _call("dbdsqr", b"U", size, none, none, none, better, superdiagonal, *turned, work)
+            return sigma if failed else better, x, y
     return _dense(np.diag(diagonal) + np.diag(above, 1)[:n, :n], right, np.zeros(n) if left is None else left)
 
 

@@ -198,11 +198,13 @@ class PortHamiltonian(HasForms, LosslessSystem):
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
-        On modal coordinates: O(n) a point, accurate arbitrarily close to a pole.  As long as nothing else has asked for
-        them, only frequencies and residues are computed.
+        On modal coordinates, O(n) a point: the response of the frequencies `d` and weights `r` as they are known at the
+        time, right to 5e-14 however close to a pole.  For a system given by `Q` and `B` the error of `d` comes
+        on top: beside a resonance a relative error of about `eps d_max / |w - d|` in its term, with `d_max` the
+        largest frequency.  With `d` rounded to doubles `eps d / |w - d|` is the least there can be; this is reached up
+        to 16 degrees of freedom and where `modes` have been asked for.  Values before and after that differ by as much.
         """
-        modes = self._seen or self.modes if self._modes is None else self._modes
-        return modes.evaluate(_checks.complex_points("the points", x))
+        return self._spectrum.evaluate(_checks.complex_points("the points", x))
 
     @property
     def _spectrum(self) -> ModalForm:

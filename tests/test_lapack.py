@@ -90,6 +90,17 @@ def test_a_bidiagonal_matrix_keeps_the_digits_of_each_singular_value(n, both):
                 assert abs(abs(left[place]) - float(abs(along))) < 100 * n * EPS * np.linalg.norm(y)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_singular_values_are_right_to_the_last_places_though_vectors_turn_with_them(seed):
+    rng = np.random.default_rng(seed)
+    diagonal, above = rng.uniform(0.1, 1, 20), rng.uniform(0.1, 1, 19)
+    sigma, _, _ = bidiagonal_components(diagonal, above, np.ones(20))
+    with mp.workdps(40):
+        M = mp.matrix(bidiagonal(diagonal, above).tolist())
+        exact = sorted(map(mp.sqrt, mp.eigsy(M.T * M, eigvals_only=True)), reverse=True)
+        assert max(abs(float(mp.mpf(x) / y - 1)) for x, y in zip(sigma.tolist(), exact, strict=True)) < 10 * EPS
+
+
 def test_nothing_has_no_components():
     nothing = np.zeros(0)
     for found in (components(np.zeros((0, 0)), nothing, nothing), bidiagonal_components(nothing, nothing, nothing)):
