@@ -35,6 +35,7 @@ from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
 from .files import load as load
 from .files import save as save
+from .fit_plots import fit_plot as fit_plot
 from .frequency_tables import read_frequency_csv as read_frequency_csv
 from .groupoids import PortHamiltonianGroupoid as PortHamiltonianGroupoid
 from .groupoids import ReducedGroupoid as ReducedGroupoid
@@ -78,7 +79,6 @@ from .pairs import act as act
 from .pairs import from_unique as from_unique
 from .pairs import to_unique as to_unique
 from .plots import bode_plot as bode_plot
-from .plots import fit_plot as fit_plot
 from .realization import CanonicalMargins as CanonicalMargins
 from .realization import KalmanDecomposition as KalmanDecomposition
 from .realization import canonical_margins as canonical_margins

@@ -147,8 +147,9 @@ class Band:
 
 @dataclass(frozen=True)
 class BodeData:
-    """All that a Bode plot draws: curves, their bands, dots, and the ends of the frequency axis in rad/s."""
+    """All that a Bode plot draws: systems, their curves, bands, dots, and the ends of the frequency axis in rad/s."""
 
+    systems: list[Any]
     curves: list[Curve]
     bands: list[Band | None]
     measured: Curve | None
@@ -195,7 +196,7 @@ def bode_data(
         bands.append(None if drawn is None else band_around(drawn, near if grid is None else grid, level))
     first = systems[0]
     title = title_of("Bode plot", systems, label is not None)
-    return BodeData(curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
+    return BodeData(systems, curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
 
 
 def decibels(values: ComplexArray) -> Array:
@@ -347,7 +348,8 @@ def features(sys: Any) -> tuple[Array, Array]:
     scale = np.max(poles, initial=0.0) if sys.isctime() else np.pi / _timebase(sys)
     points = points[(size > _NEGLIGIBLE * scale) & ((size < scale / _NEGLIGIBLE) | (scale == 0))]
     on_axis = points[(np.abs(points.real) <= 1e-7 * np.abs(points)) & (points.imag > 0)].imag
-    peaks = points.imag[points.imag > _NEGLIGIBLE * np.abs(points)]
+    # well damped ones have no peak, and of repeated real ones the imaginary parts are rounding
+    peaks = points.imag[points.imag > 0.5 * np.abs(points)]
     return np.unique(np.concatenate([np.abs(points), peaks])), np.unique(on_axis)
 
 

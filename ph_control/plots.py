@@ -1,4 +1,4 @@
-"""Pictures of responses and fits: numbers first, then matplotlib.  Every function returns a `control.ControlPlot`."""
+"""Bode plots: numbers first, then matplotlib."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import control as ct
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,27 +13,9 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from .bode import BodeData, Curve, bode_data, shown_range
-from .drawing import (
-    BAND,
-    DOTS,
-    DRAWN,
-    MEASURED,
-    SAMPLES,
-    ZERO,
-    FrameStyle,
-    LineStyle,
-    Look,
-    check_hertz,
-    extremes,
-    gain_label,
-    given_axes,
-    labelled,
-    new_axes,
-    plain,
-    stacked,
-)
+from .drawing import BAND, DOTS, LineStyle, Look, check_hertz, gain_label, given_axes, labelled, new_axes, plain
 from .exceptions import StructureError
-from .fit_data import FitData, fit_data, percent
+from .margins import margin
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -47,8 +28,7 @@ _CROWD_BELOW = 2.0  # place among what is drawn, above the grid
 
 _PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78"}
 _LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
-_PREDICTED: dict[str, Any] = {"color": "C0", "linewidth": 1.0}
-_RESIDUAL: dict[str, Any] = {"color": "C3", "linewidth": 0.8}
+_MARGIN: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8, "zorder": 2.8}
 
 
 def bode_plot(
@@ -67,6 +47,8 @@ def bode_plot(
     deg: bool = True,
     plot_magnitude: bool = True,
     plot_phase: bool = True,
+    wrap_phase: bool = False,
+    display_margins: bool = False,
     time_unit: str = "s",
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
@@ -103,6 +85,10 @@ def bode_plot(
         Magnitude in decibels instead of to a logarithmic scale, phase in degrees instead of radians.
     plot_magnitude, plot_phase : bool
         Which of the two to draw.
+    wrap_phase : bool
+        Phases between -180 and 180 degrees instead of continuous ones.
+    display_margins : bool
+        Whether to draw the phase margin and a finite gain margin of each system of one port, and to tell both.
     time_unit : str
         Unit of time of the systems and the measurement, for the labels of frequencies.
     gain_unit : str, optional
@@ -126,7 +112,7 @@ def bode_plot(
     ------
     StructureError
         If the systems differ in their ports, the frequencies are not usable, or the measurement or what `confidence`
-        holds is not, or for `Hz` where the unit of time is not the second.
+        holds is not, for `Hz` where the unit of time is not the second, or for `display_margins` with several ports.
 
     Notes
     -----
@@ -165,19 +151,26 @@ def bode_plot(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
         omega_num=omega_num, Hz=Hz, confidence=confidence, level=level, label=label, data_label=data_label,
     )  # fmt: skip
+    if display_margins and (len(numbers.output_labels), len(numbers.input_labels)) != (1, 1):
+        raise StructureError(
+            f"margins are those of one port; the systems have {len(numbers.output_labels)} outputs and "
+            f"{len(numbers.input_labels)} inputs: draw the loop sys[i, j]"
+        )
     with look.context():
         figure, axes = _bode_axes(ax, len(numbers.output_labels), len(numbers.input_labels), len(rows))
         lines = np.empty(axes.shape, dtype=object)
         for (row, j), axis in np.ndenumerate(axes):
             i, kind = row // len(rows), rows[row % len(rows)]
             if kind == "phase":
-                lines[row, j] = _draw_phases(axis, numbers, i, j, unit, look, deg)
+                lines[row, j] = _draw_phases(axis, numbers, i, j, unit, look, deg, wrap_phase)
             else:
                 lines[row, j] = _draw_magnitudes(axis, numbers, i, j, unit, look, dB)
                 axis.set_ylabel("" if j else gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit))
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
             look.lattice(axis, minor="x")
         _label_bode(axes, numbers, unit, unit_name, len(rows))
+        if display_margins:
+            _draw_margins(dict(zip(rows, axes[:, 0], strict=True)), numbers, lines[0, 0], unit, unit_name, dB, deg)
         # a curve that is nowhere must at least be told
         legend = look.legend(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
         look.entitle(figure, ax, numbers.title)
@@ -227,9 +220,11 @@ def _draw_magnitudes(
     return lines
 
 
-def _draw_phases(axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool) -> list[Any]:
+def _draw_phases(
+    axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool, wrap: bool
+) -> list[Any]:
     turn = 1.0 if degrees else np.pi / 180.0
-    phases = [curve.phase(i, j) for curve in numbers.curves]
+    phases = [curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
     lines = _draw_curves(axis, numbers, [turn * phase for phase in phases], unit, look)
     _fade_crowds(axis, numbers, unit)
     _draw_bands(axis, numbers, lines, [band and turn * band.phase for band in numbers.bands], unit)
@@ -308,6 +303,40 @@ def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
         axis.axvline(limit, label=label, zorder=1, **_LIMIT)
 
 
+def _draw_margins(
+    panels: dict[str, Axes], numbers: BodeData, lines: list[Any], unit: float, unit_name: str, dB: bool, deg: bool
+) -> None:
+    """Distances from -180 degrees where the gain is 1, and from a gain of 1 where the phase is -180 degrees."""
+    turn = 1.0 if deg else np.pi / 180.0
+    texts = []
+    for system, curve, line in zip(numbers.systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
+        gm, pm, wcg, wcp = margin(system)
+        style = {"color": line.get_color(), **_MARGIN}
+        if "phase" in panels and np.isfinite(pm):
+            # the phase of the curve may be whole turns away
+            at = np.interp(wcp, curve.omega, curve.phase(0, 0))
+            critical = -180.0 + 360.0 * np.round((at - (pm - 180.0)) / 360.0)
+            low, high = panels["phase"].get_ylim()
+            panels["phase"].set_ylim(min(low, turn * (critical - 20.0)), max(high, turn * (critical + 20.0)))
+            panels["phase"].axhline(turn * critical, **_LIMIT)
+            panels["phase"].plot([wcp / unit] * 2, [turn * critical, turn * (critical + pm)], label="_", **style)
+        decibels = 20.0 * np.log10(gm) if gm else -np.inf
+        if "magnitude" in panels:
+            panels["magnitude"].axhline(0.0 if dB else 1.0, **_LIMIT)
+            if np.isfinite(decibels):
+                ends = [-decibels, 0.0] if dB else [1.0 / gm, 1.0]
+                panels["magnitude"].plot([wcg / unit] * 2, ends, label="_", **style)
+        gain = f"{decibels:.4g} dB at {wcg / unit:.4g} {unit_name}" if np.isfinite(decibels) else f"{decibels:g}"
+        phase = f"{pm:.4g}° at {wcp / unit:.4g} {unit_name}" if np.isfinite(pm) else f"{pm:g}"
+        name = f"{curve.label}: " if len(numbers.curves) > 1 else ""
+        texts.append(plain(f"{name}gain margin {gain}, phase margin {phase}"))
+    axis = next(iter(panels.values()))
+    axis.text(
+        0.01, 0.02, "\n".join(texts), transform=axis.transAxes, fontsize="x-small", zorder=4,
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
+    )  # fmt: skip
+
+
 def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, kinds: int) -> None:
     rows, columns = axes.shape
     for (row, j), axis in np.ndenumerate(axes):
@@ -318,131 +347,3 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: s
         if (rows > kinds or columns > 1) and row % kinds == 0:
             channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // kinds]}"
             axis.set_title(plain(channel), loc="left")
-
-
-# --- measured against predicted --------------------------------------------------------------------------------------
-
-
-def fit_plot(
-    time: Any,
-    measured: ArrayLike | None = None,
-    predicted: ArrayLike | None = None,
-    *,
-    fit_percent: float | None = None,
-    time_unit: str = "s",
-    output_label: str | None = None,
-    output_unit: str | None = None,
-    detail: str | ArrayLike | None = "auto",
-    ax: Any = None,
-    **style: Unpack[FrameStyle],
-) -> ct.ControlPlot:
-    """Measured and predicted output, the residual below, and a few periods enlarged.
-
-    Parameters
-    ----------
-    time : array_like, shape (T,), or PEMResult
-        Instants, ascending; or the result of a fit alone, for the picture that its `plot` gives.
-    measured, predicted : array_like, shape (T,)
-        Outputs at these instants; NaN samples are gaps.
-    fit_percent : float, optional
-        Fit to show in the legend, in percent.
-    time_unit : str
-        Unit of time, for the label of the axis.
-    output_label : str, optional
-        Name of the output, for the labels; by default "Output", or that of the fitted record.
-    output_unit : str, optional
-        Its unit, for the labels; by default they have none.
-    detail : {'auto'}, or array_like of shape (2,), or None
-        Part of the record to enlarge in a panel of its own: from one instant to another, or none.  By default about
-        8 periods of the strongest oscillation where the residual is largest, at most a third of the record, if it has
-        more than 10 periods or 3000 samples.
-    ax : array of matplotlib.axes.Axes, shape (2, 1) or (3, 1), optional
-        Axes to draw on, the third for the detail; with two of them there is none.  By default a new figure.
-    **style
-        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`, as in `control.time_response_plot`.
-
-    Returns
-    -------
-    control.ControlPlot
-        `lines` and `axes` of shape (2, 1), or (3, 1) with the detail; `figure`, `legend`.
-
-    Raises
-    ------
-    StructureError
-        If the signals are not vectors of one length, time does not ascend, or no sample has both outputs.
-
-    Notes
-    -----
-    Long records are drawn by the extremes of short bins, which gives the same picture.
-
-    Examples
-    --------
-    >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
-    >>> t = np.linspace(0, 10, 201)
-    >>> plot = phc.fit_plot(t, np.sin(t), 0.9 * np.sin(t), fit_percent=90.0, output_label="Velocity", output_unit="m/s")
-    >>> plot.axes[0, 0].get_ylabel(), plot.axes[1, 0].get_xlabel()
-    ('Velocity [m/s]', 'Time [s]')
-    >>> plt.close(plot.figure)
-    """
-    look = Look.of(style, FrameStyle)
-    if measured is None and predicted is None and hasattr(time, "experiments"):
-        options = {"time_unit": time_unit, "output_label": output_label, "output_unit": output_unit, "ax": ax, **style}
-        if not isinstance(detail, str):
-            options["detail"] = detail
-        return time.plot(**{name: value for name, value in options.items() if value is not None or name == "detail"})
-    if measured is None or predicted is None:
-        raise StructureError("pass the time, the measured and the predicted output, or the result of a fit alone")
-    numbers = fit_data(time, measured, predicted, None if ax is not None and np.size(ax) == 2 else detail)
-    output = output_label or "Output"
-    quantity = labelled(output, output_unit)
-    residual = plain(f"Residual\n[{output_unit}]") if output_unit else "Residual"
-    with look.context():
-        heights = [3.0, 1.7] + [3.0] * (numbers.detail is not None)
-        figure, axes = stacked(ax, heights, meaning="the record above its residual, and the detail")
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = _draw_record(axes[0, 0], numbers, fit_percent)
-        lines[1, 0] = _draw_residual(axes[1, 0], numbers, output_unit or "")
-        for axis, name in zip(axes[:, 0], (quantity, residual, quantity), strict=False):
-            axis.set_ylabel(name)
-            look.lattice(axis)
-        if numbers.detail is not None:
-            lines[2, 0] = _draw_detail(axes[2, 0], axes[0, 0], numbers, detail)
-        for axis in axes[1:, 0]:
-            axis.set_xlabel(labelled("Time", time_unit))
-        legend = np.array([[look.legend(axis)] for axis in axes[:, 0]], dtype=object)
-        look.entitle(figure, ax, f"{output}, measured and predicted")
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def _draw_record(axis: Axes, numbers: FitData, fit_percent: float | None) -> list[Any]:
-    label = "predicted" if fit_percent is None else f"predicted (fit {percent(fit_percent)})"
-    axis.set_xlim(numbers.time[0], numbers.time[-1])
-    return [
-        *axis.plot(*extremes(numbers.time, numbers.measured, DRAWN), label="measured", **MEASURED),
-        *axis.plot(*extremes(numbers.time, numbers.predicted, DRAWN), label=label, **_PREDICTED),
-    ]
-
-
-def _draw_residual(axis: Axes, numbers: FitData, unit: str) -> list[Any]:
-    size = plain(f"RMS {numbers.residual_rms:.3g} {unit}".strip())
-    axis.text(
-        0.995, 1.0, size, transform=axis.transAxes, ha="right", va="bottom",
-        fontsize=mpl.rcParams["legend.fontsize"],
-    )  # fmt: skip
-    axis.axhline(0.0, **ZERO)
-    return list(axis.plot(*extremes(numbers.time, numbers.residual, DRAWN), label="residual", **_RESIDUAL))
-
-
-def _draw_detail(axis: Axes, top: Axes, numbers: FitData, detail: Any) -> list[Any]:
-    part = numbers.detail
-    t = numbers.time[part]
-    top.axvspan(t[0], t[-1], color="0.85", zorder=0)
-    axis.set_xlim(t[0], t[-1])
-    where = (
-        "Detail (shaded above), where the residual is largest" if isinstance(detail, str) else "Detail (shaded above)"
-    )
-    axis.set_title(where, loc="left")
-    return [
-        *axis.plot(*extremes(t, numbers.measured[part], DRAWN), label="measured", **SAMPLES),
-        *axis.plot(*extremes(t, numbers.predicted[part], DRAWN), label="predicted", **_PREDICTED),
-    ]

@@ -19,7 +19,7 @@ ORDER = (
     "affine_system",
     "realization", "lifting", "pairs", "morphisms", "filters", "isomorphism", "equivalence", "groupoids",
     "motion", "sampling", "response", "margins", "models", "spectra", "_sysdata", "bode", "drawing", "fit_data",
-    "energy", "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
+    "energy", "fit_plots", "plots", "validation_plots", "transients", "time_plots", "mode_data", "mode_plots",
     "_documents", "_tables", "recordings", "frequency_tables", "files", "identification", "result_plots", "demo", "cli",
 )  # fmt: skip
 

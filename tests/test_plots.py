@@ -15,9 +15,11 @@ from matplotlib.text import Text
 import ph_control as phc
 from ph_control import StructureError
 from ph_control.bode import Curve, away_from, features, frequency_grid
+from ph_control.drawing import extremes
+from ph_control.fit_plots import fit_plot
 from ph_control.identification.samples import ModeSamples
 from ph_control.models import frenkel_kontorova, lc_circuit, spring_chain
-from ph_control.plots import bode_plot, extremes, fit_plot
+from ph_control.plots import bode_plot
 from ph_control.spectra import SpectralEstimate, spectral_estimate
 
 EPS = np.finfo(float).eps
@@ -106,6 +108,12 @@ def test_a_damped_resonance_is_a_feature_but_not_an_infinite_one():
     everything, on_axis = features(ct.tf([1], [1, 0.02, 1]))
     np.testing.assert_allclose(everything, [np.sqrt(1 - 1e-4), 1.0], rtol=1e-12)
     assert len(on_axis) == 0
+
+
+def test_repeated_real_poles_are_features_at_their_size_and_not_at_the_rounding_of_their_imaginary_parts():
+    marks, singular = features(ct.tf([20], [1, 3, 3, 1]))
+    assert len(marks) and np.allclose(marks, 1.0, rtol=1e-3) and not len(singular)
+    assert bode_plot(ct.tf([20], [1, 3, 3, 1])).axes[0, 0].get_xlim() == (0.1, 10.0)
 
 
 def test_a_discrete_time_system_has_its_features_where_the_continuous_one_has_them():
@@ -391,6 +399,45 @@ def test_magnitudes_and_phases_can_be_drawn_in_other_units():
     assert absolute.axes[1, 0].get_ylabel() == "Phase [rad]"
     absolute.figure.canvas.draw()
     assert "0.5π" in [text.get_text() for text in absolute.axes[1, 0].get_yticklabels()]
+
+
+@pytest.mark.parametrize("dB", [True, False])
+@pytest.mark.parametrize("deg", [True, False])
+def test_margins_are_drawn_and_told(dB, deg):
+    chain, lag = phc.frenkel_kontorova(name="chain"), ct.tf([20], [1, 3, 3, 1], name="lag")
+    plot = bode_plot([chain, lag], display_margins=True, dB=dB, deg=deg)
+    gm, pm, wcg, wcp = ct.margin(lag)
+    _, ours, _, crossing = phc.margin(chain)
+    told = [text.get_text() for text in plot.axes[0, 0].texts]
+    assert told == [
+        f"chain: gain margin inf, phase margin {ours:.4g}° at {crossing:.4g} rad/s\n"
+        f"lag: gain margin {20 * np.log10(gm):.4g} dB at {wcg:.4g} rad/s, phase margin {pm:.4g}° at {wcp:.4g} rad/s"
+    ]
+    vertical = [
+        [line.get_xydata() for line in axis.lines if len(line.get_xdata()) == 2 and np.ptp(line.get_xdata()) == 0]
+        for axis in plot.axes[:, 0]
+    ]
+    (gain,) = vertical[0]
+    assert np.allclose(gain[0], [wcg, -20 * np.log10(gm) if dB else 1 / gm]) and gain[1][1] == (0.0 if dB else 1.0)
+    turn = 1.0 if deg else np.pi / 180
+    assert np.allclose(vertical[1][0], [[crossing, -180.0 * turn], [crossing, (ours - 180.0) * turn]])
+    assert np.allclose(vertical[1][1], [[wcp, -180.0 * turn], [wcp, (pm - 180.0) * turn]])
+    assert plot.axes[1, 0].get_ylim()[0] < -180.0 * turn
+    assert (
+        bode_plot(2.0 * chain, display_margins=True, plot_phase=False).axes[0, 0].texts[0].get_text().startswith("gain")
+    )
+
+
+def test_margins_are_those_of_one_port():
+    with pytest.raises(StructureError, match=r"margins are those of one port; the systems have 2 outputs and 2 inputs"):
+        bode_plot(phc.ph(np.eye(4), np.eye(4)[:, 2:]), display_margins=True)
+
+
+def test_phases_are_continuous_unless_they_are_wrapped():
+    three = ct.tf([1], [1, 3, 3, 1]) * ct.tf([1], [1, 3, 3, 1])
+    whole, wrapped = (bode_plot(three, wrap_phase=wrap).lines[1, 0][0].get_ydata() for wrap in (False, True))
+    assert whole.min() < -500.0 and -180.0 <= wrapped.min() and wrapped.max() <= 180.0
+    assert np.allclose(np.mod(whole - wrapped + 1.0, 360.0), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("row", ["magnitude", "phase"])

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from ..exceptions import StructureError
 from ..files import save
+from ..fit_plots import fit_plot
 from ..modal import ModalForm
-from ..plots import bode_plot, fit_plot
+from ..plots import bode_plot
 from ..systems import PortHamiltonian
 from .bootstrap import Resampled
 from .coordinates import InCoordinates
