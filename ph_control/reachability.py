@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Starts = NDArray[np.intp]
 
 _FEW = 100  # modes that a loop is as fast for as array operations
+_LEAST, _MOST = 5 / 3, 2 + 2 / np.sqrt(3)  # errors of the frequency of a pair in roundings: eigenvalues 1/2 to 3/2
 _MARGIN = 2.0  # between a quantity and the bound that it is held against, for the errors of both
 _NO_RIGID = _checks.readonly(np.zeros((0, 1)))
 
@@ -123,6 +124,20 @@ def of_exact(modes: ModalForm) -> Reduction | None:
     if np.count_nonzero(apart) == len(apart):
         return Reduction(d, r, np.arange(len(d)), r > 0)
     starts = _starts(apart)
+    return Reduction(d, r, starts, np.add.reduceat(r, starts) > 0)
+
+
+def of_pairs(d: Array, kappa: Array) -> Reduction | None:
+    """`of_matrix` where `Q` couples no pair to another, and `2 |Q_qp|` is no more than `sqrt(Q_qq Q_pp)`.
+
+    The error of a frequency is then between two multiples of it, and no mode lends weight to another.
+    """
+    unit = rounding_unit(len(d))
+    together, gaps = d[1:] + d[:-1], d[1:] - d[:-1]
+    apart = gaps > _MARGIN * _MOST * unit * together
+    if not (apart | (_MARGIN * gaps <= _LEAST * unit * together)).all():
+        return None
+    r, starts = kappa / d, _starts(apart)
     return Reduction(d, r, starts, np.add.reduceat(r, starts) > 0)
 
 

@@ -27,6 +27,7 @@ _HARMLESS = 16.0  # by how much more than a double's the rounding of a product m
 _TIGHT = 2.0  # size of the terms of a bracket over that of the bracket, up to which doubles have its digits
 _REPEATED = 64  # rows of a matrix up to which a second reduction costs less than products with more digits
 _STEPS = 5
+_NO_NUMBER = 1e-200  # residues whose squares are out of range
 _TURN = 2.0**-30  # largest turn, in radians, whose square is no more than rounding
 _BLOCKED = 64  # columns of workspace with which LAPACK applies reflections in blocks
 
@@ -103,6 +104,21 @@ def _turn_to_first_axis(K: Array, b: Array) -> float:
         dger(2.0, w, v, a=K.T, overwrite_a=1)
         dger(-2.0, v, w, a=K.T, overwrite_a=1)
     return length
+
+
+def pair_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
+    """Frequencies and residues where `Q` couples no pair `(q_l, p_l)` to another; None where terms may cancel."""
+    q, p = np.split(np.diag(Q), 2)
+    x, y = np.split(b, 2)
+    c = 0.5 * (np.diag(Q, len(q)) + np.diag(Q, -len(q)))
+    if not ((q > 0) & (p > 0) & (4 * c * c <= q * p)).all():
+        return None
+    root = np.sqrt(q) * np.sqrt(p)
+    d, kappa = root * np.sqrt((1 - c / root) * (1 + c / root)), q * x * x + p * y * y + 2 * c * x * y
+    if (((x != 0) | (y != 0)) & (kappa < _NO_NUMBER)).any():
+        return None
+    order = np.argsort(d, kind="stable")
+    return d[order], kappa[order]
 
 
 def triangular_factors(Q: Array) -> list[Array]:

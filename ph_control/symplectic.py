@@ -13,7 +13,15 @@ from . import _checks
 from ._graphs import coupled_pairs
 from ._twofloat import Pair, divide, exactly, product
 from .exceptions import StructureError
-from .reduction import apply_form, back_to_symplectic, bounded_spectrum, poisson, reduce_block, skew_normal_form
+from .reduction import (
+    apply_form,
+    back_to_symplectic,
+    bounded_spectrum,
+    pair_spectrum,
+    poisson,
+    reduce_block,
+    skew_normal_form,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -241,10 +249,11 @@ def direct_sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple
     return Q, B
 
 
-def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array, float] | None:
+def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array, float | None] | None:
     """Frequencies and residues `(d, kappa)` of one port, without the modes behind them: a fraction of their cost.
 
-    With them a bound for the norm of the inverse of `Q` scaled to unit diagonal.
+    With them a bound for the norm of the inverse of `Q` scaled to unit diagonal, or None if it couples no pair
+    `(q_l, p_l)` to another: then there is a formula, and each has its full relative accuracy.
 
     With `Q = F F^T` the transfer function is `b^T (s - K)^{-1} b`, `K = F^T J F` skew and `b = F^T B`.  Householder
     reflections that begin with one of `b` make `K` tridiagonal; with it come frequencies, and as squares of the first
@@ -255,7 +264,12 @@ def port_spectrum(Q: Array, B: Array) -> tuple[Array, Array, float] | None:
         return None
     size = np.abs(np.concatenate([np.diag(Q), B]))
     moderate = size.max() < _MODERATE and np.diag(Q).min() > 1 / _MODERATE and size[len(Q) :].max() > 1 / _MODERATE
-    if not moderate or len(_decoupled(Q)) > 1:
+    if not moderate:
+        return None
+    parts, _ = coupled_pairs(Q)
+    if parts == len(Q) // 2 and (pairs := pair_spectrum(Q, B)) is not None:
+        return *pairs, None
+    if parts > 1:
         return None
     found = bounded_spectrum(Q, B)
     return None if found is None or found[0][0] * _SPREAD <= found[0][-1] else found

@@ -166,7 +166,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
         return self._modes
 
     @View
-    def _port(self) -> tuple[Array, Array, float] | None:
+    def _port(self) -> tuple[Array, Array, float | None] | None:
         """`port_spectrum`, where it can be had."""
         return port_spectrum(self.Q, self.B[:, 0]) if self._given is not None and self.ninputs == 1 else None
 
@@ -183,6 +183,8 @@ class PortHamiltonian(HasForms, LosslessSystem):
         if self._modes is not None or self._port is None:
             return None
         d, kappa, inverse = self._port
+        if inverse is None:
+            return reachability.of_pairs(d, kappa)
         return reachability.of_matrix(d, kappa, inverse, np.diag(self.Q))
 
     @View

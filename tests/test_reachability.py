@@ -94,7 +94,10 @@ def decided(Q, B):
     """`(fast, slow)`: the decision of frequencies and residues, None where there is none, and that of all the modes."""
     system = phc.ph(Q, B)
     found = port_spectrum(system.Q, system.B[:, 0])
-    fast = None if found is None else of_matrix(*found, np.diag(system.Q))
+    if found is not None and found[2] is None:
+        fast = reachability.of_pairs(*found[:2])
+    else:
+        fast = None if found is None else of_matrix(*found, np.diag(system.Q))
     return fast, separate(phc.ph(Q, B).modes, (system.Q, system.B), system._energy)
 
 
@@ -167,6 +170,56 @@ def test_a_matrix_near_a_singular_one_is_left_open():
     assert inverse >= 1 / np.linalg.eigvalsh(Q / root / root[:, None])[0]
     assert of_matrix(d, kappa, inverse, np.diag(Q)) is None
     assert of_matrix(d, kappa, 1.0, np.ones(6)) is not None
+
+
+def pairs_of(n, coupling, rng, repeated=True):
+    """`(Q, B)` of pairs that nothing couples, some of one frequency in units of their own, some unreached."""
+    d = np.sort(rng.choice(10 ** rng.uniform(-3, 3, max(1, n // 2 if repeated else n)), n, replace=repeated))
+    c, unit = coupling * rng.uniform(-1, 1, n), 2.0 ** rng.integers(-8, 8, n)
+    size = d / np.sqrt(1 - c * c)
+    Q = np.diag(np.r_[size * unit, size / unit]) + np.diag(size * c, n) + np.diag(size * c, -n)
+    B = rng.standard_normal(2 * n) * np.tile(np.where(rng.random(n) < 0.3, 0.0, 10.0 ** rng.uniform(-30, 3, n)), 2)
+    B[0] = 1.0
+    return Q, B
+
+
+@relaxed
+@given(st.integers(2, 40), st.sampled_from([0.0, 0.2, 0.49]), seeds)
+def test_pairs_that_nothing_couples_are_decided_as_by_their_modes(n, coupling, seed):
+    Q, B = pairs_of(n, coupling, np.random.default_rng(seed))
+    system, modes = phc.ph(Q, B), phc.ph(Q, B).modes
+    d, kappa, inverse = port_spectrum(system.Q, B)
+    assert inverse is None
+    assert np.all(np.abs(d - modes.d) <= 8 * EPS * d)
+    # modes of one frequency may come in another order
+    assert abs(kappa.sum() - modes.kappa.sum()) <= 20 * EPS * kappa.sum()
+    fast, slow = reachability.of_pairs(d, kappa), separate(modes, (system.Q, system.B), system._energy)
+    assert fast is not None
+    small, wanted = fast.minimal(), slow.minimal()
+    assert small.n == wanted.n
+    assert np.all(np.abs(small.d - wanted.d) <= 20 * EPS * wanted.d)
+    assert np.all(np.abs(small.r - wanted.r) <= 100 * EPS * wanted.r)
+    assert len(fast.hidden()) == n - small.n
+
+
+def test_a_pair_that_is_nearly_free_and_weights_out_of_range_are_left_to_the_modes():
+    Q = np.diag([1.0, 2.0, 1.0, 2.0])
+    assert port_spectrum(Q, np.ones(4)) is not None
+    Q[0, 2] = Q[2, 0] = 0.9
+    assert port_spectrum(Q, np.ones(4)) is None
+    assert phc.minreal(phc.ph(Q, np.ones(4))).n == 2
+    assert port_spectrum(np.diag([1.0, 0.0, 1.0, 1.0]), np.ones(4)) is None
+    assert port_spectrum(np.eye(4), np.array([1.0, 1e-150, 0.0, 0.0])) is None
+
+
+@pytest.mark.parametrize("exponent", np.arange(-17.0, -10.0, 0.25))
+def test_near_frequencies_of_pairs_are_merged_kept_or_left_open(exponent):
+    d = np.array([1.0, 1.0 + 10**exponent, 3.0])
+    Q, B = np.diag(np.r_[d, d]), np.ones(6)
+    found = reachability.of_pairs(*port_spectrum(Q, B)[:2])
+    slow = separate(phc.ph(Q, B).modes, (Q, B[:, None]), phc.ph(Q, B)._energy).minimal().n
+    assert found is None or found.minimal().n == slow
+    assert (found is None) <= (-15.5 < exponent < -13)
 
 
 # --- systems ---------------------------------------------------------------------------------------------------------
