@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dger, dtrmm
-from scipy.linalg.lapack import dgehrd, dorghr
+from scipy.linalg.lapack import dgehrd, dgesdd, dgesdd_lwork, dorghr
 
 from . import _checks
 from ._lapack import bidiagonal_components, bidiagonal_svd, components
@@ -209,7 +209,7 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Array] 
     """As `_coupled_rows`, of `Q = diag(Fq Fq^T, Fp Fp^T)`."""
     n = len(Fq)
     parts = product_parts(exactly(Fq.T), exactly(Fp), slices, lambda a, b: _transposed_times(a.T, b))
-    U, sigma, Vt = np.linalg.svd(sum(parts[1:], parts[0]))
+    U, sigma, Vt = _singular_vectors(sum(parts[1:], parts[0]))
     sigma = sigma[::-1].copy()
     found = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
     if found is None:
@@ -219,6 +219,11 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Array] 
     S = np.zeros((2 * n, 2 * n))
     S[:n, :n], S[n:, n:] = X, Y
     return sigma + sigma * _quotient(excess, length), S
+
+
+def _singular_vectors(M: Array) -> tuple[Array, Array, Array]:
+    U, sigma, Vt, failed = dgesdd(M, lwork=int(dgesdd_lwork(*M.shape)[0]))
+    return np.linalg.svd(M) if failed else (U, sigma, Vt)
 
 
 def _quotient(excess: Array, length: Array) -> Array:
@@ -234,14 +239,17 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
     """
     if not sigma.min() > 0:
         return None
-    root, scaled, size, squares = np.sqrt(sigma), [], np.zeros((0, len(sigma))), np.zeros((0, len(sigma)))
-    for F, vectors in factors:
-        right = np.divide(vectors, np.concatenate([root] * (vectors.shape[1] // len(sigma))), order="F")
+    root = np.sqrt(sigma if len(factors) == 2 else np.concatenate([sigma, sigma]))
+    scaled: list[tuple[Array, Array, Array]] = []
+    size, squares = np.empty((2, len(factors), len(root)))
+    for k, (F, vectors) in enumerate(factors):
+        right = np.divide(vectors, root, order="F")
         column, entries = np.einsum("ij,ij->j", F, F), right * right
         scaled.append((F, np.sqrt(column), right))
-        size = np.concatenate([size, np.sqrt(column @ entries).reshape(-1, len(sigma))])
-        squares = np.concatenate([squares, entries.sum(axis=0).reshape(-1, len(sigma))])
-    x, y = size if len(factors) == 2 else [size.max(axis=0)] * 2
+        size[k], squares[k] = column @ entries, entries.sum(axis=0)
+    x, y = np.sqrt(size.reshape(2, -1))
+    if len(factors) == 1:
+        x = y = np.maximum(x, y)
     harmless = max(_cost_of_rounding(sigma, x, y), _cost_of_rounding(sigma, y, x)) <= _HARMLESS
     needed = 1 if harmless else 2 if x.max() * y.max() <= _AMPLIFIED else 3
     if needed > slices:
@@ -254,7 +262,7 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
             F, right = F / unit, unit[:, None] * right
         high, low = product(exactly(F), exactly(right), needed, _lower_times)
         rows.append((high.T, low.T))
-    return rows, sigma * np.sqrt(squares.prod(axis=0)), bool(np.max(x * y) <= _TIGHT)
+    return rows, sigma * np.sqrt(squares.reshape(2, -1).prod(axis=0)), bool(np.max(x * y) <= _TIGHT)
 
 
 def _cost_of_rounding(d: Array, x: Array, y: Array) -> float:
@@ -407,8 +415,8 @@ def _planes(K: Array) -> tuple[Array, Array]:
     else:
         U, sigma, Vt = bidiagonal_svd(superdiagonal[0::2], -superdiagonal[1::2])
     basis = np.empty((len(K), len(K)), order="F")
-    ascending = Vt[:pairs][::-1]
-    np.matmul(P[:, 0::2], np.concatenate([ascending, Vt[pairs:]]).T, out=basis[:, : pairs + odd])
+    ascending = np.concatenate([Vt[:pairs][::-1], Vt[pairs:]]) if odd else Vt[::-1]
+    np.matmul(P[:, 0::2], ascending.T, out=basis[:, : pairs + odd])
     np.matmul(P[:, 1::2], U[:, ::-1], out=basis[:, pairs + odd :])
     return sigma[::-1].copy(), basis
 

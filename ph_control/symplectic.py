@@ -179,10 +179,12 @@ def williamson(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array
     -----
     Cholesky `Q = L L^T`; the skew matrix `L^T J L` goes by Householder reflections to a tridiagonal and,
     shuffled, to a bidiagonal one, whose singular values are `d`; Newton steps, as a rule one, take `S` back to
-    the symplectic group.  Products in which large terms cancel are formed with twice the digits.  Degrees of freedom
-    that `Q` does not couple are treated apart, so that each keeps its own relative accuracy.  Cost O(n^3); the residual
-    `S^T diag(d, d) S - Q` is of size `n eps` relative to `||Q||`, those of `S J S^T = J` and `S^T J S = J` are what
-    rounding the exact `S` leaves, `eps ||S||^2`.
+    the symplectic group.  Products in which large terms cancel have as many digits more as that costs.  Degrees of
+    freedom that `Q` does not couple are treated apart, so that each keeps its own relative accuracy.  A block
+    `diag(K, W)`, as of a mechanical system with stiffness `K` and `W = M^{-1}`, is recognised by its zeros and reduced
+    by the singular vectors of `L_K^T L_W`, a matrix of half the size, in about a quarter of the time.  Cost O(n^3); the
+    residual `S^T diag(d, d) S - Q` is of size `n eps` relative to `||Q||`, those of `S J S^T = J` and `S^T J S = J` are
+    what rounding the exact `S` leaves, `eps ||S||^2`.
 
     What counts as kernel: eigenvalues below `8 * 2n * eps` of `Q` scaled to unit diagonal.
 
@@ -280,16 +282,18 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
 
     Pairs in the order oscillating (`d1 = d2`, ascending), free (0, 1), cyclic (0, 0).
     """
-    n = len(Q) // 2
+    n, blocks = len(Q) // 2, _decoupled(Q)
     kinds: list[Array] = [np.zeros((3, 0))]
     upper: list[Array] = [np.zeros((0, 2 * n))]
     lower: list[Array] = [np.zeros((0, 2 * n))]
-    blocks = _decoupled(Q)
     for block in blocks:
         half = len(block) // 2
         d, S, still = reduce_block(_part(Q, block))
         free = len(still[0])
         cyclic = half - len(d) - free
+        if len(blocks) == 1 and len(d) == n:
+            order = np.argsort(d, kind="stable")
+            return d[order], d[order], _in_order(S[0], np.concatenate([order, order + n]))
         rows = _complete(d, S, still) if free or cyclic else S[0]
         d1 = np.concatenate([d, np.zeros(free + cyclic)])
         d2 = np.concatenate([d, np.ones(free), np.zeros(cyclic)])
@@ -298,8 +302,7 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
         lower.append(_embed(rows[half:], block, 2 * n))
     kind, d1, d2 = np.concatenate(kinds, axis=1)
     order = np.lexsort([d1, kind])
-    rows = np.concatenate([*upper, *lower]) if len(blocks) != 1 else rows
-    return d1[order], d2[order], _in_order(rows, np.concatenate([order, order + n]))
+    return d1[order], d2[order], np.concatenate([*upper, *lower])[np.concatenate([order, order + n])]
 
 
 def _decoupled(Q: Array) -> list[NDArray[np.intp]]:
