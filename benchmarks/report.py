@@ -169,7 +169,8 @@ Curves = dict[str, dict[str, list[tuple[float, float]]]]  # family: contender: s
 def slope(points: list[tuple[float, float]]) -> float:
     """Power of the size with which time grows, by the larger half of the sizes."""
     sizes, seconds = np.log(sorted(points)[-max(2, len(points) // 2 + 1) :]).T
-    return float(np.polyfit(sizes, seconds, 1)[0])
+    # a decimal is what it is worth, and 0 has no sign
+    return float(np.round(np.polyfit(sizes, seconds, 1)[0], 1)) + 0.0
 
 
 def drawn(curves: Curves) -> Curves:
@@ -255,7 +256,9 @@ def main(argv: list[str] | None = None) -> int:
         print(*pictures, sep="\n")
     if options.write is not None:
         base = options.write.resolve().parent
-        shown = [f"![{path.stem.replace('_', ' ')}]({os.path.relpath(path.resolve(), base)})" for path in pictures]
+        titles = [FAMILIES[path.stem.removeprefix("performance_")].title for path in pictures]
+        places = [os.path.relpath(path.resolve(), base) for path in pictures]
+        shown = [f"![{title}]({place})" for title, place in zip(titles, places, strict=True)]
         write(options.write, "the run", [f"{header}. {took}", "\n".join(rows), growth(curves), *shown])
     return 0
 

@@ -446,7 +446,7 @@ FAMILIES: dict[str, Family] = {
         "Simulation of 50 modes, input interpolated",
         "samples T",
     ),
-    "simulation of dense Q": Family(simulation_of_dense, [(n, T) for T in (10_000, 100_000) for n in (20, 50, 100)]),
+    "dense": Family(simulation_of_dense, [(n, T) for T in (10_000, 100_000) for n in (20, 50, 100)]),
     "large": Family(simulation, [(500, 100_000)]),
     "million": Family(million_samples, [()]),
     "williamson": Family(williamson, _each(20, 50, 100, 200, 500), "Williamson's form of a dense Q of condition 1e12"),
