@@ -113,7 +113,8 @@ def pair_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
     c = 0.5 * (np.diag(Q, len(q)) + np.diag(Q, -len(q)))
     if not ((q > 0) & (p > 0) & (4 * c * c <= q * p)).all():
         return None
-    root = np.sqrt(q) * np.sqrt(p)
+    # exactly `d` of `diag(d, d)`
+    root = np.sqrt(q * p)
     d, kappa = root * np.sqrt((1 - c / root) * (1 + c / root)), q * x * x + p * y * y + 2 * c * x * y
     if (((x != 0) | (y != 0)) & (kappa < _NO_NUMBER)).any():
         return None

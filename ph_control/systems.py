@@ -168,7 +168,9 @@ class PortHamiltonian(HasForms, LosslessSystem):
     @View
     def _port(self) -> tuple[Array, Array, float | None] | None:
         """`port_spectrum`, where it can be had."""
-        return port_spectrum(self.Q, self.B[:, 0]) if self._given is not None and self.ninputs == 1 else None
+        if self._given is None or self.ninputs != 1 or "_energy" in self._views:
+            return None
+        return port_spectrum(self.Q, self.B[:, 0])
 
     @View
     def _seen(self) -> ModalForm | None:

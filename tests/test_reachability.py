@@ -278,3 +278,9 @@ def test_the_verdict_on_a_system_is_that_of_its_groups(ports):
             system = phc.ph(Q, np.stack([B] * ports, axis=1))
             assert system.is_canonical == (min(r) > 0 and d[0] < d[1])
             assert phc.ph(phc.modes(d, r)).is_canonical == (min(r) > 0 and d[0] < d[1])
+
+
+def test_frequencies_on_the_diagonal_are_kept_to_the_last_bit():
+    d = np.sort(np.random.default_rng(0).uniform(0.1, 10, 50))
+    found, _, _ = port_spectrum(np.diag(np.r_[d, d]), np.ones(100))
+    assert np.array_equal(found, d)
