@@ -43,10 +43,10 @@ def shown(value: Any) -> str:
     return text if len(text) < 40 else type(value).__name__
 
 
-def real_array(name: str, value: ArrayLike, ndim: int | None = None) -> Array:
-    """Convert to a fresh array of finite doubles with `ndim` dimensions."""
+def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, fresh: bool = True) -> Array:
+    """Convert to an array of finite doubles with `ndim` dimensions, one of its own unless not `fresh`."""
     raw = value if type(value) is np.ndarray and value.dtype.char == "d" else _real_numbers(name, value)
-    array = np.array(raw, dtype=float)
+    array = np.array(raw, dtype=float) if fresh else np.asarray(raw, dtype=float)
     if ndim is not None and array.ndim != ndim:
         raise StructureError(
             f"{name} has {array.ndim} dimensions (shape {array.shape}), needed {ndim}; "
@@ -425,39 +425,40 @@ def conjugate_closed(name: str, value: ArrayLike) -> NDArray[np.complex128]:
 def time_vector(time: ArrayLike, *, name: str = "the time vector") -> tuple[Array, float]:
     """Check a uniform, increasing time vector; return it with its step (0 for a single sample)."""
     t = real_array(name, time, 1)
-    if t.size == 0:
-        raise StructureError(f"{name} is empty; give at least one instant")
-    if t.size == 1:
-        return t, 0.0
-    step, surely = time_step(t)
-    if not surely:
-        _uniform(t, step, name)
-    return t, step
+    return t, time_step(t, name=name)[0]
 
 
-def time_step(t: Array) -> tuple[float, bool]:
-    """Time between samples, of which there are two at least, and whether they surely are equally spaced.
+def time_step(t: Array, *, name: str = "the time vector") -> tuple[float, float]:
+    """Step of uniform, increasing instants, and their largest distance from the grid `t_0 + k step`.
 
     Instants made as `t_0 + k h` are followed with that very `h`: their mean step may miss it by a unit in the last
     place, and a mode would be off by `d t eps`.
     """
-    first, rounding = float(t[1] - t[0]), 2 * EPS * max(abs(float(t[0])), abs(float(t[-1])))
-    if distance_from_grid(t, first) <= rounding:
-        return first, 1000 * rounding < first
-    return float((t[-1] - t[0]) / (t.size - 1)), False
+    if t.size == 0:
+        raise StructureError(f"{name} is empty; give at least one instant")
+    if t.size == 1:
+        return 0.0, 0.0
+    step, rounding = float(t[1] - t[0]), 2 * EPS * max(abs(float(t[0])), abs(float(t[-1])))
+    off = distance_from_grid(t, step)
+    if off > rounding:
+        step = float((t[-1] - t[0]) / (t.size - 1))
+        off = distance_from_grid(t, step)
+    # printed times are often rounded to a few digits: a hundredth of a step does not make a grid unequal
+    allowed = 0.01 * step
+    if off > allowed or 1000 * rounding > step:
+        _refuse_instants(t, off, allowed, name)
+    return step, off
 
 
-def _uniform(t: Array, step: float, name: str) -> None:
-    if not all(np.diff(t[start : start + _BLOCK + 1]).min(initial=np.inf) > 0 for start in range(0, t.size, _BLOCK)):
-        k = int(np.argmax(np.diff(t) <= 0))
+def _refuse_instants(t: Array, off: float, allowed: float, name: str) -> None:
+    gaps = np.diff(t)
+    if not gaps.min() > 0:
+        k = int(np.argmax(gaps <= 0))
         raise StructureError(
             f"{name} does not increase: samples {k} and {k + 1} are at {t[k]:.9g} and {t[k + 1]:.9g}; "
             "sort it and drop repeats"
         )
-    # printed times are often rounded to a few digits: a hundredth of a step does not make a grid unequal
-    allowed = 0.01 * step
-    if distance_from_grid(t, step) > allowed:
-        gaps = np.diff(t)
+    if off > allowed:
         k = int(np.argmax(np.abs(gaps - np.median(gaps))))
         raise StructureError(
             f"{name} is not equally spaced: the step from sample {k} to {k + 1} is {gaps[k]:.6g}, the median step "
@@ -468,7 +469,7 @@ def _uniform(t: Array, step: float, name: str) -> None:
 
 @np.errstate(over="ignore")
 def distance_from_grid(t: Array, step: float) -> float:
-    """Largest `|t_0 + k step - t_k|`; by blocks that stay in a cache."""
+    """Largest `|t_0 + k step - t_k|`, 0 if they are equal to the last bit; by blocks that stay in a cache."""
     worst, count = 0.0, np.arange(float(min(t.size, _BLOCK)))
     for start in range(0, t.size, _BLOCK):
         part = t[start : start + _BLOCK]

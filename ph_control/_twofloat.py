@@ -98,9 +98,11 @@ def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
     last place however large `k` is; `k * hi` in doubles alone would lose `log2(k)` bits.
     """
     hi, lo = step[0][..., None], step[1][..., None]
-    phase, rest = two_prod(hi, np.broadcast_to(k, np.broadcast_shapes(hi.shape, k.shape)))
+    phase, rest = two_prod(hi, k)
     rest = rest + k * lo
-    result: NDArray[np.complex128] = np.exp(1j * phase) * np.exp(1j * rest)
+    result: NDArray[np.complex128] = np.exp(1j * phase)
+    # to first order where the next one is below the rounding of 1
+    result *= 1.0 + 1j * rest if np.abs(rest).max(initial=0.0) < 1e-8 else np.exp(1j * rest)
     return result
 
 

@@ -58,7 +58,9 @@ def _port_hamiltonian(
     sys: PortHamiltonian, u: Array, z0: Array, rule: Rule, states: bool
 ) -> tuple[Array, Array | None]:
     d, E, E0 = sys._energy
-    x0 = np.concatenate([(E @ z0) / np.sqrt(d), (E0 @ z0).astype(complex)])
+    x0 = np.zeros(len(d) + len(E0), complex)
+    if z0.any():
+        x0 = np.concatenate([(E @ z0) / np.sqrt(d), E0 @ z0])
     modes = sys.modes
     y, x = simulate(discretize(modes, *rule), u, x0, states=states)
     return y, None if x is None else _phase_space_states(sys, x[: len(d)], x0[: len(d)], z0, u, rule)

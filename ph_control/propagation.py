@@ -28,6 +28,7 @@ INTERSAMPLE = ("zoh", "foh")
 _SHORT = 32  # samples of a block of states
 _SAMPLES = 1 << 14  # held at once
 _STATES = 1 << 13  # held at once
+_FOLD = 40  # modes from which on folding pays
 
 
 @dataclass(frozen=True)
@@ -108,29 +109,34 @@ def input_weights(
     if method == "midpoint":
         weight = (h / (1.0 - 0.5 * z))[:, None] * b
         return (weight, 0 * b) if intersample == "zoh" else (0.5 * weight, 0.5 * weight)
-    phi_1, phi_2 = phi_functions(z, imaginary(step_factors(d, h, "exact")[1][1]))
+    rest = imaginary(step_factors(d, h, "exact")[1][1])
     if intersample == "zoh":
-        return (h * phi_1)[:, None] * b, 0 * b
+        return (h * phi_function(z, rest))[:, None] * b, 0 * b
+    phi_1, phi_2 = phi_functions(z, rest)
     return (h * (phi_1 - phi_2))[:, None] * b, (h * phi_2)[:, None] * b
 
 
-def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[ComplexArray, ComplexArray]:
-    """`phi_1 = (e^z - 1)/z` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0.
+def phi_function(z: ComplexArray, rest: ComplexArray | float = 0.0) -> ComplexArray:
+    """`phi_1 = (e^z - 1)/z` without cancellation near 0.
 
     `rest` is the low part of `z`, which many turns in one step need to keep the phase.
     """
-    small = np.abs(z) < 0.5
-    safe = np.where(z == 0, 1.0, z)
     # not expm1, whose complex version loses digits in some releases of numpy
-    half, low = 0.5 * safe, 0.5 * rest
-    phi_1 = np.where(z == 0, 1.0, np.exp(half) * np.exp(low) * (np.sinh(half) + low * np.cosh(half)) / half)
-    phi_2 = (phi_1 - 1.0) / safe
+    half, low = 0.5 * np.where(z == 0, 1.0, z), 0.5 * rest
+    return np.where(z == 0, 1.0, np.exp(half) * np.exp(low) * (np.sinh(half) + low * np.cosh(half)) / half)
+
+
+def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[ComplexArray, ComplexArray]:
+    """`phi_1` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0."""
+    phi_1 = phi_function(z, rest)
+    phi_2 = (phi_1 - 1.0) / np.where(z == 0, 1.0, z)
+    small = np.abs(z) < 0.5
     if small.any():
         series, near = np.ones(int(small.sum()), complex), z[small]
         for k in range(17, 2, -1):
             series = 1.0 + near * (series / k)
         phi_2[small] = 0.5 * series
-    return phi_1, np.asarray(phi_2)
+    return phi_1, phi_2
 
 
 def simulate(
@@ -159,48 +165,82 @@ def simulate(
         Modal states.
     """
     # with x = w + b1 u the recursion for w needs only the input at the start of a step
-    b = step.b0 + step.multiplier[:, None] * step.b1
+    b = step.b0 + step.multiplier[:, None] * step.b1 if step.b1.any() else step.b0
     start = x0 - step.b1 @ u[:, 0]
     turns = _turns(step, min(block or _block(len(x0)), u.shape[1]), u.shape[1])
-    near, far = _responses(step, b, turns)
+    forced = _responses(step, b, turns)
     outward = turns.whole[:-1] * step.c[:, None]
     y = np.empty(u.shape)
     for here, blocks, sums in _segments(turns, b, u, start):
-        out = _forced(blocks, near, far)
-        for row, weights in zip(out, outward, strict=True):
-            turns.spread(sums * weights[: len(sums)], row)
-        y[:, here] = out.reshape(len(u), -1)[:, : here.stop - here.start]
+        for row, kernels, weights in zip(y, forced, outward, strict=True):
+            out = blocks[0] @ kernels[0]
+            for more, kernel in zip(blocks[1:], kernels[1:], strict=True):
+                out += more @ kernel
+            turns.spread(sums * weights[: len(sums)], out)
+            row[here] = out.ravel()[: here.stop - here.start]
     return y, _all_states(step, b, u, start) if states else None
 
 
 def _block(modes: int) -> int:
     """Samples to take at once: short ones leave more states to carry, long ones more products with inputs."""
-    return 32 * int(np.clip(np.round(np.sqrt(300.0 * modes) / 32), 1, 8))
+    return 32 * int(np.clip(np.round(np.sqrt(180.0 * modes) / 32), 1, 6))
 
 
 # --- blocks ------------------------------------------------------------------------------------------------------
 
 
 class _Turns:
-    """What samples make of the states of a block, and these of samples, where no mode grows.
+    """What samples make of the states of a block, and these of samples: powers of `lambda` as real tables.
+
+    Where no mode grows, states are kept turned back to the first block of a piece of the record, `whole` turns them on;
+    then what carries them is a sum.
+    """
+
+    def __init__(self, step: Step, size: int, count: int) -> None:
+        self.size, self.grows = size, bool(step.growth.any())
+        # from the start of a block to where its states are, and from those with the samples to those of the next one
+        self.ahead = self.after = np.ones(len(step.growth), complex)
+        if self.grows:
+            self.leap, self.rest = _leap(step, size)
+            self.whole = np.broadcast_to(self.ahead, (count + 1, len(step.growth)))
+        else:
+            self.whole = _table(step, 0.0, float(size), count + 1)
+        self._tabulate(step)
+
+    def _tabulate(self, step: Step) -> None:
+        powers = _table(step, 0.0, 1.0, self.size)
+        self.inward, self.outward = powers[::-1].copy().view(float), powers.conj().view(float).T
+
+    def gather(self, u: Array) -> ComplexArray:
+        """Sums of the samples of blocks (count, size), turned to where the states of the block are, (count, N)."""
+        return (u @ self.inward).view(complex)
+
+    def spread(self, x: ComplexArray, y: Array) -> None:
+        """Add real parts of the states of blocks (count, N), turned to each sample, to `y` (count, size)."""
+        y += np.ascontiguousarray(x).view(float) @ self.outward
+
+    def carry(self, x: ComplexArray) -> None:
+        """Make of a state and what every block adds to it the states before the blocks, in place."""
+        if not self.grows:
+            np.cumsum(x, axis=0, out=x)
+            return
+        for k in range(1, len(x)):
+            x[k] += self.leap * x[k - 1] + self.rest * x[k - 1]
+
+
+class _Folded(_Turns):
+    """The same with half the products for the price of some sums, where no mode grows.
 
     States are those in the middle of the block: seen from there a sample before turns by what one after turns back, so
     that sums and differences of the two need one real table each, of cosines and of sines.
     """
 
-    def __init__(self, step: Step, size: int, count: int) -> None:
-        self.size, half = size, size // 2
-        near, far = 2.0 ** np.arange(np.ceil(np.log2(half))), size * 2.0 ** np.arange(np.ceil(np.log2(count + 1)))
-        powers = step.powers(np.concatenate([[0.5 * size - 0.5, size - 1.0, 0.5], near, far])).T
-        #: from the start of a block to where its states are, and from those with the samples to those of the next one
-        self.ahead, self.after = powers[:2]
-        turns = _table(powers[2], powers[3 : 3 + len(near)], half)
+    def _tabulate(self, step: Step) -> None:
+        self.ahead, self.after = step.powers(np.array([0.5 * self.size - 0.5, self.size - 1.0])).T
+        turns = _table(step, 0.5, 1.0, self.size // 2)
         self.cos, self.sin = np.ascontiguousarray(turns.real), np.ascontiguousarray(turns.imag)
-        #: through so many blocks, shape (count + 1, N)
-        self.whole = _table(np.ones_like(powers[2]), powers[3 + len(near) :], count + 1)
 
     def gather(self, u: Array) -> ComplexArray:
-        """Sums of the samples of blocks (count, size), each turned to the middle, shape (count, N)."""
         half = self.size // 2
         before, behind = u[:, half - 1 :: -1], u[:, half:]
         x = np.empty((len(u), self.cos.shape[1]), complex)
@@ -209,99 +249,58 @@ class _Turns:
         return x
 
     def spread(self, x: ComplexArray, y: Array) -> None:
-        """Add real parts of the states in the middle (count, N), turned to each sample, to `y` (count, size)."""
         half = self.size // 2
         even, odd = np.ascontiguousarray(x.real) @ self.cos.T, np.ascontiguousarray(x.imag) @ self.sin.T
         y[:, half:] += even - odd
         even += odd
         y[:, half - 1 :: -1] += even
 
-    def carry(self, x: ComplexArray) -> None:
-        """Make of a state and what every block adds to it the states before the blocks, in place, all turned back."""
-        np.cumsum(x, axis=0, out=x)
+
+def _turns(step: Step, size: int, samples: int) -> _Turns:
+    """Tables for blocks of so many samples, made even, and pieces of the record."""
+    size, modes = size + size % 2, len(step.growth)
+    count = max(32, min(_SAMPLES // size, _STATES // max(1, modes)))
+    kind = _Turns if step.growth.any() or modes < _FOLD else _Folded
+    return kind(step, size, min(count, -(-samples // size)))
 
 
-class _Growth:
-    """The same for modes that grow: states are those at the start of the block, and nothing is symmetric."""
-
-    def __init__(self, step: Step, size: int, count: int) -> None:
-        self.size, N = size, len(step.growth)
-        self.ahead = self.after = np.ones(N, complex)
-        self.whole = np.broadcast_to(self.ahead, (count + 1, N))
-        powers = step.powers(np.arange(float(size))).T
-        self.inward = powers[::-1].copy().view(float)
-        self.outward = np.stack([powers.real, -powers.imag], axis=-1).reshape(size, 2 * N)
-        # the rounding of one factor would be that of all blocks
-        turn = size * (step.phase[0].astype(np.longdouble) + step.phase[1])
-        leap = np.exp(size * step.growth.astype(np.longdouble)) * (np.cos(turn) + 1j * np.sin(turn))
-        self.leap = leap.astype(complex)
-        self.rest = (leap - self.leap).astype(complex)
-
-    def gather(self, u: Array) -> ComplexArray:
-        """Sums of the samples of blocks (count, size), as they arrive at the start of the next block."""
-        return (u @ self.inward).view(complex)
-
-    def spread(self, x: ComplexArray, y: Array) -> None:
-        """Add real parts of the states at the start (count, N), taken to each sample, to `y` (count, size)."""
-        y += np.ascontiguousarray(x).view(float) @ self.outward.T
-
-    def carry(self, x: ComplexArray) -> None:
-        """Make of a state and what every block adds to it the states before the blocks, in place."""
-        for k in range(1, len(x)):
-            x[k] += self.leap * x[k - 1] + self.rest * x[k - 1]
+def _leap(step: Step, size: int) -> tuple[ComplexArray, ComplexArray]:
+    """`lambda^size` and what its rounding leaves, which would add up over the blocks where modes grow."""
+    turn = size * (step.phase[0].astype(np.longdouble) + step.phase[1])
+    fine = np.exp(size * step.growth.astype(np.longdouble)) * (np.cos(turn) + 1j * np.sin(turn))
+    leap = fine.astype(complex)
+    return leap, (fine - leap).astype(complex)
 
 
-def _turns(step: Step, size: int, samples: int) -> _Turns | _Growth:
-    """Tables for blocks of so many samples, made even, and segments of the record."""
-    size += size % 2
-    count = max(32, min(_SAMPLES // size, _STATES // max(1, len(step.growth))))
-    count = min(count, -(-samples // size))
-    return _Growth(step, size, count) if step.growth.any() else _Turns(step, size, count)
-
-
-def _table(first: ComplexArray, factors: ComplexArray, count: int) -> ComplexArray:
-    """`first lambda^k` for `k = 0 .. count - 1`, shape (count, N), from `lambda^(1, 2, 4, ..)`: doubling."""
-    table = np.empty((count, len(first)), complex)
-    table[0] = first
+def _table(step: Step, first: float, gap: float, count: int) -> ComplexArray:
+    """`lambda^k` for `k = first, first + gap, ..`, shape (count, N): doubling."""
+    levels = 2.0 ** np.arange(np.ceil(np.log2(count)))
+    start, *factors = step.powers(np.concatenate([[first], gap * levels])).T
+    table = np.empty((count, len(start)), complex)
+    table[0] = start
     for level, factor in enumerate(factors):
         known = 1 << level
         np.multiply(table[: min(known, count - known)], factor, out=table[known : 2 * known])
     return table
 
 
-def _responses(step: Step, b: ComplexArray, turns: _Turns | _Growth) -> tuple[Array, Array]:
-    """Outputs of half a block from the inputs of the same half, and of the half before: (m, m, size / 2, size / 2).
-
-    Toeplitz matrices of the impulse response, by output and input.
-    """
-    ports, half = len(step.c), turns.size // 2
-    response = np.zeros((ports, ports, 3 * half))
-    response[:, :, half] = (step.c @ step.b1).real
-    later = np.zeros((ports * ports, turns.size))
+def _responses(step: Step, b: ComplexArray, turns: _Turns) -> Array:
+    """Outputs of a block from its inputs, by output and input: Toeplitz matrices of the impulse response."""
+    ports, size = len(step.c), turns.size
+    response = np.zeros((ports, ports, 2 * size))
+    response[:, :, size] = (step.c @ step.b1).real
+    later = np.zeros((ports * ports, size))
     turns.spread((step.c[:, None] * (turns.ahead * b.T)).reshape(ports * ports, -1), later)
-    response[:, :, half + 1 :] = later.reshape(ports, ports, -1)[:, :, : 2 * half - 1]
-    windows = np.lib.stride_tricks.sliding_window_view(response, half, axis=2)
-    near, far = (np.ascontiguousarray(windows[:, :, last : last - half : -1]) for last in (half, 2 * half))
-    return near, far
-
-
-def _forced(blocks: Array, near: Array, far: Array) -> Array:
-    """Outputs (m, count, size) of blocks of inputs (m, count, size) within each block."""
-    ports, count, size = blocks.shape
-    half = size // 2
-    products = np.matmul(blocks.reshape(ports, -1, half), near).reshape(ports, ports, count, size)
-    products[:, :, :, half:] += np.matmul(blocks[:, :, :half], far)
-    out: Array = products[:, 0]
-    for other in range(1, ports):
-        out += products[:, other]
-    return out
+    response[:, :, size + 1 :] = later.reshape(ports, ports, size)[:, :, :-1]
+    row, column, one = response.strides
+    return np.ndarray((ports, ports, size, size), float, response, size * one, (row, column, -one, one)).copy()
 
 
 # --- from block to block -----------------------------------------------------------------------------------------
 
 
 def _segments(
-    turns: _Turns | _Growth, b: ComplexArray, u: Array, start: ComplexArray
+    turns: _Turns, b: ComplexArray, u: Array, start: ComplexArray
 ) -> Iterator[tuple[slice, Array, ComplexArray]]:
     """Pieces of a record that fit a cache: where they are, inputs by blocks (m, count, size), states of these.
 

@@ -1,6 +1,7 @@
 """Time responses: values against dense matrices, values and shapes against python-control."""
 
 import inspect
+import pickle
 import warnings
 
 import control as ct
@@ -346,6 +347,22 @@ def test_states_looked_at_later_are_those_of_the_inputs_and_instants_of_the_call
     assert np.array_equal(later.time, TIME)
     assert np.array_equal(later.inputs, np.cos(TIME))
     at_once.u[0, 0] = 5.0  # nothing hangs on it any more
+
+
+@pytest.mark.parametrize(
+    "time",
+    [0.1 * np.arange(50), 3.7 + 0.1 * np.arange(50), np.linspace(0, 1, 50), np.round(np.arange(50) / 3, 3), [7.0]],
+    ids=["made of a step", "later", "divided", "printed", "one"],
+)
+def test_the_instants_of_a_response_are_those_given_to_the_last_bit(time):
+    response = phc.step_response(ONE, time)
+    assert np.array_equal(response.time, time)
+    assert response.time is response.t
+    assert len(next(iter(response))) == response.outputs.size == len(time)
+    twin = pickle.loads(pickle.dumps(response))
+    assert np.array_equal(twin.time, time)
+    response.t[0] = -1.0
+    assert response.time[0] == -1.0
 
 
 @pytest.mark.parametrize("t", [[0.0, 1e308, 1.5e308], [0.0, 1.0, 3.0], [0.0, 1e-320, 1.0], [1e9, 1e9 + 1, 1e9 + 3]])
