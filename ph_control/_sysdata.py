@@ -12,6 +12,7 @@ from .modal import ModalForm
 from .systems import PortHamiltonian, ph
 
 DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
+_TITLE = 70  # letters that fit above a picture; the legend has the names as well
 
 
 def as_systems(sysdata: Any, *, tabulated: bool = False) -> list[Any]:
@@ -70,7 +71,8 @@ def _name_of(given: Any, sys: Any) -> str:
 def title_of(kind: str, systems: list[Any], relabelled: bool) -> str:
     """Title of a picture, with the names of its systems where they are few and have some."""
     named = [sys.name for sys in systems if not (relabelled or sys._generic_name_check())]
-    return f"{kind} of " + ", ".join(dict.fromkeys(named)) if 0 < len(named) == len(systems) <= 3 else kind
+    title = f"{kind} of " + ", ".join(dict.fromkeys(named))
+    return title if 0 < len(named) == len(systems) <= 3 and len(title) <= _TITLE else kind
 
 
 def models_around(confidence: Any, systems: list[Any], *bands: str) -> list[Any]:

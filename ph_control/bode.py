@@ -73,6 +73,17 @@ class Curve:
             angle[usable] = np.unwrap(angle[usable], discont=1.5 * np.pi)
         return np.degrees(angle)
 
+    def phase_near(self, i: int, j: int, other: Curve) -> Array:
+        """Degrees from -180 to 180, in the turn of the phase of another curve where that has left this range."""
+        phase, beside = self.phase(i, j, unwrap=False), other.phase(i, j)
+        known = np.isfinite(beside)
+        if not known.any():
+            return phase
+        beside = np.interp(np.log(self.omega), np.log(other.omega[known]), beside[known])
+        turns = np.where(np.abs(beside) > 180.0, np.round((beside - phase) / 360.0), 0.0)
+        shifted: Array = phase + 360.0 * turns
+        return shifted
+
     def visible(self, low: float, high: float, part: float) -> Mask:
         """Where the curve counts for the range of a picture: inside, and not on an infinite peak.
 
@@ -187,8 +198,8 @@ def bode_data(
     labels = labels_of(sysdata, systems, label)
     models = models_around(confidence, systems, "magnitude_band", "phase_band")
     measured = _measurement(data, systems[0], segments, intersample, data_label)
-    marks = np.concatenate([_marks(sys) for sys in systems])
-    grid, low, high = _frequencies(marks, measured, omega, omega_limits, Hz)
+    extents = np.concatenate([_extent(sys) for sys in systems])
+    grid, low, high = _frequencies(extents, measured, omega, omega_limits, Hz)
     curves = [_curve(sys, name, grid, low, high, omega_num) for sys, name in zip(systems, labels, strict=True)]
     bands: list[Band | None] = []
     for curve, drawn in zip(curves, models, strict=True):
@@ -276,7 +287,7 @@ def _timebase(sys: Any) -> float:
 
 
 def _frequencies(
-    marks: Array, measured: Curve | None, omega: Any, omega_limits: Any, Hz: bool
+    extents: Array, measured: Curve | None, omega: Any, omega_limits: Any, Hz: bool
 ) -> tuple[Array | None, float, float]:
     """Frequencies asked for, if any, and the ends of the axis, all in rad/s."""
     given = None if omega is None else _ascending("omega", omega)
@@ -285,7 +296,7 @@ def _frequencies(
     elif given is not None:
         ends, given = given, None
     else:
-        ends = _default_limits(marks, measured, Hz)
+        ends = _default_limits(extents, measured, Hz)
     if omega_limits is not None:
         ends = _ascending("omega_limits", omega_limits) * (2.0 * np.pi if Hz else 1.0)
         if len(ends) != 2:
@@ -303,30 +314,27 @@ def _ascending(name: str, value: Any) -> Array:
     return array
 
 
-def _default_limits(marks: Array, measured: Curve | None, Hz: bool) -> Array:
-    """Full decades about all marks; with a measurement what it covers and the marks, without the rest of a decade."""
-    if measured is None:
-        return frequency_limits(marks, hz=Hz)
-    top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
-    lowest, highest = measured.omega[0] / 1.1, top * 1.1
-    return np.array([min([lowest, *(marks / 2.0)]), max([highest, *(marks * 1.5)])])
-
-
-def frequency_limits(marks: Array, *, hz: bool = False) -> Array:
-    """Full decades that hold all marks with at least a factor 2 on each side; 0.1 to 10 without any."""
-    unit = 2.0 * np.pi if hz else 1.0
-    if not len(marks):
+def _default_limits(extents: Array, measured: Curve | None, Hz: bool) -> Array:
+    """Full decades that hold all systems, 0.1 to 10 for none; with a measurement what it covers and they need."""
+    if measured is not None:
+        top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
+        everything = np.concatenate([extents, [measured.omega[0] / 1.1, top * 1.1]])
+        return everything[[np.argmin(everything), np.argmax(everything)]]
+    unit = 2.0 * np.pi if Hz else 1.0
+    if not len(extents):
         return np.array([0.1, 10.0]) * unit
-    low = np.floor(np.log10(marks.min() / unit / 2.0))
-    high = np.ceil(np.log10(2.0 * marks.max() / unit))
+    # a table may end at a decade, to rounding
+    low = np.floor(np.log10(extents.min() / unit) + 1e-9)
+    high = np.ceil(np.log10(extents.max() / unit) - 1e-9)
     return 10.0 ** np.array([low, high]) * unit
 
 
-def _marks(sys: Any) -> Array:
-    """Frequencies that the picture must show: poles and zeros, or the ends of tabulated data."""
+def _extent(sys: Any) -> Array:
+    """Ends of what the picture must show: twice as far as the poles and zeros are, or as far as tabulated data are."""
     if isinstance(sys, ct.FrequencyResponseData):
         return _tabulated(sys, "").omega[[0, -1]]
-    return features(sys)[0]
+    marks = features(sys)[0]
+    return np.array([marks.min() / 2.0, 2.0 * marks.max()]) if len(marks) else marks
 
 
 def features(sys: Any) -> tuple[Array, Array]:

@@ -123,7 +123,8 @@ def bode_plot(
     Where poles and zeros are closer than the dots of a picture, their curve is pale, and its median over frequency is
     drawn and named in the legend; `omega_limits` take them apart.
 
-    The phase of systems is continuous, that of a measurement between -180 and 180 degrees.  Dots of a record are
+    The phase of systems is continuous; that of a measurement is between -180 and 180 degrees, or in the turn of the
+    first system where that is not.  Dots of a record are
     pale where the coherence is below one half; those of a held input leave a continuous-time curve near the Nyquist
     frequency even without noise, mostly upwards, because sampling folds the response.  Of measured responses the range
     of the picture leaves out a lone point 40 dB beyond all others.
@@ -229,7 +230,8 @@ def _draw_phases(
     _fade_crowds(axis, numbers, unit)
     _draw_bands(axis, numbers, lines, [band and turn * band.phase for band in numbers.bands], unit)
     if numbers.measured is not None:
-        phases.append(numbers.measured.phase(i, j, unwrap=False))
+        first, dots = numbers.curves[0], numbers.measured
+        phases.append(dots.phase(i, j, unwrap=False) if wrap else dots.phase_near(i, j, first))
         lines += _draw_dots(axis, numbers.measured, turn * phases[-1], unit)
     values = np.concatenate([[-90.0, 90.0], *phases])
     low, high = float(np.nanmin(values)), float(np.nanmax(values))

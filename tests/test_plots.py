@@ -698,6 +698,33 @@ def test_a_measured_frequency_response_is_drawn_as_it_is():
     assert not any("Nyquist" in text for text in legend_texts(plot.axes[0, 0]))
 
 
+def test_dots_are_in_the_turn_of_a_curve_that_has_left_half_a_turn():
+    lag = ct.tf([1], [1, 3, 3, 1]) * ct.tf([1], [1, 3, 3, 1])
+    omega = np.geomspace(0.1, 30.0, 40)
+    measured = ct.frd(lag(1j * omega), omega)
+    curve, dots = bode_plot(lag, data=measured).lines[1, 0]
+    expected = np.interp(np.log(omega), np.log(curve.get_xdata()), curve.get_ydata())
+    assert np.min(dots.get_ydata()) < -500.0
+    assert np.max(np.abs(dots.get_ydata() - expected)) < 1.0
+    wrapped = bode_plot(lag, data=measured, wrap_phase=True).lines[1, 0][1].get_ydata()
+    assert -180.0 <= wrapped.min() and wrapped.max() <= 180.0
+
+
+def test_a_tabulated_response_is_drawn_from_its_first_to_its_last_frequency():
+    omega = np.geomspace(0.1, 10.0, 60)
+    table = ct.frd(phc.frenkel_kontorova()(1j * omega), omega)
+    assert np.allclose(bode_plot(table).axes[0, 0].get_xlim(), [0.1, 10.0], rtol=1e-12)
+    # a system needs room around its poles and zeros
+    assert np.allclose(bode_plot([table, phc.modes(9.0, 1.0)]).axes[0, 0].get_xlim(), [0.1, 100.0], rtol=1e-12)
+
+
+def test_a_title_that_does_not_fit_leaves_the_names_to_the_legend():
+    names = ["mechanical structure as measured in spring", "model that was fitted to it by hand"]
+    plot = bode_plot([ct.tf([1], [1, 1], name=name) for name in names])
+    assert plot.figure.get_suptitle() == "Bode plot" and legend_texts(plot.axes[0, 0]) == names
+    assert bode_plot(ct.tf([1], [1, 1], name=names[0])).figure.get_suptitle() == f"Bode plot of {names[0]}"
+
+
 def test_the_phase_of_dots_is_not_unwrapped():
     curve = Curve("", np.arange(1.0, 4.0), np.exp(1j * np.radians([[[170.0, -170.0, 170.0]]])), np.zeros(0))
     np.testing.assert_allclose(curve.phase(0, 0, unwrap=False), [170, -170, 170])
