@@ -8,7 +8,7 @@ from importlib import import_module
 from pkgutil import get_data
 from typing import Any
 
-_LINES = (get_data(__name__, "__init__.pyi") or b"").decode()
+_LINES = get_data(__name__, "__init__.pyi").decode()
 _MODULES = {name: module for module, name in re.findall(r"^from (\.[\w.]+) import (\w+) as ", _LINES, re.MULTILINE)}
 
 __all__ = list(_MODULES)
