@@ -30,6 +30,9 @@ for column, limits in enumerate(([0.5, 200.0], [9.9, 10.1])):
 for row, name in ((0, "python-control"), (2, "ph_control")):
     axes[row, 0].set_title(name, loc="left", fontsize="medium")
     axes[row, 1].set_title(f"{name}, around the close pair", loc="left", fontsize="medium")
+for axis in axes[:, 1]:
+    axis.set_xticks([9.9, 9.95, 10.0, 10.05, 10.1], ["9.9", "9.95", "10", "10.05", "10.1"])
+    axis.set_xticks([], minor=True)
 figure.savefig("bode_comparison.png", dpi=110)
 
 # %%
