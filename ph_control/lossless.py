@@ -293,3 +293,19 @@ def hamiltonian_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
         return _checks.hamiltonian_matrix(Q), _checks.port_matrix(B, len(Q))
     except StructureError:
         return None
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def modes_of_energy(energy: tuple[Array, ComplexArray, Array], B: Array) -> ModalForm:
+    """Modes of a system given by the energy coordinates of its `Q`, and its input matrix."""
+    d, E, E0 = energy
+    modes = ModalForm(d.copy(), (E @ B) / np.sqrt(d)[:, None], E0 @ B)
+    what = "the modal weights of this Q and B"
+    _checks.representable(what, modes.r, modes.kappa, nonzero=_stands_out(E, B).reshape(modes.r.shape))
+    _checks.representable(what, modes.rigid**2, nonzero=_stands_out(E0, B))
+    return modes
+
+
+def _stands_out(rows: NDArray[Any], B: Array) -> NDArray[np.bool_]:
+    """Which entries of `rows @ B` are more than its rounding."""
+    return np.abs(rows @ B) > len(B) * _checks.EPS * (np.abs(rows) @ np.abs(B))

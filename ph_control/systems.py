@@ -24,7 +24,6 @@ ComplexArray = NDArray[np.complex128]
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _OF_Q = ("_proven", "_energy", "S")  # views that follow from Q alone
-_WEIGHTS = "the modal weights of this Q and B"
 
 
 class PortHamiltonian(HasForms, LosslessSystem):
@@ -47,9 +46,8 @@ class PortHamiltonian(HasForms, LosslessSystem):
     ------
     StructureError
         If `Q` is not square, even, symmetric, finite, real and positive semidefinite, `B` does not fit it, or the
-        names do not fit the sizes.  Of more than 32 degrees of freedom building checks what O(n^2) steps can, which
-        leaves one mistake to be told later: that `Q` is indefinite although no diagonal entry is negative and no
-        `Q_ij^2` exceeds `Q_ii Q_jj`.  It is an error of the first call that computes anything from `Q`.
+        names do not fit the sizes.  Beyond 32 degrees of freedom an indefinite `Q` of which no diagonal entry is
+        negative and no `Q_ij^2` exceeds `Q_ii Q_jj` is an error of the first call that computes anything from it.
 
     See Also
     --------
@@ -156,13 +154,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
     def modes(self) -> ModalForm:
         """Modal form: the truth behind the matrices, computed once (O(n^3)) and kept."""
         if self._modes is None:
-            d, E, E0 = self._energy
-            with np.errstate(over="ignore", invalid="ignore"):
-                modes = ModalForm(d.copy(), (E @ self.B) / np.sqrt(d)[:, None], E0 @ self.B)
-                reached, pushed = _stands_out(E, self.B), _stands_out(E0, self.B)
-                _checks.representable(_WEIGHTS, modes.r, modes.kappa, nonzero=reached.reshape(modes.r.shape))
-                _checks.representable(_WEIGHTS, modes.rigid**2, nonzero=pushed)
-            self._modes = modes
+            self._modes = lossless.modes_of_energy(self._energy, self.B)
         return self._modes
 
     @View
@@ -352,10 +344,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
 
     def _keeping(self, kept: dict[str, Any]) -> PortHamiltonian:
         """Return the system itself, with views that another one has computed."""
-        for value in kept.values():
-            if isinstance(value, np.ndarray):
-                _checks.readonly(value)
-        self._views.update(kept)
+        self._views |= {name: _checks.readonly(x) if isinstance(x, np.ndarray) else x for name, x in kept.items()}
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -386,11 +375,6 @@ def _restore(
     system = kind._from_matrices(*given, **names)._keeping(kept)
     system._modes = modes
     return system
-
-
-def _stands_out(rows: NDArray[Any], B: Array) -> NDArray[np.bool_]:
-    """Which entries of `rows @ B` are more than its rounding."""
-    return np.abs(rows @ B) > len(B) * _checks.EPS * (np.abs(rows) @ np.abs(B))
 
 
 def _is_number(value: Any) -> bool:

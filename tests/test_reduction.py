@@ -236,3 +236,29 @@ def test_wide_and_semidefinite_spectra_are_left_to_the_modes():
     assert port_spectrum(narrow, b) is not None
     assert port_spectrum(wide, b) is None
     assert block_spectrum(np.ones((8, 8)), b) is None
+
+
+def test_turns_of_modes_take_a_defect_away_at_no_cost_of_energy(monkeypatch):
+    n = 40
+    Q, _ = random_hamiltonian(np.linspace(1, 4, n), np.random.default_rng(2), 4.0)
+    # rounding that is to be taken away: rows in doubles where they would have more digits
+    monkeypatch.setattr(reduction, "_HARMLESS", np.inf)
+    with_turns = errors(Q, *phc.williamson(Q))
+    monkeypatch.setattr(reduction, "_TURN", 0.0)
+    without = errors(Q, *phc.williamson(Q))
+    assert max(with_turns) <= n * EPS
+    assert with_turns[0] < 0.1 * without[0]
+    assert max(without[1:]) <= n * EPS
+
+
+def test_near_and_equal_frequencies_are_not_turned():
+    d = np.array([1.0, 1.0, 1.0 + 1e-12, 2.0])
+    defect = np.full((4, 4), 1e-14)
+    (turn,) = reduction._turns(d, defect)
+    assert not turn[0, 1] and not np.diag(turn).any()
+    # 2 d_j d_l / (d_l^2 - d_j^2), and the opposite the other way
+    assert np.allclose(turn[0, 3] / 1e-14, 4 / 3, rtol=1e-12) and np.allclose(turn[3, 0], -turn[0, 3], rtol=1e-12)
+    (larger,) = reduction._turns(d, 1e4 * defect)
+    assert turn[0, 2] == 0 and larger[0, 3] > 0
+    (small,) = reduction._turns(d, 1e-9 * defect)
+    assert 0 < small[0, 2] < 1e-10
