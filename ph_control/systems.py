@@ -195,10 +195,14 @@ class PortHamiltonian(HasForms, LosslessSystem):
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
         On modal coordinates, O(n) a point: the response of the frequencies `d` and weights `r` as they are known at the
-        time, right to 5e-14 however close to a pole.  For a system given by `Q` and `B` the error of `d` comes
-        on top: beside a resonance a relative error of about `eps d_max / |w - d|` in its term, with `d_max` the
-        largest frequency.  With `d` rounded to doubles `eps d / |w - d|` is the least there can be; this is reached up
-        to 16 degrees of freedom and where `modes` have been asked for.  Values before and after that differ by as much.
+        time, right to 5e-14 however close to a pole.
+
+        For a system given by `Q` and `B` the errors of `d` and `r` come on top.  Rounding `d` to doubles alone moves
+        the term of a resonance by `eps d / |w - d|` of its size; more is not lost up to 16 degrees of freedom and where
+        `modes` have been asked for.  Frequencies and weights alone come in a third of the time, with errors two to ten
+        times as large: of a full `Q` of condition 100 and size 200, 400 or 1000 the median of relative errors within
+        the band is 2e-14, 2e-13 or 8e-13, against 1e-14, 2e-14 or 5e-14 by modes; beyond the band both reach 1e-15.  A
+        value asked for before `modes` may differ from the same one after by as much.
         """
         return self._spectrum.evaluate(_checks.complex_points("the points", x))
 

@@ -5,6 +5,7 @@ import operator
 import pickle
 
 import control as ct
+import mpmath as mp
 import numpy as np
 import pytest
 import reference as ref
@@ -588,6 +589,26 @@ def test_small_systems_and_many_ports_take_frequencies_from_the_modes():
     for Q, B in (large(16), large(20, ports=2)):
         sys = phc.ph(Q, B)
         assert sys.d is sys.modes.d
+
+
+@pytest.mark.parametrize("n", [12, 20])
+def test_the_response_is_that_of_the_frequencies_shown_before_and_after_the_modes_are_asked_for(n):
+    Q, B = large(n)
+    sys, w = phc.ph(Q, B), np.random.default_rng(n).uniform(0.1, 3.0, 5)
+    before, whole = sys(1j * w), sys.modes
+    after = sys(1j * w)
+    assert (n <= 16) == np.array_equal(before, after)
+    with mp.workdps(40):
+        exact, b = mp.matrix(Q.tolist()), mp.matrix(B.tolist())
+        A = mp.matrix(ref.symplectic_form(n).tolist()) * exact
+        truth = [(b.T * exact * mp.lu_solve(mp.mpc(0, x) * mp.eye(2 * n) - A, b))[0] for x in w.tolist()]
+    gap = np.min(np.abs(whole.d[:, None] - whole.d) + np.diag(np.full(n, np.inf)), axis=1)
+    for x, one, other, value in zip(w, before, after, truth, strict=True):
+        away = np.abs(whole.d - x)
+        # frequencies move terms, and weights by how close the next frequency is
+        allowed = n * EPS * whole.d[-1] * np.sum(whole.kappa / away * (1 / away + 1 / gap))
+        assert abs(complex(value) - one) <= 4 * allowed
+        assert abs(complex(value) - other) <= allowed
 
 
 @pytest.mark.parametrize("duplicate", COPIES, ids=["copy", "deepcopy", "pickle", "ph"])
