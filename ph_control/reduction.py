@@ -68,6 +68,7 @@ def bounded_spectrum(Q: Array, b: Array) -> tuple[Array, Array, float] | None:
 
 
 def _spectrum(Q: Array, b: Array, factors: list[Array]) -> tuple[Array, Array]:
+    """`block_spectrum` from the factors of `Q`, whose memory it uses."""
     unit = _common_units(Q)
     factors, b, n = _in_units(factors, unit), b / unit, len(Q) // 2
     if len(factors) == 2:
