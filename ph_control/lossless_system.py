@@ -19,6 +19,8 @@ from .modal import ModalForm, imaginary
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
+
 
 class View:
     """A matrix computed on first access, kept, and locked against rebinding and writing."""
@@ -170,7 +172,22 @@ class LosslessSystem(ct.StateSpace):
     def _repr_html_(self) -> str:
         """HTML for notebooks: names, equations of a system no larger than `statesp.latex_maxsize`, and its modes."""
         equations = html_formula(self._equations()) if fits_in_a_formula(self) else ""
-        return html_heading(self._repr_info_()) + equations + modes_table(self.modes)
+        shown = modes_table(self.modes) if self._modes_at_hand() else html_heading(f"{self.n} degrees of freedom")
+        return html_heading(self._repr_info_()) + equations + shown
+
+    def __str__(self) -> str:
+        if self.n <= _LOOKED_AT:
+            return str(super().__str__())
+        text = f"<{type(self).__name__}>: {self.name}\nInputs ({self.ninputs}): {self.input_labels}"
+        text += f"\nOutputs ({self.noutputs}): {self.output_labels}\nStates ({self.nstates})"
+        if not self._modes_at_hand():
+            return text
+        with np.printoptions(threshold=6):
+            return f"{text}\n\nd = {self.modes.d}\nr = {self.modes.r}"
+
+    def _modes_at_hand(self) -> bool:
+        """Whether modes may be shown: to look at a large system must not cost the spectrum of its Q."""
+        return self.n <= _LOOKED_AT or getattr(self, "_modes", self) is not None
 
     def _label_repr(self, show_count: bool | None = None) -> str:
         """Names as keywords, those that are given by default left out; python-control does not quote quotes."""

@@ -213,6 +213,24 @@ def test_a_large_system_shows_its_first_and_last_modes_and_builds_no_matrix():
     assert r"\sum_{l=1}^{20000}" in sys.modes._repr_latex_()
 
 
+def test_to_look_at_a_large_system_does_not_compute_its_modes():
+    sys = phc.ph(np.eye(202), np.ones(202), name="large")
+    assert "101 degrees of freedom" in text_of(sys._repr_html_()) and sys._modes is None
+    assert len(sys.modes.d) and "1 mode" in text_of(phc.ph(np.eye(2), [0.0, 1.0])._repr_html_())
+    assert list(parsed(sys._repr_html_()).iter("tr"))
+
+
+def test_to_print_a_large_system_builds_no_matrix():
+    modes = phc.modes(np.arange(1.0, 40_001.0), np.ones(40_000))
+    for sys in (phc.ph(modes, name="large"), phc.oh(modes.d, np.ones(80_000), name="large")):
+        text = str(sys)
+        assert text.splitlines()[0] == f"<{type(sys).__name__}>: large" and "States (80000)" in text
+        assert "\n\nd = [1.0000e+00 2.0000e+00 3.0000e+00 ... " in text and len(text) < 400 and not sys._views
+    unknown = phc.ph(np.eye(202), np.ones(202))
+    assert str(unknown).endswith("States (202)") and unknown._modes is None
+    assert "A = [[" in str(phc.ph(np.eye(200), np.ones(200)))
+
+
 def test_the_size_and_the_format_of_formulas_are_those_of_python_control():
     with ct.config.defaults({"statesp.latex_maxsize": 4, "statesp.latex_num_format": ".5g"}):
         assert chain()._repr_latex_() is None
