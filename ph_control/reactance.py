@@ -42,6 +42,8 @@ class Reactance:
         first = np.flatnonzero(np.diff(d, prepend=-1.0))
         self._poles = d[first]
         self._weights = np.add.reduceat(self._kappa[0], first) if len(first) else d
+        positive = d[d > 0]
+        self._ordinary = not len(positive) or bool(1 / _MODERATE < positive[0] and positive[-1] < _MODERATE)
         # those between the poles, as soon as they are needed
         self._zeros = np.full((2, max(0, len(first) - 1)), np.nan)
 
@@ -51,11 +53,13 @@ class Reactance:
             return self._gain * (self._sum(w) if self._moderate(w) else self._sum_of_any_size(w))
 
     def _moderate(self, w: Array) -> bool:
+        """Whether `(d - w)(d + w)` and products of two such stay in the range of doubles."""
         largest = max(float(w.max(initial=0.0)), -float(w.min(initial=0.0)))
         if not len(self._d) or self._d[0] > 0:
-            return largest < _MODERATE and (not len(self._d) or 1 / _MODERATE < self._d[0] <= self._d[-1] < _MODERATE)
-        smallest = float(np.abs(w).min(initial=1.0))
-        return 1 / _MODERATE < smallest and largest < _MODERATE and bool((self._d[1:] > 1 / _MODERATE).all())
+            return self._ordinary and largest < _MODERATE
+        # at the pole itself nothing is lost
+        smallest = float(np.abs(w[w != 0]).min(initial=1.0))
+        return self._ordinary and 1 / _MODERATE < smallest and largest < _MODERATE
 
     def _sum(self, w: Array) -> Array:
         value, size = np.empty((2, len(w)))

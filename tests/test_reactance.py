@@ -89,6 +89,10 @@ def test_at_a_pole_the_reactance_is_not_finite_and_beside_it_it_is(kappa_0):
     assert not np.isfinite(X(np.array([1.0, -2.0, 3.0]))).any()
     assert np.isfinite(X(np.nextafter(d, 9.0))).all() and np.isfinite(X(np.nextafter(-d, 0.0))).all()
     assert np.isfinite(X(np.zeros(1)))[0] == (kappa_0 == 0)
+    assert X(np.array([0.0, 0.5]))[1] == X(np.array([0.5]))[0]
+    # beside a pole at 0, tiny frequencies take the other way
+    assert X._moderate(np.array([0.0, 0.5])) and X._moderate(np.array([1e-100, 0.5])) == (kappa_0 == 0)
+    assert largest_error(X(np.array([1e-100])), on_axis(d, np.ones(4), [1e-100], kappa_0)) < 8 * EPS
 
 
 @relaxed
