@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
+_SIGNALS = ("inputs", "outputs", "states")
 _OF_Q = ("_proven", "_energy", "S")  # views that follow from Q alone
 
 
@@ -48,10 +49,6 @@ class PortHamiltonian(HasForms, LosslessSystem):
         If `Q` is not square, even, symmetric, finite, real and positive semidefinite, `B` does not fit it, or the
         names do not fit the sizes.  Beyond 32 degrees of freedom an indefinite `Q` of which no diagonal entry is
         negative and no `Q_ij^2` exceeds `Q_ii Q_jj` is an error of the first call that computes anything from it.
-
-    See Also
-    --------
-    ph
 
     Notes
     -----
@@ -226,8 +223,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
     def r(self) -> Array:
         """Weights `r_l = v_l^2 + v_{n+l}^2` in the order of `d`; (n, m) for several ports.
 
-        Found with `d`, without mode shapes: an error of d comes with one of `r` that is `r_l / gap` times as large,
-        with the gap to the next frequency.
+        An error of d comes with one of `r` that is `r_l / gap` times as large, with the gap to the next frequency.
         """
         return self._spectrum.r
 
@@ -347,7 +343,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
         return {name: self._views[name] for name in names if name in self._views}
 
     def _keeping(self, kept: dict[str, Any]) -> PortHamiltonian:
-        """Return the system itself, with views that another one has computed."""
+        """Take views that another system has computed, and return this one."""
         self._views |= {name: _checks.readonly(x) if isinstance(x, np.ndarray) else x for name, x in kept.items()}
         return self
 
@@ -451,13 +447,12 @@ def ph(
     if isinstance(source, ModalForm):
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, PortHamiltonian):
-        given, modes, _, kept = source.__reduce__()[1][1:]
-        names = inherited_names(source, names, "inputs", "outputs", "states")
-        return _restore(PortHamiltonian, given, modes, names, kept)
+        given, known, _, kept = source.__reduce__()[1][1:]
+        return _restore(PortHamiltonian, given, known, inherited_names(source, names, *_SIGNALS), kept)
     if isinstance(source, LosslessSystem):
         return source._converted(**names)
     if isinstance(source, ct.StateSpace) and source.isctime() and (found := lossless.hamiltonian_form(source)):
-        return PortHamiltonian(*found, **inherited_names(source, names, "inputs", "outputs", "states"))
+        return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
     if isinstance(source, ct.InputOutputSystem):
         names = inherited_names(source, names, "inputs", "outputs")
     return PortHamiltonian._from_modes(lossless.lossless_modes(source, method, intersample), **names)
