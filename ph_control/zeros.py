@@ -107,6 +107,8 @@ def many_port_zeros(d: Array, nu: ComplexArray, rigid: Array) -> Array:
     rotated = np.concatenate([d[:, None] * V[n : 2 * n], -d[:, None] * V[:n], 0 * V[2 * n :]])
     K = V.T @ rotated
     w, _, _ = skew_normal_form(0.5 * (K - K.T))
+    # K is right to rounding of d: what is left of a zero at 0 is no frequency
+    w[w <= len(B) * _checks.EPS * np.max(d, initial=0.0)] = 0.0
     return np.sort(np.concatenate([-w, w, np.zeros(len(K) - 2 * len(w))]))
 
 

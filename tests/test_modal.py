@@ -300,6 +300,12 @@ def test_the_tolerance_of_the_minimal_form_is_relative_and_has_two_sides():
     assert phc.modes([1.0, 1 + 2 * bound], [1.0, 1.0]).is_minimal
 
 
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_with_a_port_at_each_mass_all_zeros_are_exactly_zero(scale):
+    frame = phc.from_second_order(np.diag([1.0, 2.0]), scale**2 * np.array([[5.0, -4.0], [-4.0, 5.0]]), np.eye(2))
+    np.testing.assert_array_equal(frame.modes.zeros, [0.0, 0.0])
+
+
 def test_with_several_ports_a_frequency_stays_as_often_as_its_residue_has_rank():
     rng = np.random.default_rng(0)
     nu = rng.standard_normal((5, 2)) + 1j * rng.standard_normal((5, 2))
