@@ -21,6 +21,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _checks
 from .exceptions import FileFormatError, FileMissingError, OutputExistsError, StructureError
 
 Array = NDArray[np.float64]
@@ -128,7 +129,7 @@ def _parse(content: bytes, name: str) -> Any:
     except UnicodeDecodeError as error:
         raise FileFormatError(
             f"{name} is not a text file: byte {content[error.start]:#04x} at position {error.start} is not UTF-8; "
-            "pass a file that ph_control.save has written"
+            "pass a file that ph_control.save has written; ph-control convert makes one of a .mat file"
         ) from None
     try:
         return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_duplicates)
@@ -309,7 +310,9 @@ def as_path(path: Any) -> Path:
     try:
         return Path(path)
     except TypeError:
-        raise StructureError(f"path is {path!r}; it must be the name of a file, as a string or pathlib.Path") from None
+        raise StructureError(
+            f"path is {_checks.shown(path)}; it must be the name of a file, as a string or pathlib.Path"
+        ) from None
 
 
 def source_name(source: Any) -> str:

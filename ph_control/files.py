@@ -119,6 +119,8 @@ _CODECS: dict[str, Codec | str] = {
     "PEMResult": ".identification.document",
 }
 
+_NO_DOCUMENTS = (".mat", ".csv", ".txt")  # suffixes of what other programs expect something else in
+
 
 def _codec(kind: str) -> Codec | None:
     return import_module(found, __package__).CODEC if isinstance(found := _CODECS.get(kind), str) else found
@@ -144,7 +146,8 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     FileNotFoundError
         If the folder does not exist (an error of this package as well).
     StructureError
-        If the object is of another kind, or holds what `load` would refuse, or the path cannot be the name of a file.
+        If the object is of another kind, or holds what `load` would refuse, or the path cannot be the name of a file
+        or is that of a MATLAB or text file, `.mat`, `.csv` or `.txt`, which this would not be.
     PermissionError
         If the folder cannot be written.
 
@@ -162,7 +165,13 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     ...     phc.load(path)
     modes([1.0, 3.0], [0.5, 0.25])
     """
-    write_atomically(as_path(path), document_of(obj), overwrite=overwrite)
+    target = as_path(path)
+    if target.suffix.lower() in _NO_DOCUMENTS:
+        raise StructureError(
+            f"{target} would hold JSON, which a {target.suffix} file does not; end its name in .json, and write other "
+            f"formats by `ph-control convert {target.stem}.json {target.name}`"
+        )
+    write_atomically(target, document_of(obj), overwrite=overwrite)
 
 
 def document_of(obj: Any) -> str:

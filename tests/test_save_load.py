@@ -343,6 +343,18 @@ def test_what_is_no_regular_file_is_never_replaced(path, model, overwrite, linke
     assert sorted(os.listdir(path.parent)) == before
 
 
+@pytest.mark.parametrize("suffix", [".mat", ".csv", ".TXT"])
+def test_a_name_that_promises_another_format_is_refused(tmp_path, model, suffix):
+    with pytest.raises(StructureError, match=r"would hold JSON, .*end its name in \.json, .* ph-control convert"):
+        save(model, tmp_path / f"model{suffix}")
+    assert not os.listdir(tmp_path)
+
+
+def test_a_model_in_place_of_the_name_is_told_by_its_type(path, model):
+    with pytest.raises(StructureError, match=r"^path is PortHamiltonian; it must be the name of a file"):
+        save(path, model)
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("name", ["x" * 5000, "nul\0nul"], ids=["too long", "zero byte"])
 def test_name_that_cannot_be_one_of_a_file_is_refused_in_writing_and_reading(tmp_path, model, overwrite, name):
