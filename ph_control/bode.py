@@ -58,6 +58,14 @@ class Curve:
         """Whether the response is zero throughout, of which a logarithmic picture shows nothing."""
         return not np.any(self.response)
 
+    def times_s(self, power: int) -> Curve:
+        """The same response times s, or divided by it."""
+        if not power:
+            return self
+        s = 1j * self.omega
+        # a zero without sign leaves the phase of a lossless response at one side of half a turn
+        return replace(self, response=(self.response + 0.0) * (s if power > 0 else 1.0 / s))
+
     def magnitude(self, i: int, j: int) -> Array:
         """Decibels; NaN where infinite or zero."""
         return decibels(self.response[i, j])
@@ -200,11 +208,17 @@ def bode_data(
     measured = _measurement(data, systems[0], segments, intersample, data_label)
     extents = np.concatenate([_extent(sys) for sys in systems])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, Hz)
-    curves = [_curve(sys, name, grid, low, high, omega_num) for sys, name in zip(systems, labels, strict=True)]
+    given = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
+    powers = [_power_of_s(one) for one in given]
+    curves = [
+        _curve(sys, name, grid, low, high, omega_num).times_s(power)
+        for sys, name, power in zip(systems, labels, powers, strict=True)
+    ]
     bands: list[Band | None] = []
-    for curve, drawn in zip(curves, models, strict=True):
+    for curve, drawn, power in zip(curves, models, powers, strict=True):
         near = frequency_grid(curve.singular, low, high, _CLOSEST_BAND, omega_num, _AROUND_BAND)
-        bands.append(None if drawn is None else band_around(drawn, near if grid is None else grid, level))
+        bands.append(None if drawn is None else band_around(drawn, near if grid is None else grid, level, power))
+    systems = [getattr(one, "observed_system", sys) for one, sys in zip(given, systems, strict=True)]
     first = systems[0]
     title = title_of("Bode plot", systems, label is not None)
     return BodeData(systems, curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
@@ -217,13 +231,18 @@ def decibels(values: ComplexArray) -> Array:
     return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
 
 
-def band_around(models: Any, omega: Array, level: float) -> Band:
-    """Band of models drawn around a system."""
+def _power_of_s(given: Any) -> int:
+    """Power of s that leads from the velocity of a port to the quantity that a fit is of."""
+    return {"displacement": -1, "acceleration": 1}.get(getattr(given, "quantity", "velocity"), 0)
+
+
+def band_around(models: Any, omega: Array, level: float, power: int = 0) -> Band:
+    """Band of models drawn around a system, each times a power of s."""
     with np.errstate(divide="ignore"):
-        size = 20.0 * np.log10(models.magnitude_band(omega, level))
+        size = 20.0 * np.log10(models.magnitude_band(omega, level)) + 20.0 * power * np.log10(omega)
     # infinite where draws have their pole, zero where they have their zero: beyond any picture
     size = np.clip(size, -_BEYOND, _BEYOND)
-    return Band(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level))
+    return Band(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level) + 90.0 * power)
 
 
 def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:

@@ -524,6 +524,28 @@ def test_a_result_of_a_fit_draws_its_own_band_always_the_same():
     assert len(bands_of(listed.axes[0, 0])) == 1
 
 
+@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
+def test_a_fit_of_another_quantity_is_drawn_as_that_with_its_band(quantity):
+    chain = frenkel_kontorova()
+    omega = np.linspace(0.1, 3.0, 200)
+    turn = 1j * omega if quantity == "acceleration" else 1 / (1j * omega)
+    rng = np.random.default_rng(0)
+    measured = chain.modes.freqresp(omega) * turn + 0.02 * rng.standard_normal(200) + 0.02j * rng.standard_normal(200)
+    data = ct.frd(measured, omega, smooth=False)
+    fit = phc.pem(data, 2, quantity=quantity)
+    plot = bode_plot(fit, omega[::3], data=data, confidence=fit)
+    magnitude, phase = (plot.lines[row, 0][0].get_ydata() for row in (0, 1))
+    exact = fit.observed_system(1j * plot.lines[0, 0][0].get_xdata())
+    np.testing.assert_allclose(magnitude, 20 * np.log10(np.abs(exact)), rtol=1e-9)
+    assert set(phase[np.isfinite(phase)]) == ({0.0, -180.0} if quantity == "displacement" else {0.0, 180.0})
+    for row, curve in enumerate((magnitude, phase)):
+        band = plot.axes[row, 0].collections[0].get_paths()[0].vertices
+        for w, y in zip(plot.lines[row, 0][0].get_xdata(), curve, strict=True):
+            here = band[np.isclose(band[:, 0], w), 1]
+            assert here.min() - 1e-9 <= y <= here.max() + 1e-9
+    plt.close(plot.figure)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
