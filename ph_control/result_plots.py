@@ -101,7 +101,8 @@ def order_plot(selection: OrderSelection, criterion: str = "bic", **kwargs: Any)
     criterion : {'aic', 'aicc', 'bic', 'holdout'}
         Whose choice is marked.
     **kwargs
-        `time_unit`, `ax`, and `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`, as in `OrderSelection.plot`.
+        `time_unit`, `Hz`, `ax`, and `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`, as in
+        `OrderSelection.plot`.
 
     Returns
     -------

@@ -390,11 +390,14 @@ def stabilisation_plot(
     chosen: int,
     criterion: str,
     time_unit: str = "s",
+    Hz: bool = False,
     ax: Any = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Stabilisation diagram: natural frequencies of each order, and what each criterion has above its least value."""
     look = Look.of(style, FrameStyle)
+    unit, unit_name = check_hertz(Hz, time_unit)
+    frequencies = [row / unit for row in frequencies]
     with look.context():
         figure, axes = new_axes(ax, (1, 2), (7.8, 4.4), sharey=True, width_ratios=[1.7, 1.0])
         lines = np.empty(axes.shape, dtype=object)
@@ -402,7 +405,7 @@ def stabilisation_plot(
         lines[0, 1] = _draw_criteria(axes[0, 1], orders, criteria)
         for frequency in frequencies[list(orders).index(chosen)]:
             axes[0, 0].axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
-        axes[0, 0].set_xlabel(labelled("Natural frequency", f"rad/{time_unit}"))
+        axes[0, 0].set_xlabel(labelled("Natural frequency", unit_name))
         axes[0, 0].set_ylabel("Order (number of modes)")
         axes[0, 1].set_xlabel("Criterion above its least value")
         choice = f"{criterion} chooses {chosen}" + ", the largest tried" * int(chosen == orders[-1])

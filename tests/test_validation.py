@@ -689,6 +689,9 @@ def test_the_stabilisation_diagram_shows_frequencies_by_order_and_criteria_besid
     np.testing.assert_allclose(curves["BIC"].get_xdata(), selection.bic - selection.bic.min())
     assert curves["BIC"].get_xdata()[2] == 0 and curves["BIC"].get_ydata()[2] == 2
     assert "AIC chooses" in legend_texts(selection.plot("aic").axes[0, 0])[-1]
+    hertz = selection.plot(Hz=True)
+    np.testing.assert_allclose(hertz.lines[0, 0][0].get_xdata(), stable.get_xdata() / (2 * np.pi))
+    assert hertz.axes[0, 0].get_xlabel() == "Natural frequency [Hz]"
     limited = order_selection(recording(noise=0.1), 1, dt=STEP).plot()
     assert legend_texts(limited.axes[0, 0])[-1] == "BIC chooses 1, the largest tried"
 

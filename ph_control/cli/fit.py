@@ -180,4 +180,4 @@ def _bode(result: Any, experiment: int) -> Any:
 
     record = result.experiments[experiment].record
     data = record.as_response() if getattr(record, "driven", True) else None
-    return bode_plot(result.observed_system, data=data, label="identified model")
+    return bode_plot(result, data=data, label="identified model")

@@ -139,8 +139,8 @@ def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
 
     data = measurements([options.recording], options).data[0] if options.recording else None
     return bode_plot(
-        _drawn(models), data=data, omega_limits=options.omega, Hz=options.hz, label=labels, title=options.title,
-        gain_unit=options.unit, time_unit=options.time_unit, **_around(models, options),
+        [model.content for model in models], data=data, omega_limits=options.omega, Hz=options.hz, label=labels,
+        title=options.title, gain_unit=options.unit, time_unit=options.time_unit, **_around(models, options),
     )  # fmt: skip
 
 

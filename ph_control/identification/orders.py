@@ -121,7 +121,7 @@ class OrderSelection(Report):
         criterion : {'aic', 'aicc', 'bic', 'holdout'}
             Whose choice is marked.
         **kwargs
-            `time_unit`, style as in `fit_plot`, and `ax`: an array of two axes.
+            `time_unit`, `Hz` as in `bode_plot`, style as in `fit_plot`, and `ax`: an array of two axes.
 
         Returns
         -------
