@@ -98,6 +98,19 @@ def test_two_modes_between_the_same_two_points_are_told_apart_without_noise():
     assert np.allclose(result.d, d, rtol=1e-8) and np.allclose(result.r, [1.0, 0.6], rtol=1e-6)
 
 
+def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_equally_sure():
+    omega, rng = np.linspace(0.2, 3.0, 300), np.random.default_rng(3)
+    exact = phc.frenkel_kontorova().modes.freqresp(omega)
+    noise = rng.standard_normal(300) + 1j * rng.standard_normal(300)
+    data = ct.frd(exact * (1 + 0.01 * noise), omega, smooth=False)
+    suspicion = "All points were taken as equally sure"
+    alike = phc.pem(data, 2)
+    assert alike.verdict == "doubtful, see below" and suspicion in alike.message
+    weighted = phc.pem(data, 2, weights=1 / np.abs(exact) ** 2)
+    assert weighted.verdict == "consistent with the record"
+    assert suspicion not in weighted.message + phc.pem(data, 1, weights=1 / np.abs(exact) ** 2).message
+
+
 def test_the_fit_of_a_response_is_judged_in_the_scale_of_its_weights():
     omega = np.linspace(0.2, 5.0, 60)
     size = np.where(omega > 3, 1.0, 0.01)

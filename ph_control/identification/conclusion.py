@@ -99,6 +99,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         contradiction=str(fit.contradiction or ""),
         quantity=quantity,
         in_time=isinstance(problem.experiments[0], Experiment),
+        alike=bool(weights) and all(np.ptp(one) == 0 for one in weights),
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)

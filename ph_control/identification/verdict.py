@@ -34,6 +34,7 @@ class Verdict:
     contradiction: str = ""
     quantity: str = "velocity"
     in_time: bool = True
+    alike: bool = False
 
     @property
     def _coloured(self) -> bool:
@@ -108,6 +109,11 @@ class Verdict:
         if self._coloured:
             p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
             parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
+        if self.alike and (self._coloured or self.contradiction):
+            parts.append(
+                "All points were taken as equally sure: noise that goes with the gain looks like this too; if yours "
+                "does, pass weights=1/(standard deviation)**2 of each point."
+            )
         if self.headline.startswith("NOT") and self.order_given and not self.contradiction:
             parts.append("The order was given; a higher one may fit better: try order='auto'.")
         if self.headline.startswith("NOT"):
