@@ -618,3 +618,10 @@ def test_the_data_of_a_result_are_locked():
 def test_steps_out_of_range_are_refused(dt):
     with pytest.raises(phc.StructureError, match=r"dt is .*between 1e-100 and 1e100"):
         phc.pem(tuple(GOOD), dt=dt)
+
+
+def test_an_experiment_that_a_fit_does_not_have_cannot_be_drawn():
+    u = np.random.default_rng(0).standard_normal(200)
+    fit = phc.pem((u, phc.forced_response(phc.frenkel_kontorova(), 0.1 * np.arange(200), u).outputs), 2, dt=0.1)
+    with pytest.raises(phc.StructureError, match="experiment is 1; the experiments are counted from 0 to 0"):
+        fit.plot(1)

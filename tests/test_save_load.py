@@ -345,7 +345,9 @@ def test_what_is_no_regular_file_is_never_replaced(path, model, overwrite, linke
 
 @pytest.mark.parametrize("suffix", [".mat", ".csv", ".TXT"])
 def test_a_name_that_promises_another_format_is_refused(tmp_path, model, suffix):
-    with pytest.raises(StructureError, match=r"would hold JSON, .*end its name in \.json, .* ph-control convert"):
+    with pytest.raises(
+        StructureError, match=r"would hold JSON, which .* end its name in \.json, and .*`ph-control convert model"
+    ):
         save(model, tmp_path / f"model{suffix}")
     assert not os.listdir(tmp_path)
 

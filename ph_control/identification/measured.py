@@ -85,14 +85,6 @@ def joined_frequencies(records: Sequence[Kind]) -> Array:
     return _checks.readonly(np.concatenate(parts))
 
 
-def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:
-    """One of several by its number."""
-    whole = isinstance(place, int | np.integer) and not isinstance(place, bool)
-    if not (whole and 0 <= place < len(experiments)):
-        raise StructureError(f"experiment is {place!r}; the experiments are counted from 0 to {len(experiments) - 1}")
-    return experiments[place]
-
-
 def which_of(place: int, count: int) -> str:
     """Which of several experiments a picture shows."""
     return f" (experiment {place + 1} of {count})" if count > 1 else ""

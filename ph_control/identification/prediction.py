@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report
+from ..exceptions import StructureError
 from ..modal import ModalForm
 from ..response import forced_response
 from ..systems import PortHamiltonian
@@ -138,6 +140,14 @@ def response_on(
         output = np.reshape(found.outputs, -1) + offset
     found.y = np.reshape(output, found.y.shape)
     return found
+
+
+def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:
+    """One of several by its number."""
+    whole = isinstance(place, int | np.integer) and not isinstance(place, bool)
+    if not (whole and 0 <= place < len(experiments)):
+        raise StructureError(f"experiment is {place!r}; the experiments are counted from 0 to {len(experiments) - 1}")
+    return experiments[place]
 
 
 def observed_system(system: PortHamiltonian, quantity: str) -> Any:

@@ -20,7 +20,6 @@ from .findings import Findings, p_value
 from .frequency_data import FrequencyRecord
 from .measured import (
     check_options,
-    chosen_experiment,
     experiments_to_hold_against,
     fit_to,
     in_experiment,
@@ -30,6 +29,7 @@ from .measured import (
     values_of,
     which_of,
 )
+from .prediction import chosen_experiment
 from .residual_data import ResidualData, noise_scales
 from .residual_tests import Correlation, autocorrelation, cross_correlation, influence
 from .simulation import Rules, Simulation

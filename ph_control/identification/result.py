@@ -25,7 +25,7 @@ from .data import Record, as_record
 from .forward import Start
 from .frequency_data import FrequencyRecord
 from .information import Information
-from .prediction import FittedExperiment, estimated_state, observed_system, response_on, step_after
+from .prediction import FittedExperiment, chosen_experiment, estimated_state, observed_system, response_on, step_after
 from .regressors import Hold
 from .report import FitReport, summary_of
 from .samples import ModeSamples, draw, normal_interval
@@ -459,9 +459,9 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
-        one = self.experiments[experiment]
+        one = chosen_experiment(self.experiments, experiment)
         if isinstance(one.record, FrequencyRecord):
-            return bode_plot(self.observed_system, data=one.record.as_response(), **kwargs)
+            return bode_plot(self, data=one.record.as_response(), **kwargs)
         # a label such as "velocity [m/s]" carries its unit
         name, bracket, unit = one.record.output_label.partition(" [")
         kwargs.setdefault("output_label", name)

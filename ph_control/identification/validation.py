@@ -19,7 +19,6 @@ from .data import Record
 from .frequency_data import FrequencyRecord
 from .measured import (
     check_options,
-    chosen_experiment,
     experiments_to_hold_against,
     fit_to,
     in_experiment,
@@ -30,6 +29,7 @@ from .measured import (
     values_of,
     which_of,
 )
+from .prediction import chosen_experiment
 from .response_simulation import respond_to
 from .simulation import Rules, Simulation, simulate_on
 
