@@ -236,8 +236,8 @@ class _Folded(_Turns):
     """
 
     def _tabulate(self, step: Step) -> None:
-        self.ahead, self.after = step.powers(np.array([0.5 * self.size - 0.5, self.size - 1.0])).T
         turns = _table(step, 0.5, 1.0, self.size // 2)
+        self.ahead, self.after = turns[-1], turns[-1] ** 2
         self.cos, self.sin = np.ascontiguousarray(turns.real), np.ascontiguousarray(turns.imag)
 
     def gather(self, u: Array) -> ComplexArray:
