@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import schur
 
-from . import _checks
+from . import _checks, _definite
 from .exceptions import NotLosslessError, StructureError
 from .lossless_system import LosslessSystem, View, inherited_names
 from .modal import ModalForm
@@ -67,7 +67,7 @@ class AffineHamiltonian(LosslessSystem):
     _integrated = True
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
-        matrix = _checks.built_matrix(Q)
+        matrix = _definite.built_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
         bracket = ports.T @ apply_form(ports)
         size = float(np.max(np.abs(bracket), initial=0.0))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks
+from . import _checks, _definite
 from ._graphs import components
 from .exceptions import StructureError
 from .symplectic import skew_normal_form
@@ -286,7 +286,7 @@ def _energy_and_ports(Q: ArrayLike, B: ArrayLike, size: int) -> tuple[Array, Arr
         raise StructureError(f"Q has shape {energy.shape}; with J of shape ({size}, {size}) it must be the same")
     even = np.zeros((size + size % 2,) * 2)
     even[:size, :size] = energy
-    return _checks.hamiltonian_matrix(even)[:size, :size], _checks.port_matrix(B, size)
+    return _definite.hamiltonian_matrix(even)[:size, :size], _checks.port_matrix(B, size)
 
 
 def _planes(J: Array) -> _Planes:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks
+from . import _checks, _definite
 from .equivalence import reduced_residuals, star_equivalent
 from .exceptions import StructureError
 from .isomorphism import are_isomorphic
@@ -94,7 +94,7 @@ class PortHamiltonianGroupoid:
         )
         if port > allowed:
             return f"B differs from J^T L^T J L B by {port:.1e} of the products in it, allowed {allowed:.1e}"
-        smallest, tolerance = _checks.smallest_scaled_eigenvalue(0.5 * (moved + moved.T))
+        smallest, tolerance = _definite.smallest_scaled_eigenvalue(0.5 * (moved + moved.T))
         if smallest <= tolerance or np.diag(moved).min(initial=np.inf) <= 0:
             return (
                 f"J^T L J Q L^-1 is not positive definite: smallest eigenvalue after scaling {smallest:.3g}, needed > "

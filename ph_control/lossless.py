@@ -15,7 +15,7 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
-from . import _checks
+from . import _checks, _definite
 from .coefficients import COEFFICIENT_LIMIT, modes_from_coefficients
 from .discrete import continuous, sampling_rule
 from .exceptions import NotLosslessError, StructureError
@@ -290,7 +290,7 @@ def hamiltonian_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
     if not np.all(np.abs(B.T @ Q - C) <= close * (np.abs(B).T @ np.abs(Q))):
         return None
     try:
-        return _checks.hamiltonian_matrix(Q), _checks.port_matrix(B, len(Q))
+        return _definite.hamiltonian_matrix(Q), _checks.port_matrix(B, len(Q))
     except StructureError:
         return None
 

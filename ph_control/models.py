@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
-from . import _checks
+from . import _checks, _definite
 from .exceptions import StructureError
 from .systems import PortHamiltonian, ph
 
@@ -240,7 +240,7 @@ def _square(name: str, value: ArrayLike) -> Array:
         raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
     padded = np.zeros((2 * n, 2 * n))
     padded[:n, :n] = array
-    checked = _checks.hamiltonian_matrix(padded, name=name)[:n, :n]
+    checked = _definite.hamiltonian_matrix(padded, name=name)[:n, :n]
     return _symmetric(checked)
 
 
@@ -275,7 +275,7 @@ def _condensed(K: Array, b: Array, kept: NDArray[np.bool_], condense: bool) -> t
             "their velocity depend on the rate of the force; move the force, or give them mass"
         )
     inner = K[np.ix_(massless, massless)]
-    smallest, tolerance = _checks.smallest_scaled_eigenvalue(inner)
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
     if smallest <= tolerance:
         raise StructureError(
             f"the degrees of freedom without mass ({where}, counted from 1) cannot be eliminated: the smallest "
@@ -288,7 +288,7 @@ def _condensed(K: Array, b: Array, kept: NDArray[np.bool_], condense: bool) -> t
 
 def _inverse_mass(M: Array) -> Array:
     """Inverse of a mass matrix, exactly symmetric."""
-    smallest, tolerance = _checks.smallest_scaled_eigenvalue(M)
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
     if smallest <= tolerance:
         raise StructureError(
             f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
@@ -301,7 +301,7 @@ def _inverse_mass(M: Array) -> Array:
 
 def _solve_root(A: Array, right: Array) -> Array:
     """`X` with `X^T X = right^T A^{-1} right` for a positive definite `A`."""
-    scaled, scale = _checks.unit_diagonal(A)
+    scaled, scale = _definite.unit_diagonal(A)
     return solve_triangular(np.linalg.cholesky(scaled), right / scale[:, None], lower=True)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dger, dtrmm
 from scipy.linalg.lapack import dgehrd, dgesdd, dgesdd_lwork, dorghr
 
-from . import _checks
+from . import _checks, _definite
 from ._lapack import bidiagonal_components, bidiagonal_svd, components
 from ._twofloat import Pair, divide, exactly, product, product_parts, two_prod, two_sum
 
@@ -137,7 +137,7 @@ def factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
     apart = not (Q[:n, n:].any() or Q[n:, :n].any())
     factors, inverse = [], 0.0
     for part in (Q[:n, :n], Q[n:, n:]) if apart else (Q,):
-        found = _checks.definite_factor(part)
+        found = _definite.definite_factor(part)
         if found is None:
             return [], np.inf
         factors.append(found[0])
@@ -462,11 +462,11 @@ def _factor(Q: Array) -> tuple[Array, float]:
 
     With it the smallest eigenvalue, of `Q` scaled to unit diagonal, that counts as more than zero.
     """
-    scaled, scale = _checks.unit_diagonal(Q)
-    smallest, tolerance = _checks.smallest_scaled_eigenvalue(Q)
+    scaled, scale = _definite.unit_diagonal(Q)
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(Q)
     if smallest > tolerance:
         return scale[:, None] * np.linalg.cholesky(scaled), smallest
-    _checks.refuse_indefinite("Q", smallest, tolerance)
+    _definite.refuse_indefinite("Q", smallest, tolerance)
     values, vectors = np.linalg.eigh(scaled)
     kept = values > tolerance
     return scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]), float(np.min(values[kept], initial=1.0))

@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _checks, lossless, reachability
+from . import _checks, _definite, lossless, reachability
 from ._display import latex_matrix
 from ._forms import HasForms
 from .casimirs import normal_form
@@ -73,7 +73,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
     _given: tuple[Array, Array] | None
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
-        matrix = _checks.built_matrix(Q)
+        matrix = _definite.built_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
         self._fill(matrix, ports, names)
 
@@ -128,8 +128,8 @@ class PortHamiltonian(HasForms, LosslessSystem):
     @View
     def _proven(self) -> Array:
         """Q, of which is proved what building has left open; an indefinite one raises."""
-        if self._given is not None and len(self.Q) > _checks.AT_ONCE and "_energy" not in self._views:
-            _checks.not_indefinite(self.Q)
+        if self._given is not None and len(self.Q) > _definite.AT_ONCE and "_energy" not in self._views:
+            _definite.not_indefinite(self.Q)
         return self.Q
 
     # --- modal coordinates -----------------------------------------------------------------------------------------

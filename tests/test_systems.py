@@ -505,7 +505,7 @@ def no_cubic_work(monkeypatch):
         raise AssertionError("this takes O(n^3) steps")
 
     for place, name in [
-        (phc._checks, "cholesky_factor"), (phc._checks, "smallest_scaled_eigenvalue"), (phc.systems, "williamson"),
+        (phc._definite, "definite_factor"), (phc._definite, "smallest_scaled_eigenvalue"), (phc.systems, "williamson"),
         (phc.systems, "energy_coordinates"), (phc.systems, "port_spectrum"),
     ]:  # fmt: skip
         monkeypatch.setattr(place, name, refused)
