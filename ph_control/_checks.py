@@ -123,8 +123,10 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
         raise StructureError(f"{name} are not complex numbers: {shown(value)}; give a number or a vector") from None
     if points.ndim > 1:
         raise StructureError(f"{name} have shape {points.shape}; give a number or a vector")
-    if np.isnan(points).any():
-        raise StructureError(f"{name} are not numbers: the first NaN is at index {int(np.isnan(points).argmax())}")
+    # `1j * np.inf` has a real part of NaN, and is infinite all the same
+    unknown = np.isnan(points) & ~np.isinf(points)
+    if unknown.any():
+        raise StructureError(f"{name} are not numbers: the first NaN is at index {int(unknown.argmax())}")
     return points
 
 
@@ -340,7 +342,7 @@ def time_step(t: Array, *, name: str = "the time vector") -> tuple[float, float]
         off = distance_from_grid(t, step)
     # printed times are often rounded to a few digits: a hundredth of a step does not make a grid unequal
     allowed = 0.01 * step
-    if off > allowed or 1000 * rounding > step:
+    if not step > 0 or off > allowed or 1000 * rounding > step:
         _refuse_instants(t, off, allowed, name)
     return step, off
 

@@ -111,6 +111,8 @@ def test_a_pole_gives_infinity_and_infinity_gives_zero_and_nothing_gives_nan():
     assert not np.isnan(got.imag).any()
     everywhere = modes.evaluate([1j, 0, 1 + 1j, complex(np.inf, 0), complex(0, np.inf), complex(0, -np.inf)])[0, 0]
     assert np.array_equal(np.isinf(everywhere), [True, True, False, False, False, False])
+    # the products that Python makes of infinity and i have one part that is NaN
+    assert np.array_equal(modes.evaluate([1j * np.inf, -1j * np.inf])[0, 0], [0, 0])
     assert np.all(everywhere[3:] == 0)
 
 

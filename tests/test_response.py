@@ -431,6 +431,10 @@ BAD = {
         lambda: phc.step_response(ONE, [0.0, 1.0, 0.5]),
         "does not increase: samples 1 and 2 are at 1 and 0.5",
     ),
+    "the same instant": (
+        lambda: phc.forced_response(ONE, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]),
+        "does not increase: samples 0 and 1 are at 0 and 0",
+    ),
     "no instants": (lambda: phc.step_response(ONE, []), "the time vector is empty"),
     "a table of instants": (lambda: phc.step_response(ONE, [[0.0, 1.0]]), "the time vector has 2 dimensions"),
     "NaN instant": (lambda: phc.step_response(ONE, [0.0, np.nan]), "the time vector is not finite"),
