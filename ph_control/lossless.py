@@ -252,11 +252,15 @@ def _positive_part(R: ComplexArray, error: float) -> tuple[Array, ComplexArray, 
     if skew > error:
         what = "residue" if R.size == 1 else "residue matrix"
         need = "real" if R.size == 1 else "Hermitian"
-        offences.append(f"{what} {_show(R)} is not {need}: off by {skew:.3g}, allowed {error:.1e}")
+        # that of the velocity, divided by s or times it
+        turned = R.size == 1 and abs(R[0, 0].real) <= error
+        hint = "; imaginary, as that of a displacement (see affine) or an acceleration" if turned else ""
+        offences.append(f"{what} {_show(R)} is not {need}: off by {skew:.3g}, allowed {error:.1e}{hint}")
     sigma, W = np.linalg.eigh(0.5 * (R + R.conj().T))
     if sigma[0] < -error:
         what = "residue" if R.size == 1 else "smallest eigenvalue of the residue matrix"
-        offences.append(f"{what} {sigma[0]:.6g} is negative, allowed >= {-error:.1e}: not passive")
+        cause = ", the sensor away from the actuator or of the wrong sign" * (R.size == 1)
+        offences.append(f"{what} {sigma[0]:.6g} is negative, allowed >= {-error:.1e}: not passive{cause}")
     kept = sigma > error
     vectors = W[:, kept]
     # gauge: the largest component of each is real and positive

@@ -467,6 +467,15 @@ NOT_LOSSLESS = [
 
 
 @pytest.mark.parametrize("route", [ct.tf, in_states], ids=["polynomials", "states"])
+def test_a_displacement_and_a_wrong_sign_are_recognised_and_a_mixture_is_not(route):
+    (displacement,), (mixture,) = violations(route([1], [1, 0, 1])), violations(route([1, 1], [1, 0, 1]))
+    assert displacement.endswith("; imaginary, as that of a displacement (see affine) or an acceleration")
+    assert "displacement" not in mixture
+    (reversed_sign,) = violations(route([-1, 0], [1, 0, 1]))
+    assert reversed_sign.endswith("not passive, the sensor away from the actuator or of the wrong sign")
+
+
+@pytest.mark.parametrize("route", [ct.tf, in_states], ids=["polynomials", "states"])
 @pytest.mark.parametrize(("what", "num", "den", "expected"), NOT_LOSSLESS, ids=[row[0] for row in NOT_LOSSLESS])
 def test_what_is_not_lossless_is_refused_with_each_offence_its_size_and_the_tolerance(what, num, den, expected, route):
     found = violations(route(num, den))
