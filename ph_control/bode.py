@@ -218,10 +218,9 @@ def bode_data(
     for curve, drawn, power in zip(curves, models, powers, strict=True):
         near = frequency_grid(curve.singular, low, high, _CLOSEST_BAND, omega_num, _AROUND_BAND)
         bands.append(None if drawn is None else band_around(drawn, near if grid is None else grid, level, power))
-    systems = [getattr(one, "observed_system", sys) for one, sys in zip(given, systems, strict=True)]
-    first = systems[0]
-    title = title_of("Bode plot", systems, label is not None)
-    return BodeData(systems, curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
+    title, first = title_of("Bode plot", systems, label is not None), systems[0]
+    observed = [getattr(one, "observed_system", sys) for one, sys in zip(given, systems, strict=True)]
+    return BodeData(observed, curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
 
 
 def decibels(values: ComplexArray) -> Array:
