@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from .exceptions import StructureError
@@ -146,6 +147,14 @@ def stacked(ax: Any, heights: list[float], *, share: str = "first", meaning: str
 def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
     """Label of an axis of decibels."""
     return labelled(quantity, f"dB re 1 {gain_unit}" if gain_unit else "dB")
+
+
+class PlainLogFormatter(LogFormatter):
+    """Labels such as 20 in place of powers of ten times a digit, where the axis has labels between powers of ten."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Label of a tick, if it is to have one."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def labelled(quantity: str, unit: str | None) -> str:

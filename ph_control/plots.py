@@ -13,7 +13,19 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from .bode import BodeData, Curve, bode_data, shown_range
-from .drawing import BAND, DOTS, LineStyle, Look, check_hertz, gain_label, given_axes, labelled, new_axes, plain
+from .drawing import (
+    BAND,
+    DOTS,
+    LineStyle,
+    Look,
+    PlainLogFormatter,
+    check_hertz,
+    gain_label,
+    given_axes,
+    labelled,
+    new_axes,
+    plain,
+)
 from .exceptions import StructureError
 from .margins import margin
 
@@ -24,6 +36,7 @@ Array = NDArray[np.float64]
 
 _SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _MANY = 50  # poles and zeros
+_NARROW = 100.0  # ratio of the ends of the frequency axis below which its labels are plain numbers
 _CROWD_BELOW = 2.0  # place among what is drawn, above the grid
 
 _PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78"}
@@ -344,6 +357,9 @@ def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: s
     for (row, j), axis in np.ndenumerate(axes):
         axis.set_xscale("log")
         axis.set_xlim(numbers.low / unit, numbers.high / unit)
+        if numbers.high < _NARROW * numbers.low:
+            axis.xaxis.set_major_formatter(PlainLogFormatter())
+            axis.xaxis.set_minor_formatter(PlainLogFormatter(labelOnlyBase=False))
         if row == rows - 1:
             axis.set_xlabel(labelled("Frequency", unit_name))
         if (rows > kinds or columns > 1) and row % kinds == 0:

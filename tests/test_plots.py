@@ -244,6 +244,16 @@ def test_the_axes_name_their_quantities_and_units():
     assert bode_plot(frenkel_kontorova(), gain_unit="m/s/N").axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
 
 
+@pytest.mark.parametrize(("limits", "labels"), [([6, 80], {"10", "20", "60"}), ([2.8, 3.6], {"3"}), ([0.2, 3], {"1"})])
+def test_a_narrow_range_of_frequencies_is_labelled_in_plain_numbers(limits, labels):
+    plot = bode_plot(phc.modes([3.0, 10.0], [1.0, 1.0]), omega_limits=limits)
+    plot.figure.canvas.draw()
+    axis = plot.axes[1, 0].xaxis
+    texts = {tick.get_text() for tick in (*axis.get_ticklabels(), *axis.get_ticklabels(minor=True))} - {""}
+    assert labels <= texts and not any("$" in text for text in texts)
+    plt.close(plot.figure)
+
+
 def test_in_hertz_the_axis_says_so_and_the_curve_is_the_same():
     chain = frenkel_kontorova()
     plot = bode_plot(chain, Hz=True, omega_limits=[0.05, 0.5])
@@ -535,6 +545,7 @@ def test_a_fit_of_another_quantity_is_drawn_as_that_with_its_band(quantity):
     fit = phc.pem(data, 2, quantity=quantity)
     plot = bode_plot(fit, omega[::3], data=data, confidence=fit)
     magnitude, phase = (plot.lines[row, 0][0].get_ydata() for row in (0, 1))
+    assert plot.figure._suptitle.get_text() == "Bode plot"
     exact = fit.observed_system(1j * plot.lines[0, 0][0].get_xdata())
     np.testing.assert_allclose(magnitude, 20 * np.log10(np.abs(exact)), rtol=1e-9)
     assert set(phase[np.isfinite(phase)]) == ({0.0, -180.0} if quantity == "displacement" else {0.0, 180.0})
