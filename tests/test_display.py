@@ -300,3 +300,15 @@ def test_the_notebook_shows_the_modes_of_a_fit_with_their_errors():
         assert np.allclose([float(row[k]) for k in (2, 5)], errors, rtol=0.05)
     read = text_of(fitted()._repr_html_())
     assert fitted().message in read and "force <F> & $more$" in read and html.unescape(read) == read
+
+
+def test_a_record_is_shown_by_its_size_and_not_by_its_numbers():
+    u = np.random.default_rng(0).standard_normal(400)
+    plant = phc.frenkel_kontorova()
+    fit = phc.pem((u, phc.forced_response(plant, 0.1 * np.arange(400), u).outputs), 2, dt=0.1)
+    assert repr(fit.record) == "<Record: 400 samples, step 0.1, 'y' from 'u'>"
+    free = phc.pem((None, phc.initial_response(plant, 0.1 * np.arange(400), [1.0, 0, 0, 0.5]).outputs), 2, dt=0.1)
+    assert repr(free.record) == "<Record: 400 samples, step 0.1, 'y'>"
+    omega = np.linspace(0.105, 2.0, 50)
+    response = phc.pem(ct.frd(plant.modes.freqresp(omega), omega, smooth=False), 2)
+    assert repr(response.record) == "<FrequencyRecord: 50 frequencies, 'y[0]' from 'u[0]'>"

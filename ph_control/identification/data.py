@@ -26,7 +26,7 @@ _BLOCK = 1 << 16  # samples looked at together, so that a long record is checked
 _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """One input and one output on a uniform grid.
 
@@ -54,6 +54,10 @@ class Record:
     output_label: str = "y"
     driven: bool = True
     title: str = field(default="", kw_only=True)
+
+    def __repr__(self) -> str:
+        source = f" from {self.input_label!r}" * self.driven
+        return f"<Record: {self.samples} samples, step {self.dt:.6g}, {self.output_label!r}{source}>"
 
     @property
     def samples(self) -> int:

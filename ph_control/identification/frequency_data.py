@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrequencyRecord:
     """A frequency response from one input to one output, at any frequencies.
 
@@ -49,6 +49,9 @@ class FrequencyRecord:
             ("omega", self.omega, float), ("response", self.response, complex), ("weights", weights, float)
         ):  # fmt: skip
             object.__setattr__(self, name, _checks.readonly(np.array(value, dtype=kind)))
+
+    def __repr__(self) -> str:
+        return f"<FrequencyRecord: {self.samples} frequencies, {self.output_label!r} from {self.input_label!r}>"
 
     @property
     def samples(self) -> int:
