@@ -248,6 +248,7 @@ def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: st
     """The dots: a frequency response as it is, or the spectral estimate of a record."""
     if data is None:
         return None
+    data = data.as_response() if hasattr(data, "as_response") else data
     if isinstance(data, ct.TimeResponseData):
         data = spectral_estimate(data, segments=segments, intersample=intersample)
         label = label or f"data (spectral estimate, {data.segments} segments)"

@@ -80,7 +80,8 @@ def bode_plot(
         Angular frequencies, rad per unit time, ascending and positive; two of them are limits.  By default every pole
         and zero of the systems is resolved.
     data : control.TimeResponseData or control.FrequencyResponseData, optional
-        Measurement to draw as dots: a record, of which `spectral_estimate` is made, or a frequency response.
+        Measurement to draw as dots: a record, of which `spectral_estimate` is made, or a frequency response; also the
+        `record` of a `PEMResult`.
     segments, intersample
         As in `spectral_estimate`.
     confidence : PEMResult or ModeSamples, or list of them, optional

@@ -710,6 +710,14 @@ def test_a_record_is_drawn_as_dots_with_the_Nyquist_limit():
     assert low < sys.d[0] and high > np.pi / 0.2
 
 
+def test_the_record_of_a_fit_is_drawn_as_the_record_it_was_made_of():
+    data = record(frenkel_kontorova(), samples=2048, noise=0.05)
+    fit = phc.pem(data, 2)
+    kept, given = (bode_plot(fit, data=one).lines[0, 0] for one in (fit.record, data))
+    for one, other in zip(kept, given, strict=True):
+        np.testing.assert_array_equal(one.get_ydata(), other.get_ydata())
+
+
 def test_dots_without_coherence_are_pale_and_named():
     sys = frenkel_kontorova()
     estimate = spectral_estimate(record(sys, noise=1.0))
