@@ -316,6 +316,22 @@ def test_missing_outputs_are_left_out():
     assert "100 outputs missing" in result.summary()
 
 
+@pytest.mark.parametrize("order", [2, "auto"])
+@pytest.mark.parametrize("samples", [1000, 3000, 17_000])
+def test_a_large_constant_of_the_sensor_changes_nothing_where_an_offset_is_fitted(samples, order):
+    d, r = np.array([1.0, 2.5]), np.array([0.3, 0.2])
+    _, u, y, deviation = record_of(d, r, samples=samples, h=0.2, snr=30.0)
+    plain = phc.pem((u, y), order, dt=0.2, offset=True)
+    for size in (1.0, 1e3, 1e6):
+        constant = size * np.std(y)
+        shifted = phc.pem((u, y + constant), order, dt=0.2, offset=True)
+        assert np.abs(shifted.d - d).max() <= 5 * shifted.stderr["d"].max()
+        # the minimum is found to a part of the standard errors
+        assert np.abs(shifted.d - plain.d).max() <= 1e-3 * plain.stderr["d"].max()
+        assert np.abs(shifted.r - plain.r).max() <= 1e-3 * plain.stderr["r"].max()
+        assert abs(shifted.experiments[0].offset - plain.experiments[0].offset - constant) <= deviation * 1e-3
+
+
 def test_a_plant_at_rest_may_be_said_to_be_at_rest():
     plant, _, _, _ = record_of([0.5, 1.9], [1.0, 0.3])
     t = 0.1 * np.arange(1000)

@@ -66,9 +66,7 @@ class Records:
             left[bins] -= own @ piece.own(at.d, at.sigma)
             if piece.driven:
                 left[bins] -= at.kappa @ piece.shared(at.d, at.sigma)
-        if spectrum.experiment.offset:
-            left[0] = 0.0
-        return left
+        return spectrum.beside_offset(left)
 
     def errors(self, left: Sequence[ComplexArray]) -> list[Array]:
         """What a model leaves of the outputs, at all samples."""

@@ -110,6 +110,7 @@ class TimeSearch:
             at, iterations, converged, interrupted = end.projection, end.iterations, end.converged, end.interrupted
             d, held, weights = at.d, ~at.free, mode_energies(at)
             left = [one.left(d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
+        left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
         loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
         ranked = self._screen.ranked(left)
         return Step(d, loss, iterations, converged, *ranked, held, weights, interrupted)

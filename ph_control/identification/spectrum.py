@@ -108,6 +108,10 @@ class Spectrum:
             residual[bins] -= SmoothColumns(self, d, bins).output(kappa, ends)
         return residual
 
+    def beside_offset(self, residual: ComplexArray) -> ComplexArray:
+        """Transform of a residual without its constant, where an offset explains it: no mode is sought there."""
+        return np.concatenate([[0.0], residual[1:]]) if self.experiment.offset else residual
+
 
 class SmoothColumns:
     """Columns of modes (n,) at bins (K,), of the same span, that pass smoothly through the bins; and their derivatives.
