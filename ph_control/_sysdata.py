@@ -75,11 +75,20 @@ def title_of(kind: str, systems: list[Any], relabelled: bool) -> str:
     return title if 0 < len(named) == len(systems) <= 3 and len(title) <= _TITLE else kind
 
 
-def models_around(confidence: Any, systems: list[Any], *bands: str) -> list[Any]:
+def models_around(confidence: Any, sysdata: Any, systems: list[Any], *bands: str) -> list[Any]:
     """For each system the models drawn around it, or None: they have methods with the names `bands`.
 
-    `confidence` belongs to the first system, a list to all of them; a result of a fit draws its models itself.
+    `confidence` belongs to the first system, a list to all of them, True to each of `sysdata` that is the result of a
+    fit; such a result draws its models itself.
     """
+    if confidence is True:
+        everything = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
+        confidence = [one if hasattr(one, "experiments") else None for one in everything]
+        if not any(confidence):
+            raise StructureError(
+                "confidence is True, but none of the systems is the result of a fit; pass what pem gives, "
+                "or confidence=result"
+            )
     given = list(confidence) if isinstance(confidence, list | tuple) else [confidence]
     if len(given) > len(systems) or (len(given) < len(systems) and isinstance(confidence, list | tuple)):
         raise StructureError(

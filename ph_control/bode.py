@@ -204,7 +204,7 @@ def bode_data(
     """Compute what `bode_plot` draws; the arguments are its arguments."""
     systems = as_systems(sysdata, tabulated=True)
     labels = labels_of(sysdata, systems, label)
-    models = models_around(confidence, systems, "magnitude_band", "phase_band")
+    models = models_around(confidence, sysdata, systems, "magnitude_band", "phase_band")
     measured = _measurement(data, systems[0], segments, intersample, data_label)
     extents = np.concatenate([_extent(sys) for sys in systems])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, Hz)

@@ -84,9 +84,9 @@ def bode_plot(
         `record` of a `PEMResult`.
     segments, intersample
         As in `spectral_estimate`.
-    confidence : PEMResult or ModeSamples, or list of them, optional
-        Whose `magnitude_band` and `phase_band` to shade around the first system, or around each.  A result of `pem`
-        draws 300 models, always the same.
+    confidence : PEMResult or ModeSamples, or list of them, or True, optional
+        Whose `magnitude_band` and `phase_band` to shade around the first system, or around each; True stands for the
+        results of `pem` among the systems.  Such a result draws 300 models, always the same.
     level : float
         Share of these models inside the band, between 0 and 1.
     omega_limits : array_like, shape (2,), optional

@@ -41,9 +41,9 @@ def step_plot(
         Number of instants.
     data : control.TimeResponseData, optional
         Measured response to a unit step, one trace for each input, to draw as dots.
-    confidence : PEMResult or ModeSamples, or list of them, optional
-        Whose `step_band` to shade around the first system, or around each.  A result of `pem` draws 300 models, always
-        the same.
+    confidence : PEMResult or ModeSamples, or list of them, or True, optional
+        Whose `step_band` to shade around the first system, or around each; True stands for the results of `pem` among
+        the systems.  Such a result draws 300 models, always the same.
     level : float
         Share of these models inside the band, between 0 and 1.
     time_unit, output_unit : str

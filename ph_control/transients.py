@@ -113,7 +113,7 @@ def transient_data(
     """Compute what `step_plot` and `impulse_plot` draw; the arguments are theirs."""
     systems = as_systems(sysdata)
     labels = labels_of(sysdata, systems, label)
-    models = models_around(confidence, systems, "step_band", "impulse_band")
+    models = models_around(confidence, sysdata, systems, "step_band", "impulse_band")
     lossless = [_modes(sys) for sys in systems]
     measured = None if data is None else _measured(data, systems[0], kind, data_label)
     if timepts is None and measured is not None:

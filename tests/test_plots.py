@@ -534,6 +534,14 @@ def test_a_result_of_a_fit_draws_its_own_band_always_the_same():
     assert len(bands_of(listed.axes[0, 0])) == 1
 
 
+@pytest.mark.parametrize("draw", [bode_plot, lambda *systems, **k: phc.step_plot(*systems, 5.0, **k)])
+def test_true_stands_for_the_bands_of_the_fits_in_the_picture(draw):
+    chain = frenkel_kontorova()
+    fit = phc.pem(record(chain, samples=300, noise=0.1), 2)
+    (given,), (asked,) = (bands_of(draw([chain, fit], confidence=c).axes[0, 0]) for c in ([None, fit], True))
+    np.testing.assert_array_equal(given.get_paths()[0].vertices, asked.get_paths()[0].vertices)
+
+
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 def test_a_fit_of_another_quantity_is_drawn_as_that_with_its_band(quantity):
     chain = frenkel_kontorova()
@@ -563,6 +571,7 @@ def test_a_fit_of_another_quantity_is_drawn_as_that_with_its_band(quantity):
     [
         ({"confidence": 3}, "confidence is a int; pass the result of pem"),
         ({"confidence": [None, None]}, "confidence has 2 entries for 1 systems"),
+        ({"confidence": True}, "confidence is True, but none of the systems is the result of a fit"),
         ({"sysdata": ct.rss(2, 2, 2), "confidence": drawn_models(3)}, "bands are those of one port"),
         ({"confidence": drawn_models(3), "level": 2.0}, "level is 2.0"),
         ({"plot_magnitude": False, "plot_phase": False}, "there is nothing to draw"),
