@@ -343,7 +343,12 @@ def _mode(path: Path) -> int | None:
 def read_bytes(source: Any) -> bytes:
     """Content of a file: of that name, or open already, for bytes or for text."""
     if hasattr(source, "read"):
-        content = source.read()
+        try:
+            content = source.read()
+        except ValueError as error:  # closed, open for writing only, or of another encoding
+            raise StructureError(
+                f"{source_name(source)} cannot be read: {error}; pass its name, or open it for reading, as bytes best"
+            ) from error
         return content.encode() if isinstance(content, str) else bytes(content)
     path = as_path(source)
     mode = _mode(path)

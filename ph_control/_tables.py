@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _checks
 from ._documents import read_bytes, source_name
 from .exceptions import FileFormatError, StructureError
 
@@ -167,6 +168,7 @@ def without_unit(label: str) -> str:
 
 def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
+    _check_layout(header, delimiter, decimal)
     name = source_name(path)
     lines = _lines(read_bytes(path), name)
     content = _content(lines, None)
@@ -203,6 +205,15 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     if labels is None and header is None:
         labels = _labels_in_comment(lines, numbers[0] - 1, delimiter, width)
     return Table(name, labels and labels[:width], width, rows, numbers, delimiter, decimal)
+
+
+def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
+    if header not in (None, True, False):
+        raise StructureError(f"header is {header!r}; it must be True, False or None")
+    if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
+        raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
+    if decimal is not None:
+        _checks.choice("decimal", decimal, (".", ","))
 
 
 def _content(lines: list[str], blanks: str | None) -> list[int]:

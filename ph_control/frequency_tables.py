@@ -137,7 +137,7 @@ def response_in(
             raise StructureError(f"{table.path}: {table.name(column)} is chosen twice; give each its own")
     values = table.columns(chosen)
     _refuse_missing(table, values[0], clock)
-    omega = values[0] * FREQUENCY_UNITS[_frequency_unit(table, layout, clock)]
+    omega = _angular(table, values[0], clock, FREQUENCY_UNITS[_frequency_unit(table, layout, clock)])
     response = _polar(table, layout, first, second, *values[1:3]) if polar else values[1] + 1j * values[2]
     order = np.argsort(omega, kind="stable")
     found = FrequencyResponseData(response[order], omega[order], title=os.path.basename(table.path) or None)
@@ -222,6 +222,19 @@ def _frequency_unit(table: Table, layout: Layout, column: int) -> str:
     if not unit and table.labels and _bare(table.labels[column]).casefold() in _ANGULAR:
         return "rad/s"
     raise _unknown_unit(table, column, unit, "frequency_unit", tuple(FREQUENCY_UNITS))
+
+
+def _angular(table: Table, values: Array, column: int, unit: float) -> Array:
+    """Frequencies in rad/s."""
+    with np.errstate(over="ignore"):
+        omega = values * unit
+    if np.isinf(omega).any():
+        row = int(np.argmax(np.isinf(omega)))
+        raise FileFormatError(
+            f"{table.at(row, column)}: {values[row]:.6g} is beyond the range of doubles in rad/s; correct the "
+            "frequency or its unit"
+        )
+    return omega
 
 
 def _polar(table: Table, layout: Layout, first: int, second: int, size: Array, angle: Array) -> ComplexArray:

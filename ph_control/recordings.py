@@ -94,7 +94,6 @@ def read_csv(
     >>> data.output_labels
     ['velocity [m/s]']
     """
-    _check_layout(header, delimiter, decimal)
     step = None if dt is None else _checks.sampling_step(dt)
     table = read_table(path, header, delimiter, decimal)
     clock = _time_column(table, time, step)
@@ -127,15 +126,6 @@ def read_csv(
         output_labels=_signal_labels(table, outputs, "y"),
         title=Path(table.path).name,
     )
-
-
-def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
-    if header not in (None, True, False):
-        raise StructureError(f"header is {header!r}; it must be True, False or None")
-    if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
-        raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
-    if decimal is not None:
-        _checks.choice("decimal", decimal, (".", ","))
 
 
 def _time_column(table: Table, time: Any, step: float | None) -> int | None:

@@ -85,6 +85,7 @@ def test_units_of_frequency_stand_in_the_label_in_all_the_usual_ways(unit, facto
         ("w,omega,re,im\n1,1,3,4\n", "may both be the frequency; choose with frequency="),
         ("w,re,im\n,2,3\n", "line 2, column 0.*the frequency is missing"),
         ("w,re,im\n1,2,x\n", "'x' is not a number"),
+        ("f [GHz],re,im\n1,2,3\n1e300,2,3\n", r"line 3, column 0 .*1e\+300 is beyond the range of doubles in rad/s"),
         ("", "is empty"),
     ],
 )
@@ -102,6 +103,10 @@ def test_what_is_no_frequency_response_is_refused_with_its_place_and_a_remedy(te
         ({"frequency_unit": "rpm"}, "frequency_unit is 'rpm'"),
         ({"phase_unit": "turns"}, "phase_unit is 'turns'"),
         ({"magnitude_unit": "neper"}, "magnitude_unit is 'neper'"),
+        ({"delimiter": ""}, "delimiter is ''; it must be one character"),
+        ({"delimiter": 5}, "delimiter is 5; it must be one character"),
+        ({"decimal": "x"}, "decimal is 'x'; it must be one of"),
+        ({"header": "yes"}, "header is 'yes'; it must be True, False or None"),
         ({"real": "re"}, None),
     ],
 )
@@ -123,6 +128,20 @@ def test_a_file_is_read_and_its_name_is_the_title(tmp_path):
     path.write_bytes(b"\x00\xff")
     with pytest.raises(FileFormatError, match="not a text file"):
         phc.read_frequency_csv(path)
+
+
+@pytest.mark.parametrize("reads", [phc.read_csv, phc.read_frequency_csv, phc.load])
+def test_a_file_that_gives_no_content_is_refused(reads, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_bytes("w,re,im,\xe9\n1,2,3,4\n".encode("latin-1"))
+    with path.open() as closed:
+        pass
+    with pytest.raises(StructureError, match=r"table\.csv cannot be read: .*closed file.*open it for reading"):
+        reads(closed)
+    with path.open(encoding="utf-8") as other, pytest.raises(StructureError, match="cannot be read: 'utf-8' codec"):
+        reads(other)
+    with path.open("w") as writing, pytest.raises(StructureError, match="cannot be read: not readable"):
+        reads(writing)
 
 
 def test_a_written_response_is_fitted_as_it_was_before():
