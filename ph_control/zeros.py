@@ -86,16 +86,25 @@ def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Arr
 
 
 def _bisect(d: Array, kappa: Array, gaps: NDArray[np.intp]) -> list[tuple[float, Array]]:
-    """As `_solve`, for numbers of any size: halving, as often as a double has bits."""
+    """As `_solve`, for numbers of any size: halving the distance from the nearer pole as often as a double has bits."""
+    half = 0.5 * (d[gaps + 1] - d[gaps])
+
+    def falls_short(pole: Array, offset: Array) -> NDArray[np.bool_]:
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            w = (pole + offset)[:, None]
+            terms = kappa * (w / (d + w)) / ((d - pole[:, None]) - offset[:, None])
+            return np.asarray(terms.sum(axis=1) < 0)
+
+    upper = falls_short(d[gaps], half)
+    pole, sign = np.where(upper, d[gaps + 1], d[gaps]), np.where(upper, -1.0, 1.0)
     # positive doubles are in the order of their bits
-    below, above = d[gaps].view(np.int64), d[gaps + 1].view(np.int64)
+    below, above = np.zeros(len(gaps), np.int64), half.view(np.int64)
     while (above - below > 1).any():
         middle = below + (above - below) // 2
-        w = middle.view(float)[:, None]
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            falls = (kappa * (w / (d + w)) / (d - w)).sum(axis=1) < 0
-        below, above = np.where(falls, middle, below), np.where(falls, above, middle)
-    return [(root, d - root) for root in above.view(float)]
+        further = falls_short(pole, sign * middle.view(float)) == (sign > 0)
+        below, above = np.where(further, middle, below), np.where(further, above, middle)
+    offset = sign * above.view(float)
+    return [(root, (d - near) - away) for root, near, away in zip((pole + offset).tolist(), pole, offset, strict=True)]
 
 
 def many_port_zeros(d: Array, nu: ComplexArray, rigid: Array) -> Array:

@@ -125,6 +125,26 @@ def test_halving_finds_the_zeros_that_lapack_finds(n, seed, kind):
     assert np.all((roots >= d[:-1]) & (roots <= d[1:]))
 
 
+@relaxed
+@given(st.integers(2, 12), seeds)
+def test_next_to_zeros_close_to_weak_poles_the_response_keeps_its_digits(n, seed):
+    rng = np.random.default_rng(seed)
+    d, r = np.sort(rng.uniform(1.0, 100.0, n)), 10 ** rng.uniform(-300, 0, n)
+    # beyond what LAPACK is asked for, with zeros nearer to a pole than the next double
+    r[rng.choice(n, 2, replace=False)] = 1e-250, 1.0
+    zeros = phc.modes(d, r).zeros.imag
+    near = np.concatenate([d, zeros[zeros > 0]])
+    w = np.concatenate([np.nextafter(near, 0.0), np.nextafter(near, np.inf), near * (1 + 1e-13)])
+    with mp.workdps(DIGITS):
+        kappa = [mp.mpf(a) * mp.mpf(b) for a, b in zip(d.tolist(), r.tolist(), strict=True)]
+        for x, found in zip(w.tolist(), phc.modes(d, r).freqresp(w).imag.tolist(), strict=True):
+            if x in d:
+                continue
+            terms = [k * x / ((mp.mpf(a) - x) * (mp.mpf(a) + x)) for k, a in zip(kappa, d.tolist(), strict=True)]
+            if abs(sum(terms)) > 1e-15 * sum(map(abs, terms)):
+                assert abs(found / sum(terms) - 1) < 5e-14
+
+
 def test_where_lapack_gives_up_the_zeros_are_still_found(monkeypatch):
     d, kappa = np.array([1.0, 2.0, 4.0]), np.array([1.0, 3.0, 0.5])
     truth = phc.modes(d, kappa / d).zeros.imag
