@@ -99,7 +99,7 @@ def test_two_modes_between_the_same_two_points_are_told_apart_without_noise():
 
 
 def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_equally_sure():
-    omega, rng = np.linspace(0.2, 3.0, 300), np.random.default_rng(3)
+    omega, rng = np.linspace(0.2, 3.0, 300), np.random.default_rng(5)
     exact = phc.frenkel_kontorova().modes.freqresp(omega)
     noise = rng.standard_normal(300) + 1j * rng.standard_normal(300)
     data = ct.frd(exact * (1 + 0.01 * noise), omega, smooth=False)
@@ -111,10 +111,31 @@ def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_e
     assert suspicion not in weighted.message + phc.pem(data, 1, weights=1 / np.abs(exact) ** 2).message
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_points_weighted_by_their_gain_lead_to_the_resonances(seed):
+    """So weighted, antiresonances count as much as resonances, and a mode alone is drawn away from its own."""
+    omega = np.linspace(0.2, 3.0, 300)
+    exact = response([0.618, 1.618], [0.447, 0.447], omega)
+    data = ct.frd(exact + noise(0.01 * np.abs(exact), seed), omega)
+    result = phc.pem(data, 2, weights=1 / np.abs(exact) ** 2)
+    assert np.allclose(result.d, [0.618, 1.618], rtol=1e-3) and result.verdict == "consistent with the record"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_response_with_a_missed_resonance_is_not_called_explained(seed):
+    """A few points at the resonance outweigh all others: without care, what they leave looks white."""
+    omega = np.linspace(2.0, 100.0, 400)
+    exact = response([10.0, 25.0, 60.0], [1.0, 0.6, 0.3], omega)
+    data = ct.frd(exact + noise(np.full(400, 0.01 * np.median(np.abs(exact))), seed), omega)
+    missed, whole = phc.pem(data, 1), phc.pem(data, 3)
+    assert missed.whiteness < 1e-10 and missed.verdict.startswith("NOT described")
+    assert whole.whiteness > 1e-3 and whole.verdict == "consistent with the record"
+
+
 def test_the_fit_of_a_response_is_judged_in_the_scale_of_its_weights():
     omega = np.linspace(0.2, 5.0, 60)
     size = np.where(omega > 3, 1.0, 0.01)
-    data = ct.frd(response([1.0, 2.3], [1.0, 0.5], omega) + size * noise(60, 1), omega)
+    data = ct.frd(response([1.0, 2.3], [1.0, 0.5], omega) + noise(size, 1), omega)
     result = phc.pem(data, 2, weights=1 / size**2)
     y, error, weight = (np.squeeze(x) for x in (data.frdata, result.residuals, 1 / size**2))
     mean = np.sum(weight * y) / np.sum(weight)

@@ -20,6 +20,7 @@ from .fitted_directions import Directions, of_record, of_response
 from .frequency_data import FrequencyRecord
 from .information import Information, information_at
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
+from .residual_data import without_peaks
 from .result import PEMResult
 from .selection import criteria
 from .solver import Problem, Projection, Refinement
@@ -191,7 +192,11 @@ def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection, rank: 
 
     What was fitted is missing from the residuals; short records feel that, and are asked again if they look coloured.
     """
-    parts = [part for one in experiments for part in _in_parts(one, one.residuals)]
+    parts = [
+        part if isinstance(one.record, Record) else without_peaks(part)
+        for one in experiments
+        for part in _in_parts(one, one.residuals)
+    ]
     p = ljung_box(parts, _LAGS)
     n, samples = len(at.d), sum(one.record.samples for one in experiments)
     unknowns = 2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)

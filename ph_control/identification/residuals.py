@@ -30,7 +30,7 @@ from .measured import (
     which_of,
 )
 from .prediction import chosen_experiment
-from .residual_data import ResidualData, noise_scales
+from .residual_data import ResidualData, noise_scales, without_peaks
 from .residual_tests import Correlation, autocorrelation, cross_correlation, influence
 from .simulation import Rules, Simulation
 from .validation import answer_to
@@ -39,7 +39,6 @@ Array = NDArray[np.float64]
 
 _LAGS = 25  # by default, where the data are long enough
 _SAMPLES_PER_LAG = 5
-_REACH = 6.0  # times the median size, 4 standard deviations, of residuals in frequency
 _WIDTH = 98
 _MOST = 60_000_000  # numbers in the directions that were fitted; with more samples than that they hardly count
 
@@ -457,9 +456,7 @@ def _over_frequency(
     shared, _ = _directions(answers, scales)
     split = np.split(shared, np.cumsum([record.samples for record in records])[:-1])
     shared = np.concatenate([part for one in split for part in (one.real, one.imag)])
-    # of white noise this touches one point in 20 000; of a missed peak it leaves the flanks to be seen
-    limit = _REACH * float(np.nanmedian(np.abs(residuals)))
-    residuals = np.clip(residuals, -limit, limit) if limit else residuals
+    residuals = without_peaks(residuals)
     lengths = tuple(np.repeat([record.samples for record in records], 2).tolist())
     local = tuple(np.zeros((length, 0)) for length in lengths)
     level = np.concatenate([part for scale in scales for part in (scale, scale)])
