@@ -53,6 +53,12 @@ class Reduction:
         """Whether each mode is reached on its own."""
         return len(self.starts) == len(self.d) and bool(self.reached.all())
 
+    @property
+    def gap(self) -> float:
+        """Smallest relative distance of frequencies of different groups; infinite if there is but one."""
+        above = self.d[self.starts[1:]]
+        return float(np.min((above - self.d[self.starts[1:] - 1]) / above, initial=np.inf))
+
     def minimal(self) -> ModalForm:
         """One mode for each group that is reached, at the mean of its frequencies, with the sum of its weights."""
         if self.is_minimal:

@@ -27,6 +27,8 @@ from .systems import PortHamiltonian, full_port_hamiltonian
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however computed, agree to 1e-10
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanDecomposition(Sequence[Any]):
@@ -218,8 +220,9 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     Notes
     -----
     Of k modes of one frequency, which have no coordinates of their own, an element of `U(k)` takes one onto the
-    input.  The direct sum holds within the error bounds by which modes were called equal or unreached.  O(n^3).  The
-    two systems cost no more than `minreal`; `T`, which takes all mode shapes, is computed when it is looked at.
+    input.  The direct sum holds within the error bounds by which modes were called equal or unreached.  O(n^3).  Where
+    frequencies differ by more than 2e-6 of their size or not at all, the two systems cost no more than `minreal`, and
+    `T`, which takes all mode shapes, is computed when it is looked at; elsewhere all come from the same mode shapes.
 
     Examples
     --------
@@ -237,6 +240,8 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
             "its column of B, or use minreal"
         )
     reduction = system._reduction if rtol is None else None
+    if reduction is not None and reduction.gap < _SURE_GAP:
+        reduction = None
     if reduction is None and len(system.d) < system.n:
         raise StructureError(
             f"Q is only positive semidefinite: {system.n - len(system.d)} of {system.n} degrees of freedom have no "

@@ -768,3 +768,18 @@ def test_what_a_foreign_state_space_hides_is_refused_not_forgotten():
     Y = X[:4, :4] + np.eye(4)
     similar = ct.ss(Y @ whole.A @ np.linalg.inv(Y), Y @ whole.B, whole.C @ np.linalg.inv(Y), 0)
     assert phc.canonical_margins(similar).is_canonical and phc.kalman_decomposition(similar).hidden.n == 0
+
+
+@pytest.mark.parametrize("gap", [7e-13, 1e-11, 1e-9, 1e-7])
+def test_the_parts_and_the_transformation_of_nearly_equal_frequencies_belong_together(gap):
+    """Weights of close modes depend on how they are computed; those of the parts are those that `T` makes."""
+    rng = np.random.default_rng(3)
+    d = 8.0 * np.array([1.0, 1.0 + gap])
+    S, _ = symplectic_of_condition(2, 10.0, rng)
+    Q = S.T @ np.diag(np.concatenate([d, d])) @ S
+    Q, B = 0.5 * (Q + Q.T), rng.standard_normal(4)
+    reachable, _, T = phc.kalman_decomposition(phc.ph(Q, B))
+    k, n = reachable.n, 2
+    expected = np.zeros(2 * n)
+    expected[:k], expected[n : n + k] = reachable.B[:k, 0], reachable.B[k:, 0]
+    assert np.abs(T @ B - expected).max() < 1e-10 * np.linalg.cond(T) * np.abs(expected).max()
