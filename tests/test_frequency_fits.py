@@ -121,6 +121,23 @@ def test_points_weighted_by_their_gain_lead_to_the_resonances(seed):
     assert np.allclose(result.d, [0.618, 1.618], rtol=1e-3) and result.verdict == "consistent with the record"
 
 
+@pytest.mark.parametrize(
+    "d, r",
+    [
+        ([1.064, 2.648, 5.679, 7.375, 7.756, 8.54], [0.2, 1.84, 1.97, 0.72, 1.66, 0.35]),
+        ([3.914, 5.515, 5.796, 6.173, 6.628, 7.625], [1.15, 1.94, 1.04, 1.66, 1.76, 1.33]),
+    ],
+)
+def test_modes_in_wrong_places_are_passed_by_some_that_are_dropped_again(d, r):
+    """Modes a few points apart, and antiresonances between them that count as much: a path of six steps goes astray."""
+    omega = np.geomspace(0.1, 20.0, 400)
+    exact = response(d, r, omega)
+    for seed in range(4):
+        data = ct.frd(exact + noise(0.01 / np.sqrt(2) * np.abs(exact), seed), omega, smooth=False)
+        result = phc.pem(data, 6, weights=1 / np.abs(exact) ** 2)
+        assert np.allclose(result.d, d, rtol=1e-3) and not result.active, seed
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_response_with_a_missed_resonance_is_not_called_explained(seed):
     """A few points at the resonance outweigh all others: without care, what they leave looks white."""

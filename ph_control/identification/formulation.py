@@ -140,7 +140,7 @@ class Formulation:
         problem = self.problem
         own = problem.unknowns(0)
         per_mode = problem.unknowns(1) - own
-        carried = max(0, (problem.samples - 1 - own) // per_mode)
+        carried = problem.carried
         for name, value in (("order", order), ("max_order", max_order)):
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
             if not (whole or (name == "order" and value == "auto")):

@@ -19,6 +19,7 @@ _TOGETHER = 0.1  # of the strongest candidate's gain: others that join at the sa
 _APART = 8.0  # basins between modes that join together
 _BETTER = 1e-6  # relative decrease of the loss that counts
 _HOPELESS = 4  # modes held at 0, and half of all: no place cures a model that is wrong
+_BEYOND = 3  # modes more than asked for, for a while
 _DIVERGENT = 5  # candidates among which a random path chooses
 _RESTARTS = 4  # random paths where the first answer is doubtful
 
@@ -30,7 +31,7 @@ class Start:
     Attributes
     ----------
     kind : str
-        'guess', 'forward', 're-seated' or 'random'.
+        'guess', 'forward', 're-seated', 'pruned' or 'random'.
     loss : float
         Mean squared residual it ended with.
     d : ndarray
@@ -137,6 +138,18 @@ def _moved(search: Search, step: Step, place: int, rtol: float, report: Callable
     if not len(others.candidates):
         return None
     return search.step(np.append(others.d, others.candidates[0]), rtol, report(len(step.d)))
+
+
+def prune(search: Search, step: Step, most: int, *, rtol: float, floor: float) -> Step:
+    """As many modes as now, by way of a few more, of which those that contribute least are dropped again.
+
+    Modes in the wrong places leave the right ones to be found; once these have joined, the others are of no use.
+    """
+    order = len(step.d)
+    end = grow(search, step, min(order + _BEYOND, most), rtol=rtol, floor=floor)[-1]
+    while len(end.d) > order and not end.interrupted:
+        end = search.step(np.delete(end.d, np.argmin(end.weights)), rtol)
+    return end
 
 
 def restart(

@@ -39,12 +39,6 @@ class HeldOut:
         training = replace(problem, experiments=tuple(first for first, _, _ in parts))
         return cls(training, sum(rows for _, rows, _ in parts), tuple(errors for _, _, errors in parts))
 
-    @property
-    def carried(self) -> int:
-        """Largest number of modes for which the training has more equations than unknowns."""
-        none = self.training.unknowns(0)
-        return max(0, (self.training.samples - 1 - none) // (self.training.unknowns(1) - none))
-
     def loss(self, d: Array) -> float:
         """Mean squared error over what is held out, of the model that fits the rest best about these frequencies."""
         at = refine(self.training, d, rtol=_POLISH).projection
@@ -63,7 +57,7 @@ def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], par
             f"with {part:.3g} of the data held out there are {rest.training.samples} observed outputs to fit and "
             f"{rest.ahead} to foretell; hold out another part, or choose by 'bic'"
         )
-    largest = min(max(orders), rest.carried)
+    largest = min(max(orders), rest.training.carried)
     path: list[Step] = []
     if largest:
         posed = replace(posed, problem=rest.training)

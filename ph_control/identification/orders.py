@@ -261,8 +261,7 @@ def order_selection(
 
 def _wanted(orders: Any, problem: Problem) -> list[int]:
     if orders is None:
-        none = problem.unknowns(0)
-        orders = max(1, min(_LARGEST, (problem.samples - 1 - none) // (problem.unknowns(1) - none)))
+        orders = max(1, min(_LARGEST, problem.carried))
     several = isinstance(orders, Sequence | np.ndarray) and not isinstance(orders, str)
     wanted = list(orders) if several else [orders]
     if not wanted or not all(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .conclusion import Fit, conclude
 from .formulation import Callback, Formulation, check_workers, reporter, rounding_floor
-from .forward import Start, reseat, restart, stop_of
+from .forward import Start, prune, reseat, restart, stop_of
 from .holdout import held_out_losses
 from .result import OrderRow, PEMResult
 from .search import Report, Search, Step
@@ -195,8 +195,17 @@ def _second_thoughts(
     if better is not step:
         starts.append(_start("re-seated", better, search.problem.samples))
         step = better
+    given = not automatic and len(step.d) == largest and step.loss > floor
+    if given and (step.held.any() or search.unconvinced(step)):
+        try:
+            pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
+        except KeyboardInterrupt:
+            return replace(step, interrupted=True), starts
+        if len(pruned.d) == largest and pruned.loss < (1 - 1e-6) * step.loss:
+            starts.append(_start("pruned", pruned, search.problem.samples))
+            step = replace(pruned, iterations=step.iterations + pruned.iterations)
     from_nothing = not len(path[0].d)
-    if not automatic and from_nothing and len(step.d) == largest and step.loss > floor and search.unconvinced(step):
+    if given and from_nothing and step.loss > floor and search.unconvinced(step):
         try:
             others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
         except KeyboardInterrupt:

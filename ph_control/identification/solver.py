@@ -52,6 +52,12 @@ class Problem:
         """Whether any experiment shows the residues."""
         return any(one.driven for one in self.experiments)
 
+    @property
+    def carried(self) -> int:
+        """Largest number of modes for which there are more equations than unknowns."""
+        none = self.unknowns(0)
+        return max(0, (self.samples - 1 - none) // (self.unknowns(1) - none))
+
     @cached_property
     def bin(self) -> float:
         """Width of a basin of the loss, by the longest experiment."""
