@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import ph_control as phc
+from ph_control import pem
 from ph_control.identification.experiment import Experiment
 from ph_control.identification.regressors import Hold
 from ph_control.identification.solver import Problem
@@ -96,7 +96,7 @@ def _measured(work: Callable[[Array, Array, Array], Array], folder: Path) -> dic
 
 
 def _fit(u: Array, y: Array, d: Array) -> Array:
-    return phc.pem((u, y), order=len(d), dt=1.0).d
+    return pem((u, y), order=len(d), dt=1.0).d
 
 
 def _step(u: Array, y: Array, d: Array) -> Array:
