@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 import ph_control as phc
+import ph_control.identification.pem as pem_module
 from ph_control.identification.experiment import Experiment
 from ph_control.identification.regressors import Hold
 from ph_control.identification.solver import Problem, refine
@@ -432,6 +433,29 @@ def test_an_interrupt_from_the_keyboard_keeps_what_there_is(monkeypatch, call):
     result = phc.pem((u, -y), 3, dt=0.1)
     assert not result.success and "interrupted" in result.message
     assert result.order == min(3, call - 2) and seen == call
+
+
+@pytest.mark.parametrize("call", range(1, 8))
+def test_an_interrupt_on_a_second_way_ends_the_fit(monkeypatch, call):
+    u, y, _, _ = recording(250, noise=0.1)
+    seen, ranked, pruning, prune = 0, Screen.ranked, False, pem_module.prune
+
+    def noticed(*args, **kwargs):
+        nonlocal pruning
+        pruning = True
+        return prune(*args, **kwargs)
+
+    def interrupted(self, residuals):
+        nonlocal seen
+        seen += pruning
+        if seen == call:
+            raise KeyboardInterrupt
+        return ranked(self, residuals)
+
+    monkeypatch.setattr(pem_module, "prune", noticed)
+    monkeypatch.setattr(Screen, "ranked", interrupted)
+    result = phc.pem((u, -y), 3, dt=0.1)
+    assert seen <= call and result.success == (seen < call), "nothing is looked at after an interruption"
 
 
 # --- representation -------------------------------------------------------------------------------------------------

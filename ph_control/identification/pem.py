@@ -201,6 +201,8 @@ def _second_thoughts(
             pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
         except KeyboardInterrupt:
             return replace(step, interrupted=True), starts
+        if pruned.interrupted:
+            return replace(step, interrupted=True), starts
         if len(pruned.d) == largest and pruned.loss < (1 - 1e-6) * step.loss:
             starts.append(_start("pruned", pruned, search.problem.samples))
             step = replace(pruned, iterations=step.iterations + pruned.iterations)
