@@ -368,7 +368,8 @@ def test_what_is_no_covariance_is_refused(C, complaint):
 
 
 def test_rounding_of_a_covariance_is_allowed():
-    draw([0.0, 0.0], [[1.0, 1.0 + 1e-9], [1.0, 1.0]], 1, 0)
+    drawn = draw([0.0, 0.0], [[1.0, 1.0 + 1e-9], [1.0, 1.0]], 5, 0)
+    assert np.allclose(drawn[:, 0], drawn[:, 1], rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("mean, refused", [(1e-9, ""), (0.0, "positive"), (-1e-9, "both")])
