@@ -70,7 +70,9 @@ def _pem(recording: Recording, setting: None, seed: int) -> Model:
 
     def response(u: Array) -> Array:
         t = h * np.arange(float(len(u)))
-        return np.asarray(phc.forced_response(result.system, t, u, method=method, return_states=False).outputs)
+        return np.asarray(
+            phc.forced_response(result.system, t, u, method=method, return_states=False, intersample="zoh").outputs
+        )
 
     return Model(result.d, response)
 

@@ -105,7 +105,9 @@ def record(
 def simulate(d: Array, r: Array, state: Array, u: Array, h: float = 1.0, method: str = "exact") -> Array:
     """Output of a plant, without noise."""
     plant, t = phc.ph(phc.modes(d, r)), h * np.arange(float(len(u)))
-    return np.asarray(phc.forced_response(plant, t, u, state, method=method, return_states=False).outputs)
+    return np.asarray(
+        phc.forced_response(plant, t, u, state, method=method, return_states=False, intersample="zoh").outputs
+    )
 
 
 def spaced_frequencies(n: int, gap: float, band: tuple[float, float], rng: np.random.Generator) -> Array:

@@ -35,7 +35,7 @@ phc.bode_plot(circuit, gain_unit="A/V").figure.savefig("lc_bode.png", dpi=110)
 
 t = np.linspace(0.0, 20.0, 2001)
 voltage = np.where(t < 1.5, 1.0, 0.0)
-response = phc.forced_response(circuit, t, voltage)
+response = phc.forced_response(circuit, t, voltage, intersample="zoh")
 balance = phc.energy_balance(response, circuit)
 print(f"stored less supplied, at most {np.max(np.abs(balance.defect)):.0e} J of {balance.stored[-1]:.3f} J")
 

@@ -13,7 +13,7 @@ import ph_control as phc
 plant = phc.ph(phc.modes([0.7, 1.1, 1.16, 2.0, 2.9, 3.6], [1.0, 0.4, 0.3, 0.1, 0.02, 0.05]))
 rng = np.random.default_rng(5)
 t, u = 0.25 * np.arange(1600), rng.standard_normal(1600)
-y = phc.forced_response(plant, t, u).outputs
+y = phc.forced_response(plant, t, u, intersample="zoh").outputs
 y = y + 0.05 * np.std(y) * rng.standard_normal(1600)
 
 # %%

@@ -114,7 +114,7 @@ def singular_values(method):
     for d in chain.d:
         mode = phc.ph(phc.modes(d, 1.0))
         for u, state in ((force[:LEARN], [0.0, 0.0]), (0.0, [1.0, 0.0]), (0.0, [0.0, 1.0])):
-            signals.append(phc.forced_response(mode, time[:LEARN], u, state, method=method).outputs)
+            signals.append(phc.forced_response(mode, time[:LEARN], u, state, method=method, intersample="zoh").outputs)
     return np.linalg.svd([x / np.linalg.norm(x) for x in signals], compute_uv=False)
 
 
@@ -124,7 +124,7 @@ for method in ("exact", "euler"):
     print(f"  {method}: signals of which the output is a sum, smallest of {len(ratio)} singular values {ratio[-1]:.0e}")
 with warnings.catch_warnings(record=True) as told:
     warnings.simplefilter("always")
-    exact = phc.forced_response(chain, time[:LEARN], force[:LEARN], START).outputs
+    exact = phc.forced_response(chain, time[:LEARN], force[:LEARN], START, intersample="zoh").outputs
     blind = phc.pem((force[:LEARN], exact), 2, dt=STEP)
 print("  exact data:", *(str(warning.message) for warning in told))
 print(

@@ -19,7 +19,7 @@ def experiment(samples, step, noise, driven=True):
     """White force or none, a start in motion, and the velocity with noise."""
     force = rng.standard_normal(samples) if driven else np.zeros(samples)
     t = step * np.arange(samples)
-    velocity = phc.forced_response(plant, t, force, rng.standard_normal(6)).outputs
+    velocity = phc.forced_response(plant, t, force, rng.standard_normal(6), intersample="zoh").outputs
     return force if driven else None, velocity + noise * rng.standard_normal(samples)
 
 

@@ -21,7 +21,7 @@ import ph_control as phc
 plant = phc.spring_chain(np.ones(5), 4.0, ground=0.5, name="plant")
 rng = np.random.default_rng(1)
 time, force = 0.1 * np.arange(4000), rng.standard_normal(4000)
-velocity = phc.forced_response(plant, time, force, rng.standard_normal(10)).outputs
+velocity = phc.forced_response(plant, time, force, rng.standard_normal(10), intersample="zoh").outputs
 velocity = velocity + 0.1 * np.std(velocity) * rng.standard_normal(4000)
 table = np.column_stack([time, force, velocity])
 np.savetxt("recording.csv", table, delimiter=",", header="time [s],force [N],velocity [m/s]", comments="", fmt="%.8g")

@@ -32,7 +32,7 @@ print("same filter, though the dimensions differ:", bool(phc.same_filter(plant, 
 
 rng = np.random.default_rng(3)
 t, u = 0.2 * np.arange(1200), rng.standard_normal(1200)
-y = phc.forced_response(plant, t, u, rng.standard_normal(6)).outputs
+y = phc.forced_response(plant, t, u, rng.standard_normal(6), intersample="zoh").outputs
 noise = 0.05 * np.std(y)
 measured = y + noise * rng.standard_normal(1200)
 

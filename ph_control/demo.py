@@ -50,7 +50,7 @@ def record(
     """Time, input and noisy output: white input held between samples, noise 20 dB below the output."""
     t = step * np.arange(samples)
     u = rng.standard_normal(samples)
-    y = forced_response(plant.system, t, u, plant.initial_state, return_states=False).outputs
+    y = forced_response(plant.system, t, u, plant.initial_state, return_states=False, intersample="zoh").outputs
     return t, u, y + 0.1 * np.std(y) * rng.standard_normal(samples)
 
 

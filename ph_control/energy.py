@@ -16,6 +16,7 @@ from . import _checks
 from ._display import Report
 from .drawing import DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
 from .exceptions import StructureError
+from .motion import Rule
 from .propagation import INTERSAMPLE, METHODS
 from .symplectic import apply_form
 from .systems import PortHamiltonian
@@ -86,7 +87,7 @@ class EnergyBalance(Report):
 
 
 def energy_balance(
-    response: ct.TimeResponseData, sys: PortHamiltonian, *, method: str = "exact", intersample: str = "zoh"
+    response: ct.TimeResponseData, sys: PortHamiltonian, *, method: str | None = None, intersample: str | None = None
 ) -> EnergyBalance:
     """Energy stored by a system and supplied to it along a response.
 
@@ -96,8 +97,9 @@ def energy_balance(
         Response with inputs and states, of one trace: what `forced_response` of this package gives.
     sys : PortHamiltonian
         The system that responded.
-    method, intersample
-        How the response was computed; they say what the input did between the samples.
+    method, intersample : str, optional
+        How the response was computed, and what the input did between the samples.  By default as a response of this
+        package says; 'exact' and 'foh' for any other, which is what `control.forced_response` computes.
 
     Returns
     -------
@@ -123,15 +125,16 @@ def energy_balance(
     >>> sys = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
     >>> t = np.linspace(0.0, 1.0, 11)
     >>> euler = phc.forced_response(sys, t, 0.0, [1.0, 0.0], method="euler")
-    >>> phc.energy_balance(euler, sys, method="euler").defect[1].round(3)
+    >>> phc.energy_balance(euler, sys).defect[1].round(3)
     np.float64(0.08)
     """
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(f"this is a {type(sys).__name__}; the energy is that of a PortHamiltonian: use ph(sys)")
     if not isinstance(response, ct.TimeResponseData):
         raise StructureError(f"this is a {type(response).__name__}; pass the response that forced_response gives")
-    _checks.choice("method", method, METHODS)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
+    rule = getattr(response, "rule", None) or Rule(0.0, "exact", "foh")
+    method = rule.method if method is None else _checks.choice("method", method, METHODS)
+    intersample = rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERSAMPLE)
     t, _ = _checks.time_vector(response.time)
     z = _trace(response.x, "states", sys.nstates, len(t))
     u = _trace(response.u, "inputs", sys.ninputs, len(t))

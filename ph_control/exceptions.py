@@ -137,9 +137,10 @@ class IdentifiabilityWarning(UserWarning):
     >>> import warnings, numpy as np, ph_control as phc
     >>> t = 0.1 * np.arange(400)
     >>> chain, u = phc.frenkel_kontorova(2), np.sin(t)  # the frequency of a zero of the chain
+    >>> y = phc.forced_response(chain, t, u, [1.0, 0.0, 0.0, 1.0], intersample="zoh").outputs
     >>> with warnings.catch_warnings(record=True) as told:
     ...     warnings.simplefilter("always")
-    ...     result = phc.pem((u, phc.forced_response(chain, t, u, [1.0, 0.0, 0.0, 1.0]).outputs), 2, dt=0.1)
+    ...     result = phc.pem((u, y), 2, dt=0.1)
     >>> [warning.category.__name__ for warning in told]
     ['IdentifiabilityWarning']
     """

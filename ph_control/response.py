@@ -33,7 +33,7 @@ def forced_response(
     squeeze: bool | None = None,
     *,
     method: str = "exact",
-    intersample: str = "zoh",
+    intersample: str = "foh",
     **aliases: Any,
 ) -> Any:
     """Response to an input signal and an initial state.
@@ -54,14 +54,16 @@ def forced_response(
         the inputs of the response cannot be written: the states may still be made of them.
     method : {'exact', 'midpoint', 'euler'}
         Exact solution, implicit midpoint rule (symplectic), or explicit Euler (not lossless: energy grows).
-    intersample : {'zoh', 'foh'}
-        Input between samples: held, or interpolated linearly (what `control.forced_response` does).
+    intersample : {'foh', 'zoh'}
+        Input between samples: interpolated linearly, as `control.forced_response` does, or held, as a
+        digital-to-analogue converter does.  Euler's rule takes the input at the start of each step, either way.
     **aliases
         `T`, `U`, `X0`, `return_x` for `timepts`, `inputs`, `initial_state`, `return_states`.
 
     Returns
     -------
     control.TimeResponseData, or control.TimeResponseList for a list of systems
+        With the attribute `rule`: step, method and what the input did between samples.
 
     Raises
     ------
@@ -282,7 +284,7 @@ def initial_response(
         picked, one = _selected("output", named, sys.noutputs)
         problem = _Problem(sys, at, np.zeros((sys.ninputs, at.size)), named["initial_state"], method, "zoh")
         return _Response(
-            problem.states, sys, at, problem.outputs()[picked], issiso=sys.issiso() or one,
+            problem.states, sys, at, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
             output_labels=sys.output_labels[picked],
             title="Initial response for " + sys.name, transpose=transpose,
             return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
@@ -349,8 +351,8 @@ def _forced(
     problem = _Problem(sys, at, u, initial_state, method, intersample)
     u.flags.writeable = keep is not None  # states that are still to come are made of it
     return _Response(
-        None if keep is False else problem.states, sys, at, problem.outputs(), inputs=u, issiso=sys.issiso(),
-        output_labels=sys.output_labels, input_labels=sys.input_labels,
+        None if keep is False else problem.states, sys, at, problem.rule, problem.outputs(), inputs=u,
+        issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
         title="Forced response for " + sys.name, transpose=transpose, return_x=bool(keep), squeeze=squeeze,
         sysname=sys.name, trace_types=["forced"], plot_inputs=True,
     )  # fmt: skip
@@ -368,7 +370,7 @@ def _traces(
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
     drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
     return _Response(
-        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, at, y,
+        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, at, problems[0].rule, y,
         inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
         title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(named["return_states"]),
@@ -420,7 +422,8 @@ class _Problem:
     ) -> None:
         _checks.choice("method", method, METHODS)
         _checks.choice("intersample", intersample, INTERSAMPLE)
-        self.sys, self.u, self.rule = sys, u, Rule(at.h, method, intersample)
+        # Euler's rule takes the input at the start of a step, whatever it does until the next
+        self.sys, self.u, self.rule = sys, u, Rule(at.h, method, "zoh" if method == "euler" else intersample)
         self.z0 = _initial_state(initial_state, sys.nstates)
 
     def outputs(self) -> Array:
@@ -444,11 +447,12 @@ class _Response(TimeResponseData):
     """Response whose instants and states are made when first looked at; without a function for them no states."""
 
     def __init__(
-        self, compute: Callable[[], Array] | None, sys: LosslessSystem, at: Instants, y: Array, **described: Any
-    ) -> None:
+        self, compute: Callable[[], Array] | None, sys: LosslessSystem, at: Instants, rule: Rule, y: Array,
+        **described: Any,
+    ) -> None:  # fmt: skip
         self._compute: Callable[[], Array] | None = None
         self._states: Array | None = None
-        self._at = at
+        self._at, self.rule = at, rule
         self._time: Array | None = None
         # of one sample, since all given to it is copied; no rows rather than no states, on which `states` fails
         first = slice(None, 1)

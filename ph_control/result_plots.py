@@ -42,7 +42,7 @@ def compare_plot(comparison: Comparison, experiment: int = 0, **kwargs: Any) -> 
     --------
     >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> chain, u = phc.frenkel_kontorova(), np.random.default_rng(0).standard_normal(500)
-    >>> record = phc.forced_response(chain, 0.1 * np.arange(500), u)
+    >>> record = phc.forced_response(chain, 0.1 * np.arange(500), u, intersample="zoh")
     >>> plot = phc.compare_plot(phc.compare(record, chain, phc.modes(1.6, 0.4), labels=["both modes", "one mode"]))
     >>> [text.get_text() for text in plot.legend.get_texts()]
     ['measured', 'both modes (100.00 %)', 'one mode (48.33 %)']
@@ -82,7 +82,8 @@ def residual_plot(analysis: ResidualAnalysis, experiment: int = 0, **kwargs: Any
     >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> rng, chain = np.random.default_rng(0), phc.frenkel_kontorova()
     >>> u = rng.standard_normal(500)
-    >>> y = phc.forced_response(chain, 0.1 * np.arange(500), u).outputs + 0.01 * rng.standard_normal(500)
+    >>> y = phc.forced_response(chain, 0.1 * np.arange(500), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(500)
     >>> plot = phc.residual_plot(phc.residual_analysis((u, y), chain, dt=0.1))
     >>> [axis.get_xlabel() for axis in plot.axes[:, 0]]
     ['Lag [samples]', 'Lag of the residual behind the input [samples]']
@@ -123,7 +124,8 @@ def order_plot(selection: OrderSelection, criterion: str = "bic", **kwargs: Any)
     >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> rng, chain = np.random.default_rng(0), phc.frenkel_kontorova()
     >>> u = rng.standard_normal(500)
-    >>> y = phc.forced_response(chain, 0.1 * np.arange(500), u).outputs + 0.01 * rng.standard_normal(500)
+    >>> y = phc.forced_response(chain, 0.1 * np.arange(500), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(500)
     >>> plot = phc.order_plot(phc.order_selection((u, y), 3, dt=0.1))
     >>> plot.axes[0, 0].get_ylabel()
     'Order (number of modes)'

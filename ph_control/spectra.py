@@ -139,7 +139,7 @@ def spectral_estimate(
     >>> import numpy as np, ph_control as phc
     >>> mode = phc.ph(phc.modes(1.0, 1.0))
     >>> u = np.random.default_rng(1).standard_normal(4096)
-    >>> estimate = phc.spectral_estimate(phc.forced_response(mode, 0.2 * np.arange(4096), u))
+    >>> estimate = phc.spectral_estimate(phc.forced_response(mode, 0.2 * np.arange(4096), u, intersample="zoh"))
     >>> G = estimate.complex[np.argmin(np.abs(estimate.omega - 3.0))]
     >>> bool(abs(G / mode(3j) - 1) < 0.05)
     True

@@ -23,7 +23,9 @@ def recording(samples=300, noise=0.1, seed=0, modes=MODES, state=None, method="e
     rng = np.random.default_rng(seed)
     u = rng.standard_normal(samples)
     start = np.zeros(2 * modes.n) if state is None else state
-    y = phc.forced_response(phc.ph(modes), STEP * np.arange(samples), u, start, method=method).outputs
+    y = phc.forced_response(
+        phc.ph(modes), STEP * np.arange(samples), u, start, method=method, intersample="zoh"
+    ).outputs
     return u, y + noise * rng.standard_normal(samples)
 
 
@@ -79,7 +81,9 @@ def unreached(samples=300):
     """A record of two modes that move, the second out of reach of the input; noise lets it look a little negative."""
     rng = np.random.default_rng(SEED_OF_A_NEGATIVE_WEIGHT)
     u, t = rng.standard_normal(samples), STEP * np.arange(samples)
-    y = phc.forced_response(phc.ph(phc.modes(1.0, 1.0)), t, u, [0.5, 0.2]).outputs + 2 * np.cos(2.3 * t)
+    y = phc.forced_response(phc.ph(phc.modes(1.0, 1.0)), t, u, [0.5, 0.2], intersample="zoh").outputs + 2 * np.cos(
+        2.3 * t
+    )
     return u, y + 0.1 * rng.standard_normal(samples)
 
 
@@ -192,7 +196,7 @@ def sandwich(result, levels):
         plant = phc.ph(phc.modes(theta[:n], theta[n : 2 * n]))
         states = theta[2 * n :].reshape(count, 2 * n)
         parts = [
-            phc.forced_response(plant, one.record.time, one.record.u, state).outputs
+            phc.forced_response(plant, one.record.time, one.record.u, state, intersample="zoh").outputs
             for one, state in zip(result.experiments, states, strict=True)
         ]
         return np.concatenate(parts)

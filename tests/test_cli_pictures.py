@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
     pairs = []
     for name in ("first", "second"):
         u = rng.standard_normal(400)
-        y = phc.forced_response(PLANT, t, u).outputs + 0.05 * rng.standard_normal(400)
+        y = phc.forced_response(PLANT, t, u, intersample="zoh").outputs + 0.05 * rng.standard_normal(400)
         np.savetxt(path / f"{name}.csv", np.c_[t, u, y], delimiter=",", header="time,F [N],v [m/s]", comments="")
         pairs.append((u, y))
     omega = np.linspace(0.2, 2.5, 40)

@@ -37,7 +37,7 @@ def workshop(tmp_path_factory):
     plant, rng, t = phc.frenkel_kontorova(2, name="plant"), np.random.default_rng(0), 0.1 * np.arange(600)
     for name in ("recording", "fresh", "first", "second"):
         u = rng.standard_normal(600)
-        y = phc.forced_response(plant, t, u).outputs + 0.02 * rng.standard_normal(600)
+        y = phc.forced_response(plant, t, u, intersample="zoh").outputs + 0.02 * rng.standard_normal(600)
         np.savetxt(folder / f"{name}.csv", np.c_[t, u, y], delimiter=",", header="time,force,velocity", comments="")
     decay = phc.initial_response(plant, t, [1.0, 0.0, 0.0, -0.5]).outputs
     np.savetxt(folder / "decay.csv", np.c_[t, decay], delimiter=",", header="time,displacement", comments="")

@@ -83,7 +83,7 @@ def recording(n, quantity, samples=600, seed=0, noise=0.0):
     d = np.arange(1, n + 1) + rng.uniform(-0.2, 0.2, n)
     plant = phc.ph(phc.modes(d, rng.uniform(0.3, 1.5, n)))
     u, state = rng.standard_normal(samples), rng.standard_normal(2 * n)
-    x = phc.forced_response(plant, STEP * np.arange(samples), u, state).x
+    x = phc.forced_response(plant, STEP * np.arange(samples), u, state, intersample="zoh").x
     if quantity == "displacement":
         y = np.linalg.solve(plant.A.T, plant.C[0]) @ x
     elif quantity == "acceleration":
@@ -98,7 +98,8 @@ def sensor_away(samples=400):
     rng = np.random.default_rng(4)
     u, t = rng.standard_normal(samples), STEP * np.arange(samples)
     first, second = (
-        phc.forced_response(phc.ph(phc.modes(d, r)), t, u, [0.5, 0.2]).outputs for d, r in ((1.0, 1.0), (2.3, 0.4))
+        phc.forced_response(phc.ph(phc.modes(d, r)), t, u, [0.5, 0.2], intersample="zoh").outputs
+        for d, r in ((1.0, 1.0), (2.3, 0.4))
     )
     return u, first - second + 2 * np.cos(2.3 * t) + 0.1 * rng.standard_normal(samples)
 
@@ -268,7 +269,9 @@ def test_modes_that_the_record_does_not_show_are_at_rest():
 def test_a_plant_at_rest_is_at_rest_in_every_form():
     rng = np.random.default_rng(0)
     u = rng.standard_normal(300)
-    y = phc.forced_response(phc.ph(phc.modes([1.0, 2.3], [1.0, 0.4])), STEP * np.arange(300), u).outputs
+    y = phc.forced_response(
+        phc.ph(phc.modes([1.0, 2.3], [1.0, 0.4])), STEP * np.arange(300), u, intersample="zoh"
+    ).outputs
     result = phc.pem((u, y), 2, dt=STEP, initial_state="zero")
     for form in ("ph", "ch", "oh"):
         assert not result.initial_state_in(form).any()
@@ -310,7 +313,9 @@ def test_a_state_that_carries_few_digits_is_said_to_do_so(form):
     rng = np.random.default_rng(0)
     d = np.linspace(1.0, 1.6, 12)
     u = rng.standard_normal(3000)
-    y = phc.forced_response(phc.ph(phc.modes(d, np.ones(12))), 0.5 * np.arange(3000), u, np.ones(24)).outputs
+    y = phc.forced_response(
+        phc.ph(phc.modes(d, np.ones(12))), 0.5 * np.arange(3000), u, np.ones(24), intersample="zoh"
+    ).outputs
     result = phc.pem((u, y), 12, dt=0.5, initial_guess=(d, np.ones(12)))
     with pytest.warns(phc.ConditioningWarning, match=r"carries [0-5]\.\d decimal digits of the free motion"):
         result.initial_state_in(form)

@@ -56,7 +56,7 @@ def two_ports():
 def record():
     rng = np.random.default_rng(0)
     t, u = 0.1 * np.arange(300), rng.standard_normal(300)
-    y = phc.forced_response(chain(), t, u).outputs + 0.01 * rng.standard_normal(300)
+    y = phc.forced_response(chain(), t, u, intersample="zoh").outputs + 0.01 * rng.standard_normal(300)
     return ct.TimeResponseData(
         t, y, inputs=u, input_labels=["force <F> & $more$"], output_labels=["v</pre>"], issiso=True
     )
@@ -305,7 +305,7 @@ def test_the_notebook_shows_the_modes_of_a_fit_with_their_errors():
 def test_a_record_is_shown_by_its_size_and_not_by_its_numbers():
     u = np.random.default_rng(0).standard_normal(400)
     plant = phc.frenkel_kontorova()
-    fit = phc.pem((u, phc.forced_response(plant, 0.1 * np.arange(400), u).outputs), 2, dt=0.1)
+    fit = phc.pem((u, phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs), 2, dt=0.1)
     assert repr(fit.record) == "<Record: 400 samples, step 0.1, 'y' from 'u'>"
     free = phc.pem((None, phc.initial_response(plant, 0.1 * np.arange(400), [1.0, 0, 0, 0.5]).outputs), 2, dt=0.1)
     assert repr(free.record) == "<Record: 400 samples, step 0.1, 'y'>"

@@ -189,7 +189,7 @@ def test_the_end_of_a_fit_is_judged_with_its_own_sensitivities(from_rest):
 def test_every_form_of_a_model_and_of_a_record_gives_the_same():
     u, h = white(300), 0.1
     modes = phc.modes([1.0, 3.0], [1.0, 0.2])
-    y = np.asarray(phc.forced_response(phc.ph(modes), h * np.arange(300), u).outputs)
+    y = np.asarray(phc.forced_response(phc.ph(modes), h * np.arange(300), u, intersample="zoh").outputs)
     response = ct.TimeResponseData(h * np.arange(300), y, inputs=u, issiso=True)
     kept = u.copy(), y.copy()
     expected = excitation((u, y), ([3.0, 1.0], [0.2, 1.0]), dt=h, noise_std=1.0)

@@ -97,7 +97,7 @@ def test_the_grid_has_three_to_thirty_points_on_each_side_of_a_mark_by_their_num
 def test_a_fit_without_a_name_is_called_a_fit_and_a_sampled_twin_by_its_step():
     chain = phc.frenkel_kontorova(name="chain")
     u = np.random.default_rng(0).standard_normal(300)
-    fit = phc.pem((u, phc.forced_response(chain, 0.1 * np.arange(300), u).outputs), 2, dt=0.1)
+    fit = phc.pem((u, phc.forced_response(chain, 0.1 * np.arange(300), u, intersample="zoh").outputs), 2, dt=0.1)
     systems = [fit, chain, phc.sample(chain, 0.5)]
     wanted = ["fit (2 modes)", "chain", "chain (dt = 0.5)"]
     assert texts(phc.bode_plot(systems))[:3] == wanted

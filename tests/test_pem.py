@@ -92,7 +92,7 @@ CHAIN_STATE = np.array([0.3, -0.2, 0.5, 0.1])
 def test_chain_with_an_exact_hold_does_not_show_its_weights_and_the_fit_warns(noise):
     # sin t drives a transmission zero of the chain: G(i) = 0
     chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
-    y = phc.forced_response(chain, t, np.sin(t), CHAIN_STATE, return_states=False).outputs
+    y = phc.forced_response(chain, t, np.sin(t), CHAIN_STATE, return_states=False, intersample="zoh").outputs
     with pytest.warns(phc.IdentifiabilityWarning, match=r"r_1 and r_2 .* cannot be learned from this record"):
         result = phc.pem((np.sin(t), y + noise * np.random.default_rng(0).standard_normal(1000)), 2, dt=0.01)
     assert np.abs(result.d - chain.d).max() <= max(1e-6, 5 * noise)
@@ -106,7 +106,7 @@ def test_another_input_of_the_same_length_shows_the_weights_to_the_cramer_rao_bo
     chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
     white = np.random.default_rng(9).standard_normal(1000)
     u = white if kind == "white" else sum(np.sin(w * t + w * w) for w in (0.31, 0.62, 1.3, 1.9))
-    clean = phc.forced_response(chain, t, u, CHAIN_STATE, return_states=False).outputs
+    clean = phc.forced_response(chain, t, u, CHAIN_STATE, return_states=False, intersample="zoh").outputs
     size = phc.excitation((u, clean), chain, dt=0.01, noise_std=1e-3).stderr["r"]
     errors = []
     for seed in range(40):
@@ -335,7 +335,7 @@ def test_a_large_constant_of_the_sensor_changes_nothing_where_an_offset_is_fitte
 def test_a_plant_at_rest_may_be_said_to_be_at_rest():
     plant, _, _, _ = record_of([0.5, 1.9], [1.0, 0.3])
     t = 0.1 * np.arange(1000)
-    y = phc.forced_response(plant, t, 1.0).outputs
+    y = phc.forced_response(plant, t, 1.0, intersample="zoh").outputs
     result = phc.pem((np.ones(1000), y), 2, dt=0.1, initial_state="zero")
     assert np.allclose(result.r, plant.r, rtol=1e-8)
     assert not result.initial_state.any()
@@ -354,7 +354,10 @@ def test_constraint_is_reported_where_it_acts():
     # a mode seen with the opposite sign: sensor away from the actuator
     t, rng = 0.1 * np.arange(1000), np.random.default_rng(0)
     u = rng.standard_normal(1000)
-    parts = [phc.forced_response(phc.ph(phc.modes(d, r)), t, u).outputs for d, r in ((0.7, 1.0), (2.0, 0.1))]
+    parts = [
+        phc.forced_response(phc.ph(phc.modes(d, r)), t, u, intersample="zoh").outputs
+        for d, r in ((0.7, 1.0), (2.0, 0.1))
+    ]
     result = phc.pem((u, parts[0] - parts[1]), 2, dt=0.1)
     assert result.active == (1,)
     assert result.r[1] == 0 and result.r[0] > 0
@@ -381,7 +384,7 @@ def test_prediction_starts_where_it_is_told():
     assert np.abs(result.predict((u, y)).outputs - y).max() < scale
     assert np.abs(result.predict((u[400:], y[400:])).outputs - y[400:]).max() < scale
     assert np.abs(result.predict(u[800:], initial_state=result.final_state).outputs - y[800:]).max() < scale
-    from_rest = phc.forced_response(plant, 0.1 * np.arange(1200), u).outputs
+    from_rest = phc.forced_response(plant, 0.1 * np.arange(1200), u, intersample="zoh").outputs
     assert np.abs(result.predict(u, initial_state="zero").outputs - from_rest).max() < scale
     assert np.abs(from_rest - y).max() > 1e3 * scale
     with pytest.raises(phc.StructureError, match="no outputs to estimate the initial state from"):
@@ -564,7 +567,9 @@ def multisine(samples, lines, seed):
 def test_lines_of_the_input_are_not_taken_for_modes(seed):
     rng = np.random.default_rng(seed)
     d, u = rng.uniform(0.3, 2.9), multisine(500, 10, seed)
-    y = phc.forced_response(phc.ph(phc.modes(d, 1 / d)), np.arange(500), u, rng.standard_normal(2)).outputs
+    y = phc.forced_response(
+        phc.ph(phc.modes(d, 1 / d)), np.arange(500), u, rng.standard_normal(2), intersample="zoh"
+    ).outputs
     y = y + 0.01 * np.std(y) * rng.standard_normal(500)
     result = phc.pem((u, y), dt=1.0)
     assert result.order == 1
@@ -638,6 +643,8 @@ def test_steps_out_of_range_are_refused(dt):
 
 def test_an_experiment_that_a_fit_does_not_have_cannot_be_drawn():
     u = np.random.default_rng(0).standard_normal(200)
-    fit = phc.pem((u, phc.forced_response(phc.frenkel_kontorova(), 0.1 * np.arange(200), u).outputs), 2, dt=0.1)
+    fit = phc.pem(
+        (u, phc.forced_response(phc.frenkel_kontorova(), 0.1 * np.arange(200), u, intersample="zoh").outputs), 2, dt=0.1
+    )
     with pytest.raises(phc.StructureError, match="experiment is 1; the experiments are counted from 0 to 0"):
         fit.plot(1)

@@ -523,7 +523,7 @@ def test_the_band_reaches_across_the_poles_and_the_picture_holds_its_curve():
 def test_a_result_of_a_fit_draws_its_own_band_always_the_same():
     rng = np.random.default_rng(0)
     plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(300)
-    y = phc.forced_response(plant, 0.1 * np.arange(300), u).outputs + 0.3 * rng.standard_normal(300)
+    y = phc.forced_response(plant, 0.1 * np.arange(300), u, intersample="zoh").outputs + 0.3 * rng.standard_normal(300)
     result = phc.pem((u, y), 1, dt=0.1)
     one, other = (bode_plot([result, plant], confidence=result) for _ in range(2))
     first, second = (bands_of(plot.axes[0, 0])[0].get_paths()[0].vertices for plot in (one, other))
@@ -883,7 +883,9 @@ def test_near_the_Nyquist_frequency_the_folded_response_lifts_the_estimate_even_
 
 
 def test_the_estimate_is_frequency_response_data_of_continuous_time_with_the_names_of_the_record():
-    data = phc.forced_response(frenkel_kontorova(), 0.1 * np.arange(512), np.random.default_rng(0).normal(size=512))
+    data = phc.forced_response(
+        frenkel_kontorova(), 0.1 * np.arange(512), np.random.default_rng(0).normal(size=512), intersample="zoh"
+    )
     estimate = spectral_estimate(data)
     assert isinstance(estimate, ct.FrequencyResponseData) and isinstance(estimate, SpectralEstimate)
     assert estimate.isctime() and estimate.dt == 0

@@ -104,7 +104,7 @@ def test_a_result_is_read_where_no_fit_was_made(tmp_path):
         import numpy as np, ph_control as phc
         u = np.random.default_rng(0).standard_normal(200)
         system = phc.ph(phc.modes([1.0], [0.5]))
-        response = phc.forced_response(system, 0.1 * np.arange(200), u)
+        response = phc.forced_response(system, 0.1 * np.arange(200), u, intersample="zoh")
         result = phc.pem(response, 1)
         result.save("fit.json")
         print(result.d[0].hex(), result.loss.hex())

@@ -204,6 +204,15 @@ def test_stored_energy_is_what_was_supplied(n, seed, name, rule, ports):
     assert np.max(np.abs(balance.defect)) <= 1e-10 * np.max(balance.stored)
     assert np.array_equal(balance.stored, sys.hamiltonian(response.states))
     assert balance.supplied[0] == 0 and np.ptp(balance.supplied) > 0
+    assert np.array_equal(phc.energy_balance(response, sys).supplied, balance.supplied)
+
+
+def test_a_response_of_python_control_is_balanced_with_the_input_that_it_interpolates():
+    sys = plant(3, 1, "decade", 2)
+    t, u = 0.1 * np.arange(50), np.random.default_rng(0).standard_normal((2, 50))
+    for response in (ct.forced_response(sys, t, u, 1.0), phc.forced_response(sys, t, u, 1.0)):
+        balance = phc.energy_balance(response, sys)
+        assert np.max(np.abs(balance.defect)) <= 1e-10 * np.max(balance.stored)
 
 
 def test_the_supplied_energy_is_the_integral_of_the_power():

@@ -17,7 +17,8 @@ def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method
     u = np.repeat(rng.standard_normal(samples // 2), 2)
     t = h * np.arange(samples)
     parts = [
-        phc.forced_response(phc.ph(phc.modes(a, b)), t, u, method=method).outputs for a, b in zip(d, r, strict=True)
+        phc.forced_response(phc.ph(phc.modes(a, b)), t, u, method=method, intersample="zoh").outputs
+        for a, b in zip(d, r, strict=True)
     ]
     y = sum(parts[:-1], 0.0) + sign * parts[-1]
     y = y + noise * np.std(y) * rng.standard_normal(samples)

@@ -22,7 +22,7 @@ def plants():
 def record():
     rng = np.random.default_rng(0)
     t, u = 0.1 * np.arange(400), rng.standard_normal(400)
-    y = phc.forced_response(plants()[0], t, u).outputs + 0.01 * rng.standard_normal(400)
+    y = phc.forced_response(plants()[0], t, u, intersample="zoh").outputs + 0.01 * rng.standard_normal(400)
     return ct.TimeResponseData(t, y, inputs=u, input_labels=["F"], output_labels=["v"], issiso=True)
 
 

@@ -33,7 +33,9 @@ def recording(samples=400, noise=0.01, seed=0, system=None, z0=None, missing=0.0
     system = plant() if system is None else system
     u = rng.standard_normal(samples)
     start = rng.standard_normal(system.nstates) if z0 is None else z0
-    y = np.array(phc.forced_response(system, STEP * np.arange(samples), u, start, return_states=False).outputs)
+    y = np.array(
+        phc.forced_response(system, STEP * np.arange(samples), u, start, return_states=False, intersample="zoh").outputs
+    )
     y += noise * np.std(y) * rng.standard_normal(samples)
     y[rng.random(samples) < missing] = np.nan
     return u, y
@@ -165,11 +167,11 @@ def test_poles_at_the_origin_leave_a_constant_and_for_displacements_a_drift():
     free = phc.ph(
         np.diag([0.0, 0.0, 4.0, 1.0])[np.ix_([0, 2, 1, 3], [0, 2, 1, 3])] + np.diag([0, 0, 1.0, 0]), [0, 0, 1, 1]
     )
-    y = phc.forced_response(free, t, u).outputs
+    y = phc.forced_response(free, t, u, intersample="zoh").outputs
     assert len(free.modes.rigid) == 1
     assert compare((u, y + 5.0), free, dt=STEP).fit_percent[0] == pytest.approx(100.0, abs=1e-9)
     spring = phc.affine(free.Q, [1.0, 1.0, 0.0, 0.0])
-    y = phc.forced_response(spring, t, u).outputs
+    y = phc.forced_response(spring, t, u, intersample="zoh").outputs
     assert len(spring.modes.rigid) == 1
     assert compare((u, y + 5.0 - 3.0 * t), spring, dt=STEP).fit_percent[0] == pytest.approx(100.0, abs=1e-8)
 
@@ -181,7 +183,7 @@ def test_the_observable_form_shows_modes_without_weight_and_growing_motions_of_r
         (phc.oh([1.0, 2.0], [1.0, 0.0, 0.0, 0.0]), np.cos(2.0 * STEP * k)),
         (phc.oh([1.0, 1.0], [1.0, 0.0, 0.0, 0.0]), STEP * k * np.cos(STEP * k)),
     ):
-        y = phc.forced_response(sys, STEP * k, u).outputs + motion
+        y = phc.forced_response(sys, STEP * k, u, intersample="zoh").outputs + motion
         assert compare((u, y), sys, dt=STEP).fit_percent[0] == pytest.approx(100.0, abs=1e-8)
         assert compare((u, y), phc.ph(sys), dt=STEP).fit_percent[0] < 99.0
 
@@ -406,7 +408,9 @@ def test_p_values_of_a_fit_to_its_own_short_record_are_uniform():
     for seed in range(120):
         rng = np.random.default_rng([8, seed])
         u = rng.standard_normal(100)
-        y = phc.forced_response(phc.ph(phc.modes([0.7, 2.0], [1.0, 0.5])), 0.3 * np.arange(100), u).outputs
+        y = phc.forced_response(
+            phc.ph(phc.modes([0.7, 2.0], [1.0, 0.5])), 0.3 * np.arange(100), u, intersample="zoh"
+        ).outputs
         y = y + 0.1 * rng.standard_normal(100)
         analysis = residual_analysis((u, y), phc.pem((u, y), order=2, dt=0.3), lags=8)
         assert analysis.own_record
@@ -438,7 +442,7 @@ def test_feedback_is_found_at_negative_lags():
     noise = 0.3 * rng.standard_normal(600)
     u = rng.standard_normal(600)
     u[2:] += 2.0 * noise[:-2]
-    y = phc.forced_response(plant(), STEP * np.arange(600), u).outputs + noise
+    y = phc.forced_response(plant(), STEP * np.arange(600), u, intersample="zoh").outputs + noise
     analysis = residual_analysis((u, y), plant(), dt=STEP)
     assert analysis.feedback_p_value < 1e-6 < 0.01 < analysis.response_p_value
     assert analysis.verdict == "related to later inputs: feedback in the recording"
@@ -469,7 +473,9 @@ def test_residuals_at_rounding_level_are_not_judged():
 def test_what_an_input_cannot_tell_is_said():
     rng = np.random.default_rng(7)
     u = np.ones(300)
-    y = phc.forced_response(plant(), STEP * np.arange(300), u).outputs + 0.1 * rng.standard_normal(300)
+    y = phc.forced_response(plant(), STEP * np.arange(300), u, intersample="zoh").outputs + 0.1 * rng.standard_normal(
+        300
+    )
     analysis = residual_analysis((u, y), plant(), dt=STEP)
     assert np.isnan(analysis.response_p_value) and np.isnan(analysis.feedback_p_value)
     assert analysis.verdict == "white" and "input is constant" in analysis.message

@@ -534,7 +534,10 @@ def test_feedback_is_found_within_records_and_not_across_them():
         noise = 0.3 * rng.standard_normal(300)
         u = rng.standard_normal(300)
         u[2:] += 2.0 * noise[:-2]
-        y = np.array(phc.forced_response(phc.ph(phc.modes(D, R)), STEP * np.arange(300), u).outputs) + noise
+        y = (
+            np.array(phc.forced_response(phc.ph(phc.modes(D, R)), STEP * np.arange(300), u, intersample="zoh").outputs)
+            + noise
+        )
         data.append((u, y))
     found = phc.residual_analysis(data, phc.ph(phc.modes(D, R)), dt=STEP)
     assert found.verdict == "related to later inputs: feedback in the recording"
@@ -577,7 +580,9 @@ def test_the_path_takes_one_mode_at_a_time_also_through_a_long_record():
     d = np.array([0.5, 1.1, 1.9, 2.6])
     rng = np.random.default_rng(0)
     u = rng.standard_normal(6000)
-    y = phc.forced_response(phc.ph(phc.modes(d, np.ones(4))), STEP * np.arange(6000), u, return_states=False).outputs
+    y = phc.forced_response(
+        phc.ph(phc.modes(d, np.ones(4))), STEP * np.arange(6000), u, return_states=False, intersample="zoh"
+    ).outputs
     selection = phc.order_selection((u, y + 0.1 * rng.standard_normal(6000)), 6, dt=STEP)
     assert selection.orders.tolist() == list(range(7))
     assert selection.chosen() == 4

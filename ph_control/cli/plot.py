@@ -206,7 +206,9 @@ def _driven(system: Any, options: Namespace) -> Any:
     count = len(record.time) if options.until is None else int(np.sum(record.time - record.time[0] <= options.until))
     if count < 2:
         raise StructureError(f"--until {options.until:g} leaves {count} sample of the recording; name a later end")
-    return forced_response(system, record.time[:count], record.inputs[..., :count], return_states=True)
+    return forced_response(
+        system, record.time[:count], record.inputs[..., :count], return_states=True, intersample="zoh"
+    )
 
 
 def _fit(models: list[Model], labels: list[str], options: Namespace) -> Any:

@@ -133,7 +133,8 @@ class Bootstrap:
         >>> import numpy as np, ph_control as phc
         >>> rng = np.random.default_rng(0)
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(300)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(300), u).outputs + 0.1 * rng.standard_normal(300)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(300), u, intersample="zoh").outputs
+        >>> y = y + 0.1 * rng.standard_normal(300)
         >>> (low, high), = phc.pem((u, y), 1, dt=0.1).bootstrap(50, rng=1).interval()["d"]
         >>> bool(low < 1.0 < high)
         True
@@ -209,7 +210,8 @@ class Resampled:
         >>> import numpy as np, ph_control as phc
         >>> rng = np.random.default_rng(0)
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs + 0.1 * rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> y = y + 0.1 * rng.standard_normal(500)
         >>> result = phc.pem((u, y), 1, dt=0.1)
         >>> again = result.bootstrap(100, rng=1)
         >>> bool(abs(again.stderr["d"][0] / result.stderr["d"][0] - 1) < 0.2)

@@ -75,10 +75,10 @@ class InCoordinates:
         >>> import numpy as np, ph_control as phc
         >>> plant, rng = phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5])), np.random.default_rng(0)
         >>> t, u = 0.1 * np.arange(400), rng.standard_normal(400)
-        >>> y = phc.forced_response(plant, t, u, [1.0, 0.0, 0.0, 2.0]).outputs
+        >>> y = phc.forced_response(plant, t, u, [1.0, 0.0, 0.0, 2.0], intersample="zoh").outputs
         >>> result = phc.pem((u, y), order=2, dt=0.1)
         >>> state = result.initial_state_in("oh")
-        >>> again = phc.forced_response(phc.oh(result.system), t, u, state)
+        >>> again = phc.forced_response(phc.oh(result.system), t, u, state, intersample="zoh")
         >>> bool(np.allclose(again.outputs, y, atol=1e-9))
         True
         """

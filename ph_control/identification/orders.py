@@ -216,7 +216,8 @@ def order_selection(
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(400)
-    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u).outputs + 0.01 * rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
     >>> selection = phc.order_selection((u, y), 4, dt=0.1, holdout=0.25)
     >>> selection.chosen(), selection.chosen("holdout")
     (2, 2)

@@ -122,7 +122,7 @@ def pem(
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     >>> rng = np.random.default_rng(0)
     >>> t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
-    >>> y = phc.forced_response(plant, t, u).outputs + 0.01 * rng.standard_normal(1000)
+    >>> y = phc.forced_response(plant, t, u, intersample="zoh").outputs + 0.01 * rng.standard_normal(1000)
     >>> result = phc.pem((u, y), dt=0.1)
     >>> result.d.round(3)
     array([0.5, 2. ])

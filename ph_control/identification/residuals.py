@@ -337,7 +337,8 @@ def residual_analysis(
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(400)
-    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u).outputs + 0.01 * rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
     >>> analysis = phc.residual_analysis((u, y), plant, dt=0.1)
     >>> analysis.verdict
     'white, and independent of the input'

@@ -256,7 +256,8 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         >>> import numpy as np, ph_control as phc
         >>> rng = np.random.default_rng(0)
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs + 0.1 * rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> y = y + 0.1 * rng.standard_normal(500)
         >>> (low, high), = phc.pem((u, y), 1, dt=0.1).confidence_interval()["d"]
         >>> bool(low < 1.0 < high)
         True
@@ -300,7 +301,8 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         >>> import numpy as np, ph_control as phc
         >>> rng = np.random.default_rng(0)
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs + 0.1 * rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> y = y + 0.1 * rng.standard_normal(500)
         >>> models = phc.pem((u, y), 1, dt=0.1).sample(200, rng=1)
         >>> models.magnitude_band([0.5, 2.0]).shape
         (2, 2)
@@ -378,7 +380,7 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
         >>> rng = np.random.default_rng(0)
         >>> t, u = 0.1 * np.arange(400), rng.standard_normal(400)
-        >>> y = phc.forced_response(plant, t, u).outputs
+        >>> y = phc.forced_response(plant, t, u, intersample="zoh").outputs
         >>> result = phc.pem((u[:300], y[:300]), order=2, dt=0.1)
         >>> ahead = result.predict(u[300:], initial_state="final")
         >>> bool(np.allclose(ahead.outputs, y[300:], atol=1e-9))
@@ -427,7 +429,7 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         --------
         >>> import numpy as np, ph_control as phc
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
         >>> print(phc.pem((u, y), dt=0.1).summary())
         Port-Hamiltonian model of 'y' from 'u': 1 mode
           verdict         consistent with the record
@@ -455,7 +457,7 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         --------
         >>> import numpy as np, ph_control as phc
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
         >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
@@ -488,7 +490,7 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         --------
         >>> import pathlib, tempfile, numpy as np, ph_control as phc
         >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u).outputs
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = pathlib.Path(folder, "result.json")
         ...     phc.pem((u, y), dt=0.1).save(path)

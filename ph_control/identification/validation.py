@@ -284,7 +284,8 @@ def compare(
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]), name="plant")
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal(400)
-    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u).outputs + 0.01 * rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
     >>> damped = ct.tf([1, 0], [1, 0.1, 1], name="damped")
     >>> comparison = phc.compare((u, y), plant, damped, dt=0.1)
     >>> print(comparison)
