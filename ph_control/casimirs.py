@@ -7,12 +7,12 @@ functions of the state that the motion conserves whatever the energy, and that o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks, _definite
+from ._frozen import Frozen
 from ._graphs import components
 from .exceptions import StructureError
 from .symplectic import skew_normal_form
@@ -46,7 +46,7 @@ class _Planes:
 
 
 @dataclass(frozen=True, eq=False)
-class CasimirSplit:
+class CasimirSplit(Frozen):
     """A system with a singular structure matrix, its Casimirs split off; made by `split_casimirs`.
 
     Attributes
@@ -77,15 +77,6 @@ class CasimirSplit:
     rank: int
     casimirs: Array
     driven: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        for array in (self.Q, self.B, self.T, self.casimirs, self.driven):
-            _checks.readonly(array)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        arrays = self.Q, self.B, self.T, self.casimirs, self.driven
-        Q, B, T, casimirs, driven = (array.copy() for array in arrays)
-        return type(self), (Q, B, T, self.rank, casimirs, driven)
 
     def __str__(self) -> str:
         return self.report()

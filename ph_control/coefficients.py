@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from . import _twofloat as tf
+from ._frozen import Frozen
 
 Array = NDArray[np.float64]
 Exponents = NDArray[np.int64]
@@ -31,7 +32,7 @@ _ROOM = np.finfo(np.longdouble).maxexp - 24  # binary exponents up to which plai
 
 
 @dataclass(frozen=True, eq=False)
-class ScaledCoefficients:
+class ScaledCoefficients(Frozen):
     """Numbers `mantissa * 2**exponent`, none negative, beyond the range of doubles.
 
     Attributes
@@ -51,10 +52,6 @@ class ScaledCoefficients:
 
     mantissa: Array
     exponent: Exponents
-
-    def __post_init__(self) -> None:
-        _checks.readonly(self.mantissa)
-        _checks.readonly(self.exponent)
 
     @classmethod
     def _of(cls, values: Array, shift: Exponents | int = 0) -> ScaledCoefficients:

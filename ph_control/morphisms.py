@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dgebal
 
 from . import _checks
+from ._frozen import Frozen
 from .coefficients import cofactors
 from .exceptions import StructureError
 from .lifting import lifted_size
@@ -194,7 +195,7 @@ def lift_morphism(sys: PortHamiltonian, m: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ExpressivePower:
+class ExpressivePower(Frozen):
     """What the controllable Hamiltonian system CH(d, v) can express of a port-Hamiltonian one; see `expressive_power`.
 
     Attributes
@@ -215,12 +216,6 @@ class ExpressivePower:
     dark: tuple[int, ...]
     resonant: tuple[tuple[int, ...], ...]
     missing: Array
-
-    def __post_init__(self) -> None:
-        _checks.readonly(self.missing)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.rank, self.dark, self.resonant, self.missing.copy())
 
     @property
     def is_full(self) -> bool:

@@ -58,6 +58,10 @@ class SpectralEstimate(ct.FrequencyResponseData):
         self._segments = segments
         self._step = step
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        _checks.readonly(self._coherence)
+
     @property
     def coherence(self) -> Array:
         """Part of the output power that is linear in the input, shape (N,); 1 throughout for one segment."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._frozen import Frozen, ReadOnlyMapping
 from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from .experiment import Experiment, Rows
@@ -30,7 +30,7 @@ _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which 
 
 
 @dataclass(frozen=True, eq=False)
-class Bootstrap:
+class Bootstrap(Frozen):
     """Estimates from resampled noise; made by `PEMResult.bootstrap`.
 
     Attributes
@@ -58,10 +58,6 @@ class Bootstrap:
     active: NDArray[np.bool_]
     failed: int
 
-    def __post_init__(self) -> None:
-        for array in (self.d, self.r, self.initial_state, self.offset, self.active):
-            _checks.readonly(array)
-
     def __len__(self) -> int:
         return len(self.d) - self.failed
 
@@ -86,7 +82,7 @@ class Bootstrap:
         n = self.d.shape[1]
         if name == "initial_state" and len(values) > 2 * n:
             values = values.reshape(-1, 2 * n, *values.shape[1:])
-        return _checks.readonly(values)
+        return values
 
     @property
     def active_share(self) -> Array:
@@ -103,7 +99,7 @@ class Bootstrap:
             if len(draws) > 1:
                 deviation[known] = np.std(draws[:, known], axis=0, ddof=1)
             found[name] = self._in_shape(name, deviation)
-        return MappingProxyType(found)
+        return ReadOnlyMapping(found)
 
     def interval(self, level: float = 0.95) -> Mapping[str, Array]:
         """Percentile intervals of the parameters.
@@ -148,7 +144,7 @@ class Bootstrap:
             ends = np.full((draws.shape[1], 2), np.nan)
             ends[known] = np.quantile(draws[:, known], [tail, 1 - tail], axis=0).T
             found[name] = self._in_shape(name, ends)
-        return MappingProxyType(found)
+        return ReadOnlyMapping(found)
 
     @property
     def samples(self) -> ModeSamples:

@@ -16,6 +16,7 @@ from control import TimeResponseData
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._frozen import Frozen
 from .._instants import printed_step
 from ..exceptions import IdentificationError, StructureError
 
@@ -27,7 +28,7 @@ _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of t
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Record:
+class Record(Frozen):
     """One input and one output on a uniform grid.
 
     Attributes

@@ -5,13 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _checks
 from .._display import Report
+from .._frozen import Frozen, ReadOnlyMapping
 from .excited_band import ExcitedBand
 from .information import Combination, Information, listed, named_modes
 from .scan import SPACING, Scan
@@ -22,7 +21,7 @@ _TOLD = 3  # combinations, modes or pairs described one by one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Excitation(Report):
+class Excitation(Report, Frozen):
     """What a record can and cannot show; made by `excitation`.
 
     Attributes
@@ -89,10 +88,6 @@ class Excitation(Report):
     scan: Scan | None
     remedies: tuple[str, ...]
 
-    def __post_init__(self) -> None:
-        for array in (self.d, self.r, self.apparent):
-            _checks.readonly(array)
-
     @property
     def n(self) -> int:
         """Number of modes."""
@@ -148,7 +143,7 @@ class Excitation(Report):
 
     def _parts(self, values: Array) -> Mapping[str, Array]:
         n = self.n
-        return MappingProxyType({"d": values[:n], "r": values[n : 2 * n], "initial_state": values[2 * n :]})
+        return ReadOnlyMapping({"d": values[:n], "r": values[n : 2 * n], "initial_state": values[2 * n :]})
 
     @property
     def uncertain(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._frozen import Frozen
 from .search import Report, Search, Step
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ _RESTARTS = 4  # random paths where the first answer is doubtful
 
 
 @dataclass(frozen=True)
-class Start:
+class Start(Frozen):
     """One of the ways in which a minimum was looked for.
 
     Attributes

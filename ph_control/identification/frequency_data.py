@@ -11,6 +11,7 @@ from control import FrequencyResponseData
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._frozen import Frozen
 from ..exceptions import IdentificationError, StructureError
 from .data import refuse_out_of_range
 
@@ -19,7 +20,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyRecord:
+class FrequencyRecord(Frozen):
     """A frequency response from one input to one output, at any frequencies.
 
     Attributes

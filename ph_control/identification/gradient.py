@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._display import Report
+from .._frozen import Frozen
 from ..canonical_forms import ObservableHamiltonian, oh
 from ..coefficients import cofactors
 from ..exceptions import IdentificationError, StructureError
@@ -29,7 +30,7 @@ _MOMENTUM, _MEMORY, _FLOOR = 0.9, 0.999, 1e-8  # what Kingma and Ba recommend fo
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GradientResult(Report):
+class GradientResult(Report, Frozen):
     """Result of `gradient_descent`: the parameters with the smallest loss on the way.
 
     Attributes
@@ -73,11 +74,6 @@ class GradientResult(Report):
     stable_rate: float
     message: str
     record: Record
-
-    def __post_init__(self) -> None:
-        for array in (self.d, self.v, self.r, self.initial_state, self.loss_history, self.validation_history):
-            if array is not None:
-                _checks.readonly(array)
 
     def __str__(self) -> str:
         """Say how far the descent came, and what happened."""

@@ -17,6 +17,7 @@ from scipy.linalg import qr
 
 from .. import _checks
 from .._checks import EPS
+from .._frozen import Frozen
 from .experiment import Experiment
 from .regressors import SHORT, Kernel, in_groups, output_weight, regressors
 from .solver import Projection, eliminate
@@ -97,7 +98,7 @@ def parameter_names(n: int, from_rest: bool = False) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Information:
+class Information(Frozen):
     """Fisher information for unit noise, factored: sensitivities `= U diag(singular_values) vectors diag(lengths)`.
 
     Attributes
@@ -121,10 +122,6 @@ class Information:
     singular_values: Array
     vectors: Array
     tolerance: float
-
-    def __post_init__(self) -> None:
-        for array in (self.lengths, self.singular_values, self.vectors):
-            _checks.readonly(array)
 
     @classmethod
     def of(cls, sensitivities: Array, names: tuple[str, ...], *, rows: int, sizes: Array | None = None) -> Information:
@@ -182,14 +179,14 @@ class Information:
         # a null vector is known to the tolerance over the distance to the next singular value
         gap = self.singular_values[self.rank - 1] / self.singular_values[0] if self.rank else 1.0
         rounding = float(np.clip(len(self.names) * self.tolerance / gap, np.sqrt(EPS), _LARGEST_ROUNDING))
-        return np.where(part > rounding, part, 0.0)
+        return _checks.readonly(np.where(part > rounding, part, 0.0))
 
     @cached_property
     def inflation(self) -> Array:
         """Factor by which not knowing the other parameters enlarges each standard error, shape (P,), >= 1."""
         kept = slice(0, self.rank)
         seen = np.linalg.norm(self.vectors[kept] / self.singular_values[kept, None], axis=0)
-        return np.where(self._blind_part > 0, np.inf, seen)
+        return _checks.readonly(np.where(self._blind_part > 0, np.inf, seen))
 
     def stderr(self, noise_std: float) -> Array:
         """Cramer-Rao bounds on the standard errors, shape (P,); `inf` for parameters in a blind combination."""

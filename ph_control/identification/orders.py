@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report
+from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..validation_plots import stabilisation_plot
 from .formulation import Callback, Formulation, reporter
@@ -29,7 +30,7 @@ _STABLE, _STABLE_BINS = 0.01, 2.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OrderSelection(Report):
+class OrderSelection(Report, Frozen):
     """What each number of modes achieves; made by `order_selection`.
 
     Attributes
@@ -62,11 +63,6 @@ class OrderSelection(Report):
     stable: tuple[NDArray[np.bool_], ...]
     samples: int
     held_out: int
-
-    def __post_init__(self) -> None:
-        for value in (*vars(self).values(), *self.frequencies, *self.stable):
-            if isinstance(value, np.ndarray):
-                _checks.readonly(value)
 
     def chosen(self, criterion: str = "bic") -> int:
         """Order that a criterion chooses.

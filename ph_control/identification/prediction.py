@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report
+from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..modal import ModalForm
 from ..response import forced_response
@@ -27,7 +28,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedExperiment(Report):
+class FittedExperiment(Report, Frozen):
     """What a fit by `pem` says of one experiment.
 
     Attributes
@@ -50,10 +51,6 @@ class FittedExperiment(Report):
     free_amplitudes: ComplexArray
     offset: float
     predicted: NDArray[Any]
-
-    def __post_init__(self) -> None:
-        for array in (self.initial_state, self.free_amplitudes, self.predicted):
-            _checks.readonly(array)
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

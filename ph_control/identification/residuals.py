@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report
+from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..fit_data import percent
 from ..validation_plots import correlation_plot, residual_response_plot, whiteness_plot
@@ -44,7 +45,7 @@ _MOST = 60_000_000  # numbers in the directions that were fitted; with more samp
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualExperiment:
+class ResidualExperiment(Frozen):
     """What a model leaves in one experiment.
 
     Attributes
@@ -64,9 +65,6 @@ class ResidualExperiment:
     fit_percent: float
     own_record: bool
 
-    def __post_init__(self) -> None:
-        _checks.readonly(self.residuals)
-
     @property
     def measured(self) -> NDArray[Any]:
         """What was measured; NaN where missing."""
@@ -74,7 +72,7 @@ class ResidualExperiment:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ResidualAnalysis(Report):
+class ResidualAnalysis(Report, Frozen):
     """What the residuals of a model say; made by `residual_analysis`.
 
     Attributes
@@ -147,11 +145,6 @@ class ResidualAnalysis(Report):
     own_record: bool
     input_label: str
     output_label: str
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                _checks.readonly(value)
 
     @property
     def residuals(self) -> NDArray[Any]:

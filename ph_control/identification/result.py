@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import control as ct
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._frozen import Frozen, ReadOnlyMapping
 from ..exceptions import StructureError
 from ..files import save
 from ..fit_plots import fit_plot
@@ -35,7 +35,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class OrderRow:
+class OrderRow(Frozen):
     """One row of the order table: what the best model found with `order` modes achieves.
 
     Attributes
@@ -58,7 +58,7 @@ class OrderRow:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PEMResult(FitReport, Resampled, InCoordinates):
+class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     """Result of `pem`.
 
     Attributes
@@ -148,9 +148,8 @@ class PEMResult(FitReport, Resampled, InCoordinates):
             "initial_state": states.reshape(-1, 2 * n) if len(states) > 2 * n else states,
             "offset": self.offset_stderr,
         }
-        object.__setattr__(self, "stderr", MappingProxyType(parts))
-        for array in (self.covariance, *parts.values()):
-            _checks.readonly(array)
+        object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
+        super().__post_init__()
 
     @property
     def modes(self) -> ModalForm:
@@ -266,10 +265,9 @@ class PEMResult(FitReport, Resampled, InCoordinates):
         values = {"d": self.d, "r": self.r, "initial_state": states, "offset": self.offsets}
         lower = {"d": 0.0, "r": 0.0, "initial_state": -np.inf, "offset": -np.inf}
         found = {
-            name: _checks.readonly(normal_interval(value, self.stderr[name], level, lower=lower[name]))
-            for name, value in values.items()
+            name: normal_interval(value, self.stderr[name], level, lower=lower[name]) for name, value in values.items()
         }
-        return MappingProxyType(found)
+        return ReadOnlyMapping(found)
 
     def sample(self, k: int, rng: Any = None) -> ModeSamples:
         """Models drawn from the distribution of the estimate, for bands and for designs that must hold for all.

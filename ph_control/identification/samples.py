@@ -16,6 +16,7 @@ from scipy.special import log_ndtr, ndtri, ndtri_exp, stdtrit
 
 from .. import _checks
 from .. import _twofloat as tf
+from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..modal import ModalForm, from_frequencies, imaginary
 from ..reactance import sum_with_twice_the_digits
@@ -227,7 +228,7 @@ def _normal_between(low: Array, high: Array, centre: Array, random: np.random.Ge
 
 
 @dataclass(frozen=True, eq=False)
-class ModeSamples:
+class ModeSamples(Frozen):
     """Models drawn by `PEMResult.sample` from the distribution of an estimate, and the bands of their responses.
 
     Attributes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _checks
+from .._frozen import Frozen
 from .excited_band import ExcitedBand
 from .experiment import Experiment
 from .information import model_information
@@ -21,7 +21,7 @@ _AFFORDABLE = 2_000_000  # samples times modes times frequencies
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class Scan(Frozen):
     """What an input shows of a group of n modes of equal residue, `SPACING` bins apart, wherever they lie.
 
     Attributes
@@ -37,10 +37,6 @@ class Scan:
     frequencies: Array
     deficiency: NDArray[np.intp]
     error: Array
-
-    def __post_init__(self) -> None:
-        for array in (self.frequencies, self.deficiency, self.error):
-            _checks.readonly(array)
 
     @property
     def shown(self) -> tuple[tuple[float, float], ...]:

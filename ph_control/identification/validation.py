@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report
+from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..fit_data import percent
 from ..validation_plots import comparison_plot, response_comparison_plot
@@ -39,7 +40,7 @@ _SHOWN = 8  # experiments listed one by one
 
 
 @dataclass(frozen=True, eq=False)
-class ComparedExperiment:
+class ComparedExperiment(Frozen):
     """Models beside one another in one experiment.
 
     Attributes
@@ -60,10 +61,6 @@ class ComparedExperiment:
     rms_error: Array
     own_record: tuple[bool, ...]
 
-    def __post_init__(self) -> None:
-        for array in (self.predicted, self.fit_percent, self.rms_error):
-            _checks.readonly(array)
-
     @property
     def measured(self) -> NDArray[Any]:
         """What was measured; NaN where missing."""
@@ -71,7 +68,7 @@ class ComparedExperiment:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Report):
+class Comparison(Report, Frozen):
     """Models beside one another on the same data; made by `compare`.
 
     Attributes
@@ -99,10 +96,6 @@ class Comparison(Report):
     experiments: tuple[ComparedExperiment, ...]
     initial_state: str
     output_label: str
-
-    def __post_init__(self) -> None:
-        for array in (self.fit_percent, self.rms_error):
-            _checks.readonly(array)
 
     @property
     def best(self) -> str:
