@@ -19,6 +19,7 @@ from .modal import ModalForm, imaginary
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
 _LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
 
 
@@ -141,6 +142,28 @@ class LosslessSystem(ct.StateSpace):
         Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
         """
         return self.modes.evaluate(_checks.complex_points("the points", x))
+
+    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
+        """Frequency response as data, a rounding to the right of the imaginary axis.
+
+        There the phase of a lossless response jumps by a little less than half a turn, which would leave open which way
+        it went: up at a zero, down at a pole.  What unwraps it, as `control.bode_plot` does, goes the same way.
+        """
+        response = super().frequency_response(omega, squeeze)
+        values, across = response.frdata, -1j if self._integrated else 1.0
+        level = np.isfinite(values) & ((values.imag if self._integrated else values.real) == 0)
+        size = np.where(level, _ASIDE * np.abs(values), 0.0)
+        response.frdata = values + across * size * self.modes._rising(response.omega, self._integrated)
+        return response
+
+    def bode_plot(self, *args: Any, **kwargs: Any) -> Any:
+        """Bode plot of python-control; as `control.bode_plot`, with phases that start between -180 and 180 degrees."""
+        if ct.config.defaults.get("freqplot.initial_phase") is None:
+            kwargs.setdefault("initial_phase", 0)
+        try:
+            return super().bode_plot(*args, **kwargs)
+        except AttributeError as error:  # python-control hands what it does not know to the lines of matplotlib
+            raise TypeError(str(error)) from None
 
     def poles(self) -> ComplexArray:
         """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""

@@ -65,6 +65,7 @@ def recording() -> ct.TimeResponseData:
 
 
 T = np.linspace(0.0, 1.0, 5)
+SYSTEMS = (plant(), phc.ch([1.0], [1.0, 0.0]), phc.oh([1.0], [1.0, 0.0]), phc.affine(np.eye(2), [1, 0]))
 
 # a valid call of each function that collects keywords, once for each way its arguments can go
 CALLS: dict[str, list[Callable[..., Any]]] = {
@@ -86,6 +87,7 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
         lambda **k: phc.affine(ct.tf([1], [1, 0, 4]), **k),
         lambda **k: phc.affine(phc.affine(np.eye(2), [1, 0]), **k),
     ],
+    **{f"{type(sys).__name__}.bode_plot": [lambda sys=sys, **k: sys.bode_plot(**k)] for sys in SYSTEMS},
     "bode_plot": [lambda **k: phc.bode_plot(plant(), **k)],
     "ch": [
         lambda **k: phc.ch([1.0], [1.0, 0.0], **k),

@@ -318,6 +318,52 @@ def test_the_phase_of_a_lossless_system_is_plus_or_minus_a_quarter_turn():
     assert np.allclose(np.abs(phase % 360 - 180), 90, rtol=0, atol=1e-9)
 
 
+def displacement(sys):
+    return phc.affine(sys.Q, ref.symplectic_form(sys.n) @ sys.B)
+
+
+def spans(picture):
+    return [(axis.min(), axis.max()) for axis in (curve[:, 1] for curve in curves(picture, 1))]
+
+
+@pytest.mark.parametrize(
+    ("sys", "low", "high"),
+    [
+        (phc.frenkel_kontorova(6), -90, 90),
+        (phc.ch([1.0, 2.0], [1.0, 1.0, 0.3, 0.2]), -90, 90),
+        (phc.ph(np.diag([0.0, 4.0, 1.0, 2.0]), [1.0, -1.0, 2.0, 0.0]), -90, 90),
+        (phc.affine(np.diag([0.0, 4.0, 1.0, 2.0]), [1.0, -1.0, 0.0, 0.0]), -180, 0),
+        (displacement(phc.frenkel_kontorova(3)), -180, 0),
+    ],
+    ids=["chain", "canonical form", "rigid body", "affine, free", "affine"],
+)
+def test_python_control_unwraps_the_phase_of_a_lossless_port_the_way_it_goes(sys, low, high):
+    ((least, most),) = spans(sys.bode_plot())
+    assert abs(least - low) < 1e-9 and abs(most - high) < 1e-9
+    for draw in (ct.bode_plot, lambda sys: ct.frequency_response(sys).plot(), lambda sys: ct.bode_plot([sys])):
+        plt.close("all")
+        ((least, most),) = spans(draw(sys))
+        assert abs(most - least - 180) < 1e-9 and min((least - low) % 360, (low - least) % 360) < 1e-9
+    plt.close("all")
+    ((least, most),) = spans(sys.bode_plot(initial_phase=720))
+    assert abs(least - 720 - low) < 1e-9
+    plt.close("all")
+
+
+def test_the_phase_between_two_ports_falls_at_each_resonance_without_an_antiresonance_before_it():
+    """As the phase of the same structure with a little damping does."""
+    M, K, b = np.eye(4), 4 * np.eye(4) - 2 * np.eye(4, k=1) - 2 * np.eye(4, k=-1), np.eye(4)[:, [0, 3, 1]]
+    omega = np.linspace(0.05, 4.5, 4000)
+    A = np.block([[0 * M, M], [-K, -1e-9 * K]])
+    B = np.concatenate([0 * b, b])
+    C = np.concatenate([0 * b, b]).T
+    frame = phc.from_second_order(M, K, b)
+    for sys, out in ((frame, C), (displacement(frame), np.roll(C, 4, 1))):
+        ours = ct.frequency_response(sys, omega).frdata
+        damped = ct.frequency_response(ct.ss(A, B, out, 0), omega).frdata
+        assert np.max(np.abs(np.unwrap(np.angle(ours)) - np.unwrap(np.angle(damped)))) < 1e-3
+
+
 def test_a_bode_plot_without_frequencies_and_of_several_ports_draws():
     for sys in ([chain(), controller()], two_port(), [floating(), ct.ss(floating())]):
         assert isinstance(ct.bode_plot(sys), ct.ControlPlot)
