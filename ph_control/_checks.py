@@ -6,6 +6,7 @@ measured, what is allowed and what to do.  All tolerances are relative.
 
 from __future__ import annotations
 
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -396,6 +397,18 @@ def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
     return str(value)
 
 
+def is_flag(value: Any) -> bool:
+    """Whether this is True or False: also as a number 0 or 1, or as a boolean of numpy."""
+    return isinstance(value, bool | np.bool_ | int | np.integer) and value in (0, 1)
+
+
+def flags(**given: Any) -> None:
+    """Check keywords that are True or False."""
+    for name, value in given.items():
+        if not is_flag(value):
+            raise StructureError(f"{name} is {shown(value)}; it must be True or False")
+
+
 def level(name: str, value: Any) -> float:
     """Check a level of confidence."""
     if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 < value < 1):
@@ -405,7 +418,11 @@ def level(name: str, value: Any) -> float:
 
 def random_generator(rng: Any) -> np.random.Generator:
     """Check where random numbers come from."""
+    sources = np.random.Generator | np.random.BitGenerator | np.random.SeedSequence | np.random.RandomState
     try:
+        # an array in numpy's own hands may end in a recursion that no handler catches, as np.matrix does
+        if rng is not None and not isinstance(rng, sources):
+            rng = [index(one) for one in rng] if np.iterable(rng) else index(rng)
         return np.random.default_rng(rng)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise StructureError(f"rng is {shown(rng)}; pass a numpy Generator, a seed >= 0, or None") from None

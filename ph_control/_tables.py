@@ -208,8 +208,8 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
 
 
 def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
-    if header not in (None, True, False):
-        raise StructureError(f"header is {header!r}; it must be True, False or None")
+    if header is not None and not _checks.is_flag(header):
+        raise StructureError(f"header is {_checks.shown(header)}; it must be True, False or None")
     if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
         raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
     if decimal is not None:

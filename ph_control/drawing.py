@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
+from . import _checks
 from .exceptions import StructureError
 
 Array = NDArray[np.float64]
@@ -164,6 +165,7 @@ def labelled(quantity: str, unit: str | None) -> str:
 
 def check_hertz(Hz: bool, time_unit: str) -> tuple[float, str]:
     """Size of the unit of frequency in rad per unit time, and its name."""
+    _checks.flags(Hz=Hz)
     if Hz and time_unit != "s":
         raise StructureError(f"Hz needs times in s, time_unit is {time_unit!r}; use Hz=False, or convert the times")
     return (2.0 * np.pi, "Hz") if Hz else (1.0, f"rad/{time_unit}")

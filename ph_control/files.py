@@ -165,6 +165,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     ...     phc.load(path)
     modes([1.0, 3.0], [0.5, 0.25])
     """
+    _checks.flags(overwrite=overwrite)
     target = as_path(path)
     if target.suffix.lower() in _NO_DOCUMENTS:
         raise StructureError(

@@ -13,6 +13,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _checks
 from .affine_system import AffineHamiltonian
 from .exceptions import PHControlError
 from .modal import ModalForm
@@ -118,6 +119,7 @@ def stability_margins(
     >>> gm, pm, sm, wms.round(6)
     (array([], dtype=float64), array([-90.,  90., -90.,  90.]), array([1.]), array([1.]))
     """
+    _checks.flags(returnall=returnall)
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
         return ct.stability_margins(sysdata, returnall=returnall, epsw=epsw, method=method)

@@ -216,6 +216,7 @@ def from_second_order(
     >>> round(floating.modes.kappa_0, 12)  # as one rigid body: 1 / (1 + 3)
     0.25
     """
+    _checks.flags(condense=condense)
     mass, stiffness = _square("M", M), _square("K", K)
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
+from . import _checks
 from .bode import BodeData, Curve, bode_data, shown_range
 from .drawing import (
     BAND,
@@ -159,6 +160,10 @@ def bode_plot(
     """
     look = Look.of(style)
     unit, unit_name = check_hertz(Hz, time_unit)
+    _checks.flags(
+        dB=dB, deg=deg, plot_magnitude=plot_magnitude, plot_phase=plot_phase, wrap_phase=wrap_phase,
+        display_margins=display_margins,
+    )  # fmt: skip
     rows = [name for name, wanted in (("magnitude", plot_magnitude), ("phase", plot_phase)) if wanted]
     if not rows:
         raise StructureError("plot_magnitude and plot_phase are both False; there is nothing to draw")

@@ -220,7 +220,7 @@ class Resampled:
         refit = _Refit.of(self)
         _refuse_off_minimum(refit.problem.project(refit.start), self.noise_variance)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
-        found = list(mapped(refit, seeds, workers))
+        found = list(mapped(refit, seeds, workers, _Draw))
         d, r, state, offset, active = (
             np.stack([getattr(one, name) for one in found]) for name in ("d", "r", "state", "offset", "active")
         )

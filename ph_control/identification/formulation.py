@@ -67,6 +67,7 @@ class Formulation:
             ("representation", representation, REPRESENTATIONS),
         ):
             _checks.choice(name, value, allowed)
+        _checks.flags(offset=offset)
         records = as_experiments(data, dt, weights=weights)
         rest = initial_state == "zero"
         rows = [rows_of(record, method, intersample, quantity, from_rest=rest, offset=offset) for record in records]

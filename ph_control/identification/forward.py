@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _checks
 from .._frozen import Frozen
+from ..exceptions import StructureError
 from .search import Report, Search, Step
 
 Array = NDArray[np.float64]
@@ -160,7 +162,7 @@ def restart(
     seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(_RESTARTS)
     run = partial(_random_path, search, empty, order, rtol, floor)
     ends: list[Step] = []
-    for end in mapped(run, seeds, workers):
+    for end in mapped(run, seeds, workers, Step):
         ends.append(end)
         if end.interrupted:
             break
@@ -183,13 +185,31 @@ def _random_path(
     return grow(search, empty, order, rtol=rtol, floor=floor, pick=pick)[-1]
 
 
-def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any) -> Any:
-    """Results in the order of the items, by a number of processes or a map-like callable."""
+def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, kind: type) -> Iterable[Any]:
+    """Results of a kind in the order of the items, by a number of processes or a map-like callable."""
     if callable(workers):
-        return workers(function, items)
+        return _one_each(workers(function, items), len(items), kind)
     if workers == 1 or len(items) < 2:
         return map(function, items)
     import multiprocessing
 
-    with multiprocessing.Pool(None if workers == -1 else workers) as pool:
+    with multiprocessing.Pool(None if workers == -1 else min(workers, len(items))) as pool:
         return pool.map(function, items)
+
+
+def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
+    """What a map of the user gives, refused where it is not one result for each item."""
+    given = 0
+    for one in found if np.iterable(found) else ():
+        if given == count or not isinstance(one, kind):
+            found = one
+            break
+        given += 1
+        yield one
+    else:
+        if given == count:
+            return
+    raise StructureError(
+        f"workers is to give one result for each of {count} items, in their order, as the built-in map does; after "
+        f"{given} of them it gave {_checks.shown(found)}"
+    )

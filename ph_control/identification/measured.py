@@ -26,11 +26,12 @@ Array = NDArray[np.float64]
 Kind = Record | FrequencyRecord
 
 
-def check_options(method: str, intersample: str, initial_state: str) -> None:
-    """Refuse unknown names of methods, holds and initial states."""
+def check_options(method: str, intersample: str, initial_state: str, offset: bool) -> None:
+    """Refuse unknown names of methods, holds and initial states, and an offset that is neither True nor False."""
     _checks.choice("method", method, METHODS)
     _checks.choice("intersample", intersample, INTERSAMPLE)
     _checks.choice("initial_state", initial_state, INITIAL_STATES)
+    _checks.flags(offset=offset)
 
 
 def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weights: Any = None) -> tuple[Kind, ...]:

@@ -129,7 +129,7 @@ def pem(
     """
     _checks.choice("criterion", criterion, CRITERIA)
     check_workers(workers)
-    _checks.random_generator(rng)
+    rng = None if rng is None else _checks.random_generator(rng)
     posed = Formulation.of(
         data, dt, weights, method=method, intersample=intersample, initial_state=initial_state, offset=offset,
         quantity=quantity, representation=representation,

@@ -339,7 +339,7 @@ def residual_analysis(
     'NOT all of the response to the input is in the model'
     >>> picture = analysis.plot()
     """
-    check_options(method, intersample, initial_state)
+    check_options(method, intersample, initial_state, offset)
     records = experiments_to_hold_against(data, dt, [model], weights)
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)

@@ -304,7 +304,7 @@ def compare(
       model             fit  RMS error
       plant         88.88 %     0.6437
     """
-    check_options(method, intersample, initial_state)
+    check_options(method, intersample, initial_state, offset)
     if not models:
         raise StructureError("no model given; pass at least one after the data")
     records = experiments_to_hold_against(data, dt, models, weights)

@@ -1,0 +1,73 @@
+"""Options that are not what they should be are refused by name, all over the package."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import ph_control as phc
+
+NOT_BOOLEAN = [2, -1, 0.5, "no", None, np.nan, [], [True], np.array([True, False])]
+NO_SEED = [np.array([[1, 2]]).view(np.matrix), np.ones((2, 2), int), [1.5], "3", -1, np.nan, object()]
+
+
+@pytest.fixture(scope="module")
+def record():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(200)
+    plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    return plant, u, phc.forced_response(plant, 0.1 * np.arange(200), u).outputs + 0.05 * rng.standard_normal(200)
+
+
+def _calls(plant, u, y, folder):
+    data, one = (u, y), phc.modes(1.0, 1.0)
+    table = folder / "recording.csv"
+    table.write_text("t,u,y\n" + "".join(f"{0.1 * k},{u[k]},{y[k]}\n" for k in range(9)))
+    return {
+        "offset": [
+            lambda v: phc.pem(data, 2, dt=0.1, offset=v), lambda v: phc.compare(data, plant, dt=0.1, offset=v),
+            lambda v: phc.residual_analysis(data, plant, dt=0.1, offset=v),
+            lambda v: phc.order_selection(data, 2, dt=0.1, offset=v),
+        ],
+        "overwrite": [lambda v: phc.save(one, folder / "one.json", overwrite=v)],
+        "header": [lambda v: phc.read_csv(table, header=v if v is not None else 2)],
+        "returnall": [lambda v: phc.stability_margins(plant, returnall=v)],
+        "condense": [lambda v: phc.from_second_order(np.eye(2), np.eye(2), [1, 0], condense=v)],
+        "Hz": [lambda v: phc.modes_plot(plant, Hz=v), lambda v: phc.pole_zero_plot(plant, Hz=v)],
+    } | {
+        name: [lambda v, name=name: phc.bode_plot(plant, **{name: v})]
+        for name in ("dB", "deg", "plot_magnitude", "plot_phase", "wrap_phase", "display_margins")
+    }  # fmt: skip
+
+
+def test_an_option_that_is_neither_true_nor_false_is_refused_by_name(record, tmp_path):
+    for name, calls in _calls(*record, tmp_path).items():
+        for call in calls:
+            for value in NOT_BOOLEAN:
+                with pytest.raises(phc.StructureError, match=f"{name} is .*must be True"):
+                    call(value)
+            call(np.True_)
+            plt.close("all")
+    assert list(tmp_path.glob("*.json")) == [tmp_path / "one.json"]
+
+
+def test_what_is_no_source_of_random_numbers_is_refused(record):
+    _, u, y = record
+    fit = phc.pem((u, y), 2, dt=0.1, rng=[1, 2])
+    for value in NO_SEED:
+        for call in (
+            lambda v: phc.pem((u, y), 2, dt=0.1, rng=v), lambda v: fit.sample(2, rng=v),
+            lambda v: fit.bootstrap(2, rng=v), lambda v: phc.gradient_descent((u, y), 1, dt=0.1, epochs=1, rng=v),
+        ):  # fmt: skip
+            with pytest.raises(phc.StructureError, match="rng is"):
+                call(value)
+
+
+@pytest.mark.parametrize(
+    "workers", [lambda f, items: None, lambda f, items: [f(items[0])], lambda f, items: [None] * len(items)]
+)
+def test_a_map_that_does_not_give_one_result_each_is_refused(record, workers):
+    _, u, y = record
+    with pytest.raises(phc.StructureError, match="workers is to give one result for each of 5 items"):
+        phc.pem((u, y), 2, dt=0.1).bootstrap(5, rng=1, workers=workers)
+    with pytest.raises(phc.StructureError, match="workers is to give one result for each of 4 items"):
+        phc.pem((u, -y), 3, dt=0.1, workers=workers)
