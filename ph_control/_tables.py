@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._documents import read_bytes, source_name
+from ._units import known_unit
 from .exceptions import FileFormatError, StructureError
 
 Array = NDArray[np.float64]
@@ -41,6 +42,7 @@ _SPELLED = {" ": "white space", "\t": "tab", ",": "comma", ";": "semicolon"}
 # control characters that no text table holds; tab, line feed, form feed and carriage return are text
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _JOIN = "\x1f"  # one of them, so never part of a field
+_SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+)")  # a unit without brackets
 _HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
 
 _UNIT_NAME = (
@@ -157,8 +159,21 @@ class Table:
 
 def is_time_label(label: str) -> bool:
     """Whether a column of this label holds instants; a capital T is as often a temperature or a torque."""
+    bare, _ = _name_and_unit(label)
+    return bare == "t" or bare.casefold() in ("time", "times", "timestamp")
+
+
+def unit_of_time(label: str) -> str | None:
+    """Unit of time that a label tells, as `Time (ms)`, `t [s]`, `t / h`, `time/us` or `time_min` do; or None."""
+    return known_unit(_name_and_unit(label)[1])
+
+
+def _name_and_unit(label: str) -> tuple[str, str]:
+    """Label without its unit, and the unit; one that no bracket sets off must be a unit of time."""
     bare = without_unit(label)
-    return bare in ("t", "t_s") or bare.casefold() in ("time", "times", "timestamp", "time_s")
+    if bare == label.strip() and (found := _SUFFIX.fullmatch(bare)) and known_unit(found[2]):
+        return found[1], found[2]
+    return bare, label.strip()[len(bare) :].strip(" []()/")
 
 
 def without_unit(label: str) -> str:

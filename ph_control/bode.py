@@ -40,7 +40,7 @@ _COHERENT = 0.5  # dots below this coherence say more about noise and leakage th
 
 @dataclass(frozen=True)
 class Curve:
-    """A response to draw, shape (p, m, N), at `omega`, shape (N,), rad/s.
+    """A response to draw, shape (p, m, N), at `omega`, shape (N,), rad per unit time.
 
     `singular` holds its poles and zeros on the imaginary axis, ascending; `doubtful` marks what is mostly noise.
     """
@@ -166,7 +166,7 @@ class Band:
 
 @dataclass(frozen=True)
 class BodeData:
-    """All that a Bode plot draws: systems, their curves, bands, dots, and the ends of the frequency axis in rad/s."""
+    """All that a Bode plot draws: systems, their curves, bands, dots, and the ends of the frequency axis."""
 
     systems: list[Any]
     curves: list[Curve]
@@ -195,19 +195,19 @@ def bode_data(
     intersample: str,
     omega_limits: ArrayLike | None,
     omega_num: int | None,
-    Hz: bool,
+    unit: float,
     confidence: Any,
     level: float,
     label: str | Sequence[str] | None,
     data_label: str | None,
 ) -> BodeData:
-    """Compute what `bode_plot` draws; the arguments are its arguments."""
+    """Compute what `bode_plot` draws; its arguments, and the size of the unit of frequencies in rad per unit time."""
     systems = as_systems(sysdata, tabulated=True)
     labels = labels_of(sysdata, systems, label)
     models = models_around(confidence, sysdata, systems, "magnitude_band", "phase_band")
     measured = _measurement(data, systems[0], segments, intersample, data_label)
     extents = np.concatenate([_extent(sys) for sys in systems])
-    grid, low, high = _frequencies(extents, measured, omega, omega_limits, Hz)
+    grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
     given = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
     powers = [_power_of_s(one) for one in given]
     curves = [
@@ -306,18 +306,18 @@ def _timebase(sys: Any) -> float:
 
 
 def _frequencies(
-    extents: Array, measured: Curve | None, omega: Any, omega_limits: Any, Hz: bool
+    extents: Array, measured: Curve | None, omega: Any, omega_limits: Any, unit: float
 ) -> tuple[Array | None, float, float]:
-    """Frequencies asked for, if any, and the ends of the axis, all in rad/s."""
+    """Frequencies asked for, if any, and the ends of the axis, all in rad per unit time."""
     given = None if omega is None else _ascending("omega", omega)
     if given is not None and len(given) > 2:
         ends = given[[0, -1]]
     elif given is not None:
         ends, given = given, None
     else:
-        ends = _default_limits(extents, measured, Hz)
+        ends = _default_limits(extents, measured, unit)
     if omega_limits is not None:
-        ends = _ascending("omega_limits", omega_limits) * (2.0 * np.pi if Hz else 1.0)
+        ends = _ascending("omega_limits", omega_limits) * unit
         if len(ends) != 2:
             raise StructureError(f"omega_limits has {len(ends)} entries; give the lowest and the highest frequency")
     return given, float(ends[0]), float(ends[1])
@@ -333,13 +333,12 @@ def _ascending(name: str, value: Any) -> Array:
     return array
 
 
-def _default_limits(extents: Array, measured: Curve | None, Hz: bool) -> Array:
+def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Array:
     """Full decades that hold all systems, 0.1 to 10 for none; with a measurement what it covers and they need."""
     if measured is not None:
         top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
         everything = np.concatenate([extents, [measured.omega[0] / 1.1, top * 1.1]])
         return everything[[np.argmin(everything), np.argmax(everything)]]
-    unit = 2.0 * np.pi if Hz else 1.0
     if not len(extents):
         return np.array([0.1, 10.0]) * unit
     # a table may end at a decade, to rounding

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ._units import with_unit
 from .files import save
 from .identification.pem import pem
 from .identification.result import PEMResult
@@ -77,8 +79,9 @@ def run(folder: Path, seed: int, report: Callable[[str], Any]) -> list[tuple[Pla
         names = plant.system.input_labels[0], plant.system.output_labels[0]
         table = np.column_stack([t, u, y])
         recording = folder / f"{plant.name}.csv"
-        np.savetxt(recording, table, delimiter=",", header=",".join(["time", *names]), comments="", fmt="%.12g")
-        result = pem((u, y), dt=t[1] - t[0])
+        np.savetxt(recording, table, delimiter=",", header=",".join(["time [s]", *names]), comments="", fmt="%.12g")
+        data = ct.TimeResponseData(t, y, inputs=u, input_labels=names[:1], output_labels=names[1:])
+        result = pem(with_unit(data, "s"))
         report(f"== {plant.title}")
         for line in _against_truth(plant, result):
             report(line)

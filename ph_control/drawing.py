@@ -16,6 +16,7 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from . import _checks
+from ._units import SECONDS, hertz_size, rate
 from .exceptions import StructureError
 
 Array = NDArray[np.float64]
@@ -163,12 +164,16 @@ def labelled(quantity: str, unit: str | None) -> str:
     return plain(f"{quantity} [{unit}]" if unit else quantity)
 
 
-def check_hertz(Hz: bool, time_unit: str) -> tuple[float, str]:
+def frequency_axis(Hz: bool, time_unit: str | None) -> tuple[float, str]:
     """Size of the unit of frequency in rad per unit time, and its name."""
     _checks.flags(Hz=Hz)
-    if Hz and time_unit != "s":
-        raise StructureError(f"Hz needs times in s, time_unit is {time_unit!r}; use Hz=False, or convert the times")
-    return (2.0 * np.pi, "Hz") if Hz else (1.0, f"rad/{time_unit}")
+    if not Hz:
+        return 1.0, rate(time_unit)
+    if time_unit is not None and time_unit not in SECONDS:
+        raise StructureError(
+            f"Hz needs a known unit of time, one of {', '.join(SECONDS)}; time_unit is {time_unit!r}: use Hz=False"
+        )
+    return hertz_size(time_unit), "Hz"
 
 
 def plain(text: str) -> str:

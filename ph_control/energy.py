@@ -14,6 +14,7 @@ from scipy.linalg import expm
 
 from . import _checks
 from ._display import Report
+from ._units import common_unit, unit_for
 from .drawing import DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
 from .exceptions import StructureError
 from .motion import Rule
@@ -41,6 +42,8 @@ class EnergyBalance(Report):
         Energy that went in through the ports since the first instant.
     defect : ndarray, shape (T,)
         What was stored since the first instant less what was supplied: 0 where nothing is lost or made.
+    time_unit : str or None
+        Unit of time that the response tells; None where it tells none.
 
     Examples
     --------
@@ -56,6 +59,7 @@ class EnergyBalance(Report):
     stored: Array
     supplied: Array
     defect: Array
+    time_unit: str | None = None
 
     def __str__(self) -> str:
         """Say over what time, and how much was stored, supplied and found or lost."""
@@ -144,7 +148,7 @@ def energy_balance(
         supplied = np.concatenate([[0.0], np.cumsum(_work(sys, z, u, h, method, intersample))])
         defect = stored - stored[0] - supplied
     _checks.representable("the energies supplied", supplied, defect)
-    return EnergyBalance(t.copy(), stored, supplied, defect)
+    return EnergyBalance(t.copy(), stored, supplied, defect, common_unit(response))
 
 
 def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
@@ -198,8 +202,8 @@ def _time_integrals(sys: PortHamiltonian, z: Array, u: Array, h: float) -> Array
 def energy_plot(
     balance: EnergyBalance | Sequence[EnergyBalance],
     *,
-    time_unit: str = "s",
-    energy_unit: str | None = "J",
+    time_unit: str | None = None,
+    energy_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     ax: Any = None,
     **style: Unpack[LineStyle],
@@ -210,8 +214,8 @@ def energy_plot(
     ----------
     balance : EnergyBalance, or list of them
         What `energy_balance` gives.
-    time_unit, energy_unit : str
-        Units, for the labels; None for none.
+    time_unit, energy_unit : str, optional
+        Units, for the labels; by default of time that of the response, none where it is not known.
     label : str or sequence of str, optional
         Names of the balances for the legend, if there are several.
     ax : array of matplotlib.axes.Axes, shape (2, 1), optional
@@ -243,7 +247,7 @@ def energy_plot(
     >>> sys, t = phc.frenkel_kontorova(), np.linspace(0.0, 30.0, 601)
     >>> plot = phc.energy_plot(phc.energy_balance(phc.forced_response(sys, t, np.sin(t)), sys))
     >>> [axis.get_ylabel() for axis in plot.axes[:, 0]]
-    ['Energy [J]', 'Stored less\nsupplied [J]']
+    ['Energy', 'Stored less\nsupplied']
     >>> plt.close(plot.figure)
     """
     balances: list[Any] = list(balance) if isinstance(balance, list | tuple) else [balance]
@@ -268,7 +272,7 @@ def energy_plot(
             look.lattice(axis)
         axes[0, 0].set_ylabel(labelled("Energy", energy_unit))
         axes[1, 0].set_ylabel(labelled("Stored less\nsupplied", energy_unit))
-        axes[1, 0].set_xlabel(labelled("Time", time_unit))
+        axes[1, 0].set_xlabel(labelled("Time", unit_for(time_unit, balances)))
         legend = look.legend(axes[0, 0])
         look.entitle(figure, ax, "Energy balance")
     return ct.ControlPlot(lines, axes, figure, legend=legend)

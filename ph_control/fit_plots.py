@@ -27,7 +27,7 @@ def fit_plot(
     predicted: ArrayLike | None = None,
     *,
     fit_percent: float | None = None,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     output_label: str | None = None,
     output_unit: str | None = None,
     detail: str | ArrayLike | None = "auto",
@@ -44,8 +44,8 @@ def fit_plot(
         Outputs at these instants; NaN samples are gaps.
     fit_percent : float, optional
         Fit to show in the legend, in percent.
-    time_unit : str
-        Unit of time, for the label of the axis.
+    time_unit : str, optional
+        Unit of time, for the label of the axis; by default that of the fitted record, none where it is not known.
     output_label : str, optional
         Name of the output, for the labels; by default "Output", or that of the fitted record.
     output_unit : str, optional
@@ -79,7 +79,7 @@ def fit_plot(
     >>> t = np.linspace(0, 10, 201)
     >>> plot = phc.fit_plot(t, np.sin(t), 0.9 * np.sin(t), fit_percent=90.0, output_label="Velocity", output_unit="m/s")
     >>> plot.axes[0, 0].get_ylabel(), plot.axes[1, 0].get_xlabel()
-    ('Velocity [m/s]', 'Time [s]')
+    ('Velocity [m/s]', 'Time')
     >>> plt.close(plot.figure)
     """
     look = Look.of(style, FrameStyle)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._tables import Table, is_time_label, read_table, without_unit
+from ._units import with_unit
 from .exceptions import FileFormatError, StructureError
 
 Array = NDArray[np.float64]
@@ -90,7 +91,7 @@ def read_frequency_csv(
     Returns
     -------
     control.FrequencyResponseData
-        At the frequencies of the file, in rad/s and ascending; what is missing in the table is NaN.
+        At the frequencies of the file, in rad/s and ascending, with `time_unit` 's'; what is missing is NaN.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def response_in(
     response = _polar(table, layout, first, second, *values[1:3]) if polar else values[1] + 1j * values[2]
     order = np.argsort(omega, kind="stable")
     found = FrequencyResponseData(response[order], omega[order], title=os.path.basename(table.path) or None)
-    return found, None if weights is None else values[3][order]
+    return with_unit(found, "s"), None if weights is None else values[3][order]
 
 
 def is_frequency_table(table: Table) -> bool:

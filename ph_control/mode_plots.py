@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from .drawing import LineStyle, Look, MarkStyle, check_hertz, labelled, new_axes, plain
+from ._units import unit_for
+from .drawing import LineStyle, Look, MarkStyle, frequency_axis, labelled, new_axes, plain
 from .exceptions import StructureError
 from .mode_data import ModeTable, PoleZeroMap, mode_tables, pole_zero_maps, strips
 
@@ -38,7 +39,7 @@ def modes_plot(
     quantity: str = "kappa",
     level: float = 0.95,
     Hz: bool = False,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     ax: Any = None,
@@ -56,9 +57,9 @@ def modes_plot(
     level : float
         Probability of the intervals of a `PEMResult`, between 0 and 1.
     Hz : bool
-        Frequency axis in Hz instead of rad/s.
-    time_unit : str
-        Unit of time of the systems, for the labels.
+        Frequency axis in Hz instead of rad per unit time, as in `bode_plot`.
+    time_unit : str, optional
+        Unit of time, for the labels; by default that of the fit, none where it is not known.
     gain_unit : str, optional
         Unit of the response, output over input, which is that of `r`.
     label : str or sequence of str, optional
@@ -96,7 +97,8 @@ def modes_plot(
     array([1. , 0.5])
     >>> plt.close(plot.figure)
     """
-    unit, unit_name = check_hertz(Hz, time_unit)
+    time_unit = unit_for(time_unit, sysdata)
+    unit, unit_name = frequency_axis(Hz, time_unit)
     tables, ports, default = mode_tables(sysdata, quantity, level, label)
     look = Look.of(style)
     with look.context():
@@ -115,10 +117,10 @@ def modes_plot(
     return ct.ControlPlot(lines, axes, figure, legend=legend)
 
 
-def _weight_label(quantity: str, gain_unit: str | None, time_unit: str) -> str:
+def _weight_label(quantity: str, gain_unit: str | None, time_unit: str | None) -> str:
     if quantity == "r":
         return labelled("Weight r", gain_unit)
-    return labelled("Residue κ = r d", f"({gain_unit})/{time_unit}" if gain_unit else None)
+    return labelled("Residue κ = r d", f"({gain_unit})/{time_unit or 'time'}" if gain_unit else None)
 
 
 def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Any]:
@@ -207,7 +209,7 @@ def pole_zero_plot(
     sysdata: Any,
     *,
     Hz: bool = False,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     ax: Any = None,
     **style: Unpack[MarkStyle],
@@ -219,9 +221,9 @@ def pole_zero_plot(
     sysdata : system, or list of systems
         `PortHamiltonian`, `ModalForm`, any other LTI system of python-control; a `PEMResult` stands for its `system`.
     Hz : bool
-        Axes in Hz instead of rad/s.
-    time_unit : str
-        Unit of time of the systems, for the labels.
+        Axes in Hz instead of rad per unit time, as in `bode_plot`.
+    time_unit : str, optional
+        Unit of time, for the labels; by default that of the fit, none where it is not known.
     label : str or sequence of str, optional
         Names of the systems; by default their own, and "model" for a single `PortHamiltonian` without one.
     ax : array of matplotlib.axes.Axes, optional
@@ -259,7 +261,7 @@ def pole_zero_plot(
     array([0., 1.])
     >>> plt.close(plot.figure)
     """
-    unit, unit_name = check_hertz(Hz, time_unit)
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, sysdata))
     maps, default = pole_zero_maps(sysdata, label)
     look = Look.of(style, MarkStyle)
     with look.context():

@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from . import _checks
+from ._units import unit_for
 from .bode import BodeData, Curve, bode_data, shown_range
 from .drawing import (
     BAND,
@@ -20,7 +21,7 @@ from .drawing import (
     LineStyle,
     Look,
     PlainLogFormatter,
-    check_hertz,
+    frequency_axis,
     gain_label,
     given_axes,
     labelled,
@@ -63,7 +64,7 @@ def bode_plot(
     plot_phase: bool = True,
     wrap_phase: bool = False,
     display_margins: bool = False,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     gain_unit: str | None = None,
     label: str | Sequence[str] | None = None,
     data_label: str | None = None,
@@ -95,7 +96,7 @@ def bode_plot(
     omega_num : int, optional
         Number of frequencies between the ends; those around poles and zeros come on top.
     Hz : bool
-        Frequency axis in Hz instead of rad/s.
+        Frequency axis in Hz instead of rad per unit time; where no unit of time is known, times are taken for seconds.
     dB, deg : bool
         Magnitude in decibels instead of to a logarithmic scale, phase in degrees instead of radians.
     plot_magnitude, plot_phase : bool
@@ -104,8 +105,9 @@ def bode_plot(
         Phases between -180 and 180 degrees instead of continuous ones.
     display_margins : bool
         Whether to draw the phase margin and a finite gain margin of each system of one port, and to tell both.
-    time_unit : str
-        Unit of time of the systems and the measurement, for the labels of frequencies.
+    time_unit : str, optional
+        Unit of time, for the labels of frequencies; by default that of the measurement or the fit, none where it is not
+        known.
     gain_unit : str, optional
         Unit of the response, output over input, such as "m/s/N"; the magnitude is in dB re 1 of it.
     label : str or sequence of str, optional
@@ -127,7 +129,7 @@ def bode_plot(
     ------
     StructureError
         If the systems differ in their ports, the frequencies are not usable, or the measurement or what `confidence`
-        holds is not, for `Hz` where the unit of time is not the second, or for `display_margins` with several ports.
+        holds is not, for `Hz` with a `time_unit` that is no unit of time, or for `display_margins` with several ports.
 
     Notes
     -----
@@ -155,11 +157,11 @@ def bode_plot(
     >>> import matplotlib.pyplot as plt
     >>> plot = phc.bode_plot(phc.frenkel_kontorova(name="chain"))
     >>> plot.axes[0, 0].get_ylabel(), plot.axes[1, 0].get_ylabel(), plot.axes[1, 0].get_xlabel()
-    ('Magnitude [dB]', 'Phase [deg]', 'Frequency [rad/s]')
+    ('Magnitude [dB]', 'Phase [deg]', 'Frequency [rad/time]')
     >>> plt.close(plot.figure)
     """
     look = Look.of(style)
-    unit, unit_name = check_hertz(Hz, time_unit)
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, sysdata, data))
     _checks.flags(
         dB=dB, deg=deg, plot_magnitude=plot_magnitude, plot_phase=plot_phase, wrap_phase=wrap_phase,
         display_margins=display_margins,
@@ -169,7 +171,7 @@ def bode_plot(
         raise StructureError("plot_magnitude and plot_phase are both False; there is nothing to draw")
     numbers = bode_data(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
-        omega_num=omega_num, Hz=Hz, confidence=confidence, level=level, label=label, data_label=data_label,
+        omega_num=omega_num, unit=unit, confidence=confidence, level=level, label=label, data_label=data_label,
     )  # fmt: skip
     if display_margins and (len(numbers.output_labels), len(numbers.input_labels)) != (1, 1):
         raise StructureError(

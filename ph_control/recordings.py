@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._instants import printed_step
-from ._tables import Table, is_time_label, read_table
+from ._tables import Table, is_time_label, read_table, unit_of_time
+from ._units import checked_unit, with_unit
 from .exceptions import FileFormatError, StructureError
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ def read_csv(
     output: Column | Sequence[Column] | None = None,
     time: Column | bool | None = None,
     dt: float | None = None,
+    time_unit: str | None = None,
     header: bool | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
@@ -50,6 +52,9 @@ def read_csv(
         `time=False` says that no column is the time, and needs `dt`.
     dt : float, optional
         Time between samples.  Needed if there is no time column; if there is one, the two must agree.
+    time_unit : {'ns', 'us', 'ms', 's', 'min', 'h'}, optional
+        Unit of the time, and of `dt`.  Default: the one in the label of its column, as in `Time (ms)`, `t [s]`, `t / h`
+        or `time_us`; not known where that tells none.
     header : bool, optional
         Whether the first row holds labels.  Default: it does if none of its fields is a number.
     delimiter : str, optional
@@ -61,8 +66,9 @@ def read_csv(
     -------
     control.TimeResponseData
         `time` (N,), `inputs` and `outputs` as python-control squeezes them, with the labels of the columns.  The
-        time is the exactly uniform grid through the instants in the file, in their unit: pass seconds to get
-        frequencies in rad/s.  Missing outputs are NaN.
+        time is the exactly uniform grid through the instants in the file, in their unit, which its attribute
+        `time_unit` tells: nothing is converted, so a fit to a file in ms has its frequencies in rad/ms, and tells
+        them in Hz too.  Missing outputs are NaN.
 
     Raises
     ------
@@ -91,10 +97,11 @@ def read_csv(
     ...     data = phc.read_csv(path, input="force", output="velocity")
     >>> data.time.tolist(), data.inputs.tolist(), data.outputs.tolist()
     ([0.0, 0.1, 0.2], [1.0, 0.0, 0.0], [0.0, 0.2, nan])
-    >>> data.output_labels
-    ['velocity [m/s]']
+    >>> data.output_labels, data.time_unit
+    (['velocity [m/s]'], 's')
     """
     step = None if dt is None else _checks.sampling_step(dt)
+    unit = checked_unit(time_unit)
     table = read_table(path, header, delimiter, decimal)
     clock = _time_column(table, time, step)
     inputs, outputs = _signal_columns(table, clock, input, output)
@@ -111,13 +118,15 @@ def read_csv(
     else:
         assert step is not None
         grid = step * np.arange(len(table.rows), dtype=float)
+    if unit is None and clock is not None and table.labels:
+        unit = unit_of_time(table.labels[clock])
     u, y = values[: len(inputs)], values[len(inputs) :]
     for column, signal in zip(inputs, u, strict=True):
         _refuse_missing(table, signal, column, "the input")
     for column, signal in zip(outputs, y, strict=True):
         if np.isnan(signal).all():
             raise FileFormatError(f"{table.path}: {table.name(column)} has no values at all; choose another output")
-    return TimeResponseData(
+    found = TimeResponseData(
         grid,
         y,
         inputs=u if inputs else None,
@@ -126,6 +135,7 @@ def read_csv(
         output_labels=_signal_labels(table, outputs, "y"),
         title=Path(table.path).name,
     )
+    return with_unit(found, unit)
 
 
 def _time_column(table: Table, time: Any, step: float | None) -> int | None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from . import _checks
+from ._units import common_unit, with_unit
 from .exceptions import StructureError
 
 Array = NDArray[np.float64]
@@ -161,7 +162,8 @@ def spectral_estimate(
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
     names = {key: value for key, value in inherited.items() if value} | names
     response = Puy / Puu / _hold_response(omega * step, intersample)
-    return SpectralEstimate(response, omega, np.minimum(coherence, 1.0), count, step, **names)
+    found = SpectralEstimate(response, omega, np.minimum(coherence, 1.0), count, step, **names)
+    return with_unit(found, common_unit(data))
 
 
 def _record(data: Any) -> tuple[Array, Array, float]:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike, NDArray
 
+from ._units import unit_for
 from .drawing import BAND, DOTS, DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
 from .transients import Trace, TransientData, transient_data
 
@@ -24,7 +25,7 @@ _ENVELOPE: dict[str, Any] = {"linewidth": 0.6, "zorder": 1.2, "hatch": "////"}
 
 def step_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
-    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str = "s",
+    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
     output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
     ax: Any = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
@@ -46,8 +47,8 @@ def step_plot(
         the systems.  Such a result draws 300 models, always the same.
     level : float
         Share of these models inside the band, between 0 and 1.
-    time_unit, output_unit : str
-        Units, for the labels.
+    time_unit, output_unit : str, optional
+        Units, for the labels; by default of time that of the measurement or the fit, none where it is not known.
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
     data_label : str, optional
@@ -85,7 +86,7 @@ def step_plot(
     >>> import matplotlib.pyplot as plt
     >>> plot = phc.step_plot(phc.frenkel_kontorova(name="chain"), output_unit="m/s")
     >>> plot.axes[0, 0].get_ylabel(), plot.axes[0, 0].get_xlabel(), plot.figure.get_suptitle()
-    ('v [m/s]', 'Time [s]', 'Step response of chain')
+    ('v [m/s]', 'Time', 'Step response of chain')
     >>> plt.close(plot.figure)
     """
     look = Look.of(style)
@@ -93,12 +94,12 @@ def step_plot(
         sysdata, "step", timepts, timepts_num,
         confidence=confidence, level=level, data=data, label=label, data_label=data_label,
     )  # fmt: skip
-    return _draw(numbers, look, time_unit, output_unit, ax)
+    return _draw(numbers, look, unit_for(time_unit, sysdata, data), output_unit, ax)
 
 
 def impulse_plot(
     sysdata: Any, timepts: ArrayLike | None = None, *, timepts_num: int | None = None,
-    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str = "s",
+    data: ct.TimeResponseData | None = None, confidence: Any = None, level: float = 0.95, time_unit: str | None = None,
     output_unit: str | None = None, label: str | Sequence[str] | None = None, data_label: str | None = None,
     ax: Any = None, **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:  # fmt: skip
@@ -137,11 +138,11 @@ def impulse_plot(
         sysdata, "impulse", timepts, timepts_num,
         confidence=confidence, level=level, data=data, label=label, data_label=data_label,
     )  # fmt: skip
-    return _draw(numbers, look, time_unit, output_unit, ax)
+    return _draw(numbers, look, unit_for(time_unit, sysdata, data), output_unit, ax)
 
 
 def _draw(
-    numbers: TransientData, look: Look, time_unit: str, output_unit: str | None, ax: Any
+    numbers: TransientData, look: Look, time_unit: str | None, output_unit: str | None, ax: Any
 ) -> ct.ControlPlot:  # fmt: skip
     rows, columns = len(numbers.output_labels), len(numbers.input_labels)
     with look.context():

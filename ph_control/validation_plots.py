@@ -24,8 +24,8 @@ from .drawing import (
     ZERO,
     FrameStyle,
     Look,
-    check_hertz,
     extremes,
+    frequency_axis,
     gain_label,
     labelled,
     new_axes,
@@ -60,7 +60,7 @@ def comparison_plot(
     *,
     labels: Sequence[str],
     fit_percent: Array,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     output_label: str = "Output",
     output_unit: str | None = None,
     detail: Any = "auto",
@@ -150,7 +150,7 @@ def response_comparison_plot(
     *,
     labels: Sequence[str],
     fit_percent: Array,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     Hz: bool = False,
     gain_unit: str | None = None,
     heading: str,
@@ -162,7 +162,7 @@ def response_comparison_plot(
     `predicted` has shape (k, K); the other arguments are those of `bode_plot`.
     """
     look = Look.of(style, FrameStyle)
-    unit, unit_name = check_hertz(Hz, time_unit)
+    unit, unit_name = frequency_axis(Hz, time_unit)
     frequency = omega / unit
     names = [plain(f"{name} ({percent(fit)})") for name, fit in zip(labels, fit_percent, strict=True)]
     turn = _phase_cut(measured)
@@ -310,7 +310,7 @@ def residual_response_plot(
     *,
     confidence: float,
     panel_titles: tuple[str, str],
-    time_unit: str = "s",
+    time_unit: str | None = None,
     Hz: bool = False,
     gain_unit: str | None = None,
     heading: str,
@@ -319,7 +319,7 @@ def residual_response_plot(
 ) -> ct.ControlPlot:
     """Size of the residual beside that of the response, over frequency, above its autocorrelation."""
     look = Look.of(style, FrameStyle)
-    unit, unit_name = check_hertz(Hz, time_unit)
+    unit, unit_name = frequency_axis(Hz, time_unit)
     frequency = omega / unit
     with look.context():
         figure, axes = stacked(ax, [1.0, 1.0], share="none")
@@ -389,14 +389,14 @@ def stabilisation_plot(
     *,
     chosen: int,
     criterion: str,
-    time_unit: str = "s",
+    time_unit: str | None = None,
     Hz: bool = False,
     ax: Any = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
     """Stabilisation diagram: natural frequencies of each order, and what each criterion has above its least value."""
     look = Look.of(style, FrameStyle)
-    unit, unit_name = check_hertz(Hz, time_unit)
+    unit, unit_name = frequency_axis(Hz, time_unit)
     frequencies = [row / unit for row in frequencies]
     with look.context():
         figure, axes = new_axes(ax, (1, 2), (7.8, 4.4), sharey=True, width_ratios=[1.7, 1.0])

@@ -194,7 +194,7 @@ def test_a_comparison_is_drawn(here):
         (["plot", "bode", "plant.json", "--band", "0.9", "--out", "{}"], "--band is drawn around results of fits"),
         (["plot", "bode", "plant.json", "--size", "9", "--out", "{}"], "'9' is not width,height"),
         (["plot", "bode", "plant.json", "--dpi", "1e9", "--out", "{}"], "'1e9' is not between 10 and 2400"),
-        (["plot", "bode", "plant.json", "--hz", "--time-unit", "ms", "--out", "{}"], "leave --hz out"),
+        (["plot", "bode", "plant.json", "--hz", "--time-unit", "days", "--out", "{}"], "leave --hz out"),
         (["plot", "bode", "plant.json", "--label", "a", "--label", "b", "--out", "{}"], "2 labels for 1 models"),
         (["plot", "bode", "plant.json", "--recording", "absent.csv", "--out", "{}"], "there is no file absent.csv"),
         (["plot", "fit", "plant.json", "--out", "{}"], "fit draws one result of a fit"),

@@ -292,12 +292,15 @@ def test_the_line_of_a_fit_says_its_order_its_fit_and_the_verdict():
 
 def test_the_notebook_shows_the_modes_of_a_fit_with_their_errors():
     rows = [[cell.text for cell in row] for row in parsed(fitted()._repr_html_()).iter("tr")]
-    assert rows[0] == ["mode", "d [rad/time]", "±", "cycles/time", "r", "±", "note"]
+    names = ["mode", "d [rad/time]", "±", "f [1/time]", "residue kappa", "±", "weight r", "±", "note"]
+    assert rows[0] == names
     for l, row in enumerate(rows[1:]):
         d, r = fitted().d[l], fitted().r[l]
-        assert np.allclose([float(row[k]) for k in (1, 3, 4)], [d, d / (2 * np.pi), r], rtol=1e-6)
         errors = [fitted().stderr[name][l] for name in ("d", "r")]
-        assert np.allclose([float(row[k]) for k in (2, 5)], errors, rtol=0.05)
+        assert np.allclose([float(row[k]) for k in (2, 7)], errors, rtol=0.05)
+        for k, value, error in ((1, d, errors[0]), (3, d / (2 * np.pi), errors[0]), (6, r, errors[1])):
+            assert abs(float(row[k]) - value) <= 0.05 * error + 1e-7 * value
+        assert abs(float(row[4]) - r * d) <= 0.05 * (d * errors[1] + r * errors[0]) + 1e-7 * r * d
     read = text_of(fitted()._repr_html_())
     assert fitted().message in read and "force <F> & $more$" in read and html.unescape(read) == read
 

@@ -59,7 +59,7 @@ def test_a_hundred_modes_are_told_apart_without_a_median():
 def test_a_part_of_two_thousand_modes_is_drawn_as_finely_as_a_small_system():
     sys = evenly_spaced()
     numbers = bode_data(
-        sys, [500.1, 510.1], None, segments=8, intersample="zoh", omega_limits=None, omega_num=None, Hz=False,
+        sys, [500.1, 510.1], None, segments=8, intersample="zoh", omega_limits=None, omega_num=None, unit=1.0,
         confidence=None, level=0.95, label=None, data_label=None,
     )  # fmt: skip
     (curve,) = numbers.curves

@@ -12,8 +12,8 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
 # low to high; a package counts as one place
 ORDER = (
-    "exceptions", "_checks", "_frozen", "_definite", "_display", "_twofloat", "_lapack", "_graphs", "_instants",
-    "coefficients", "reduction", "symplectic", "semidefinite", "casimirs", "zeros", "reactance", "modal",
+    "exceptions", "_checks", "_units", "_frozen", "_definite", "_display", "_twofloat", "_lapack", "_graphs",
+    "_instants", "coefficients", "reduction", "symplectic", "semidefinite", "casimirs", "zeros", "reactance", "modal",
     "conditioning", "reachability", "propagation", "partial_fractions", "discrete", "lossless", "lossless_system",
     "_forms", "systems", "canonical_forms", "affine_system", "realization", "lifting", "pairs", "morphisms", "filters",
     "isomorphism", "equivalence", "groupoids", "motion", "sampling", "response", "margins", "models", "spectra",

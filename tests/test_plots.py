@@ -240,7 +240,7 @@ def test_the_axes_name_their_quantities_and_units():
     assert plot.axes.shape == plot.lines.shape == (2, 1)
     labels = [axis.get_ylabel() for axis in plot.axes[:, 0]]
     assert labels == ["Magnitude [dB]", "Phase [deg]"]
-    assert plot.axes[1, 0].get_xlabel() == "Frequency [rad/s]"
+    assert plot.axes[1, 0].get_xlabel() == "Frequency [rad/time]"
     assert bode_plot(frenkel_kontorova(), gain_unit="m/s/N").axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
 
 
@@ -271,14 +271,16 @@ def test_frequencies_are_labelled_per_unit_of_time():
     in_hertz = bode_plot(sys, data=record(sys, 2048, step=0.2), Hz=True)
     assert legend_texts(in_hertz.axes[0, 0])[-1] == "Nyquist frequency (2.5 Hz)"
     assert "Frequency [rad/\\$]" == bode_plot(sys, time_unit="$").axes[1, 0].get_xlabel()
-    with pytest.raises(StructureError, match="Hz needs times in s, time_unit is 'ms'; use Hz=False"):
-        bode_plot(sys, Hz=True, time_unit="ms")
+    in_ms = bode_plot(sys, data=record(sys, 2048, step=0.2), Hz=True, time_unit="ms")
+    assert legend_texts(in_ms.axes[0, 0])[-1] == "Nyquist frequency (2500 Hz)"
+    with pytest.raises(StructureError, match=r"Hz needs a known unit of time.*time_unit is 'days'.*use Hz=False"):
+        bode_plot(sys, Hz=True, time_unit="days")
 
 
 def test_several_Nyquist_frequencies_share_a_legend_entry():
     sampled = [ct.tf([1.0], [1.0, -0.5], step) for step in (0.1, 0.5)]
     plot = bode_plot(sampled, [0.1, 100.0])
-    assert legend_texts(plot.axes[0, 0])[2:] == ["Nyquist frequency (6.283, 31.42 rad/s)"]
+    assert legend_texts(plot.axes[0, 0])[2:] == ["Nyquist frequency (6.283, 31.42 rad/time)"]
 
 
 def test_a_single_lossless_system_without_a_name_is_called_the_model():
@@ -420,8 +422,9 @@ def test_margins_are_drawn_and_told(dB, deg):
     _, ours, _, crossing = phc.margin(chain)
     told = [text.get_text() for text in plot.axes[0, 0].texts]
     assert told == [
-        f"chain: gain margin inf, phase margin {ours:.4g}° at {crossing:.4g} rad/s\n"
-        f"lag: gain margin {20 * np.log10(gm):.4g} dB at {wcg:.4g} rad/s, phase margin {pm:.4g}° at {wcp:.4g} rad/s"
+        f"chain: gain margin inf, phase margin {ours:.4g}° at {crossing:.4g} rad/time\n"
+        f"lag: gain margin {20 * np.log10(gm):.4g} dB at {wcg:.4g} rad/time, "
+        f"phase margin {pm:.4g}° at {wcp:.4g} rad/time"
     ]
     vertical = [
         [line.get_xydata() for line in axis.lines if len(line.get_xdata()) == 2 and np.ptp(line.get_xdata()) == 0]
@@ -458,7 +461,7 @@ def test_magnitude_or_phase_alone_can_be_drawn(row):
     kept = 0 if row == "magnitude" else 1
     assert np.array_equal(one.lines[0, 0][0].get_ydata(), both.lines[kept, 0][0].get_ydata())
     assert one.axes[0, 0].get_ylabel() == both.axes[kept, 0].get_ylabel()
-    assert one.axes[0, 0].get_xlabel() == "Frequency [rad/s]"
+    assert one.axes[0, 0].get_xlabel() == "Frequency [rad/time]"
 
 
 def test_the_number_of_frequencies_can_be_chosen():
@@ -598,7 +601,7 @@ def test_a_mixed_list_has_a_line_and_a_legend_entry_for_each():
     sampled = ct.sample_system(ct.tf([1], [1, 1], name="lag"), 0.5, name="sampled")
     plot = bode_plot([chain, ct.ss(chain, name="plain"), ct.tf([1], [1, 1], name="lag"), tabulated, sampled])
     names = ["chain", "plain", "lag", "tabulated", "sampled"]
-    assert legend_texts(plot.axes[0, 0]) == [*names, "Nyquist frequency (6.283 rad/s)"]
+    assert legend_texts(plot.axes[0, 0]) == [*names, "Nyquist frequency (6.283 rad/time)"]
     assert plot.legend is plot.axes[0, 0].get_legend()
     assert [len(lines) for lines in plot.lines[:, 0]] == [5, 5]
     assert plot.lines[0, 0][3].get_xdata().tolist() == w.tolist()
@@ -660,7 +663,7 @@ def test_several_ports_are_a_table_of_magnitudes_above_phases():
     ]  # fmt: skip
     w, level = plot.lines[2, 0][0].get_data()
     np.testing.assert_allclose(level[0], 20 * np.log10(abs(sys(1j * w[0])[1, 0])), rtol=1e-12)
-    assert [axis.get_xlabel() for axis in plot.axes[-1]] == ["Frequency [rad/s]"] * 2
+    assert [axis.get_xlabel() for axis in plot.axes[-1]] == ["Frequency [rad/time]"] * 2
 
 
 def test_with_several_ports_the_antiresonances_of_every_entry_are_resolved():
@@ -709,7 +712,7 @@ def test_a_record_is_drawn_as_dots_with_the_Nyquist_limit():
     plot = bode_plot(sys, data=record(sys, step=0.2, noise=0.1))
     texts = legend_texts(plot.axes[0, 0])
     assert texts[:2] == ["circuit", "data (spectral estimate, 8 segments)"]
-    assert texts[-1] == "Nyquist frequency (15.71 rad/s)"
+    assert texts[-1] == "Nyquist frequency (15.71 rad/time)"
     for row in (0, 1):
         dots = plot.lines[row, 0][1]
         assert (dots.get_linestyle(), dots.get_marker()) == ("None", ".")
@@ -996,7 +999,7 @@ def test_an_unknown_unit_is_left_out_of_every_label(unit):
     plot = fit_plot(t, y, p, output_label="current", **unit)
     assert [axis.get_ylabel() for axis in plot.axes[:, 0]] == ["current", "Residual", "current"]
     assert plot.axes[1, 0].texts[0].get_text() == f"RMS {np.sqrt(np.mean((y - p) ** 2)):.3g}"
-    assert plot.axes[1, 0].get_xlabel() == "Time [s]"
+    assert plot.axes[1, 0].get_xlabel() == "Time"
     assert fit_plot(t, y, p).axes[0, 0].get_ylabel() == "Output"
 
 

@@ -622,7 +622,7 @@ def test_the_picture_of_a_comparison_shows_outputs_errors_and_fits():
     np.testing.assert_array_equal(errors[name], y - found.predicted[1])
     assert legend_texts(plot.axes[0, 0])[2] == name
     assert [axis.get_ylabel() for axis in plot.axes[:, 0]] == ["speed [m/s]", "Error [m/s]"]
-    assert plot.axes[1, 0].get_xlabel() == "Time [s]"
+    assert plot.axes[1, 0].get_xlabel() == "Time"
 
 
 def test_part_of_a_long_comparison_is_enlarged():

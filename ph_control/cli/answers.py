@@ -34,14 +34,18 @@ def modes_of(form: Any) -> dict[str, Any]:
 
 def fit_of(result: Any) -> dict[str, Any]:
     """Fields of the result of a fit."""
+    from ..identification.report import residue_errors
+
     return {
         "verdict": result.verdict,
         "described": is_described(result),
         "message": result.message,
         "order": result.order,
         "fit_percent": result.fit_percent,
+        "time_unit": result.time_unit,
+        "hertz": None if result.time_unit is None else result.hertz,
         **modes_of(result.modes),
-        "stderr": dict(result.stderr),
+        "stderr": {**result.stderr, "kappa": residue_errors(result)},
         "noise_std": math.sqrt(result.noise_variance),
         "loss": result.loss,
         "loglik": result.loglik,

@@ -109,7 +109,7 @@ def _lines(found: Any) -> list[str]:
         ]
     if hasattr(found, "is_canonical"):
         lines.append(f"  canonical (controllable and observable): {'yes' if found.is_canonical else 'no'}")
-    lines.append("   mode   d [rad/time]         cycles/time       r                 kappa")
+    lines.append("   mode   d [rad/time]         f [1/time]        weight r          residue kappa")
     for l in range(len(form.d)):
         lines.append(
             f"  {l + 1:5d}   {form.d[l]:<18.10g}   {form.d[l] / 2 / pi:<15.8g}   "

@@ -87,6 +87,7 @@ def _recording(source: Source, options: Namespace) -> Any:
         output=options.output,
         time=False if options.no_time else options.time,
         dt=options.dt,
+        time_unit=options.time_unit,
         **_layout(options),
     )
 

@@ -199,6 +199,11 @@ def add_recording(parser: Parser) -> None:
     table.add_argument("--time", type=column, metavar="COLUMN", help="column of the time")
     table.add_argument("--no-time", action="store_true", help="no column is the time; needs --dt")
     table.add_argument("--dt", type=positive, metavar="STEP", help="time between samples, without a time column")
+    table.add_argument(
+        "--time-unit",
+        metavar="UNIT",
+        help="unit of time: ns, us, ms, s, min or h (default: that in the name of its column)",
+    )
     table.add_argument("--delimiter", metavar="CHARACTER", help="what separates the columns (default: found out)")
     table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: found out)")
     table.add_argument(

@@ -6,6 +6,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from typing import Any
 
+from .._units import unit_for, with_unit
 from ..exceptions import StructureError
 from .answers import emit_json
 from .measurements import measurements
@@ -79,7 +80,6 @@ def add_options(parser: Parser) -> None:
         "--band", type=share, metavar="LEVEL", help="shade where this share of the models around a fit is, such as 0.95"
     )
     parser.add_argument("--unit", help="unit of the response, or of the energy")
-    parser.add_argument("--time-unit", default="s", help="unit of time (default s)")
     parser.add_argument("--experiment", type=whole, metavar="N", help="which of several experiments (fit; default 1)")
     parser.add_argument("--size", type=size, metavar="WIDTH,HEIGHT", help="in inches")
     parser.add_argument("--dpi", type=resolution, default=150.0, help="dots per inch of a png (default 150)")
@@ -99,6 +99,7 @@ def run(options: Namespace) -> int:
     picture_format(options.out, options.format)
     _refuse_meaningless(options)
     models = read_models(options.models, options)
+    options.time_unit = unit_for(options.time_unit, [model.content for model in models])
     labels = options.label or [model.label for model in models]
     if len(labels) != len(models):
         raise StructureError(f"{len(labels)} labels for {len(models)} models; give one --label for each")
@@ -206,9 +207,10 @@ def _driven(system: Any, options: Namespace) -> Any:
     count = len(record.time) if options.until is None else int(np.sum(record.time - record.time[0] <= options.until))
     if count < 2:
         raise StructureError(f"--until {options.until:g} leaves {count} sample of the recording; name a later end")
-    return forced_response(
+    found = forced_response(
         system, record.time[:count], record.inputs[..., :count], return_states=True, intersample="zoh"
     )
+    return with_unit(found, record.time_unit)
 
 
 def _fit(models: list[Model], labels: list[str], options: Namespace) -> Any:

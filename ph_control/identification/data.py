@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._frozen import Frozen
 from .._instants import printed_step
+from .._units import checked_unit, with_unit
 from ..exceptions import IdentificationError, StructureError
 
 Array = NDArray[np.float64]
@@ -45,6 +46,8 @@ class Record(Frozen):
         Whether there is an input; an autonomous record has `u` = 0.
     title : str
         What the record is called, such as the name of its file or trace; may be empty.
+    time_unit : str or None
+        Unit of the time, such as 'ms'; None where it is not known.
     """
 
     time: Array
@@ -55,6 +58,7 @@ class Record(Frozen):
     output_label: str = "y"
     driven: bool = True
     title: str = field(default="", kw_only=True)
+    time_unit: str | None = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
         source = f" from {self.input_label!r}" * self.driven
@@ -73,11 +77,12 @@ class Record(Frozen):
 
     def as_response(self) -> TimeResponseData:
         """Return the record as python-control keeps one."""
-        return TimeResponseData(
+        found = TimeResponseData(
             self.time, self.y, inputs=self.u if self.driven else None, issiso=True,
             input_labels=[self.input_label] if self.driven else None, output_labels=[self.output_label],
             title=self.title or "Recording",
         )  # fmt: skip
+        return with_unit(found, self.time_unit)
 
 
 def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
@@ -129,6 +134,7 @@ def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record,
         )
     refuse_short(len(data.time))
     time, step = uniform_time("the time of the record", data.time, dt)
+    unit = checked_unit(getattr(data, "time_unit", None))
     runs = max(1, data.ntraces)
     u = None if data.ninputs == 0 else np.reshape(data.u, (runs, len(time)))
     y = np.reshape(data.y, (runs, len(time)))
@@ -142,7 +148,7 @@ def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record,
     def record(k: int) -> Record:
         given = None if u is None else signal("the input", u[k])
         measured = signal("the output", y[k], missing=True)
-        return checked_record(time, step, given, measured, title=titles[k], **labels)
+        return checked_record(time, step, given, measured, title=titles[k], time_unit=unit, **labels)
 
     if runs == 1:
         return (record(0),)
@@ -189,8 +195,9 @@ def instants(samples: int, dt: float, start: float = 0.0) -> Array:
 
 
 def checked_record(
-    time: Array, dt: float, u: Array | None, y: Array | None, *, title: str = "", **labels: str
-) -> Record:
+    time: Array, dt: float, u: Array | None, y: Array | None, *, title: str = "", time_unit: str | None = None,
+    **labels: str,
+) -> Record:  # fmt: skip
     """Put checked signals together and lock them; without `u` the record is autonomous."""
     lengths = [(name, len(x)) for name, x in (("input", u), ("output", y), ("time", time)) if x is not None]
     for (one, here), (other, there) in pairwise(lengths):
@@ -204,7 +211,7 @@ def checked_record(
         refuse_out_of_range(f"the {name}", values)
     for array in (time, u, y):
         _checks.readonly(array)
-    return Record(time, dt, u, y, driven=driven, title=title, **labels)
+    return Record(time, dt, u, y, driven=driven, title=title, time_unit=time_unit, **labels)
 
 
 def refuse_short(samples: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from .. import _checks
-from .._tables import is_time_label
+from .._tables import is_time_label, unit_of_time
 from ..exceptions import StructureError
 from .data import Record, checked_record, instants, refuse_short, signal, uniform_time
 
@@ -44,7 +44,8 @@ def record_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -
     refuse_short(len(recorded))
     time, step = uniform_time(name, recorded, dt)
     # the grid that instants in print stand for, as in a recording that was read from a file
-    return checked_record(instants(len(time), step, float(time[0])), step, u, y, **names)
+    unit = unit_of_time(labels[clock])
+    return checked_record(instants(len(time), step, float(time[0])), step, u, y, time_unit=unit, **names)
 
 
 def _time_column(labels: list[str], dt: Any) -> int | None:

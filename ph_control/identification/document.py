@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._documents import Fields
+from .._units import SECONDS
 from ..exceptions import StructureError
 from ..files import Codec, system_from_dict, system_to_dict
 from ..propagation import INTERSAMPLE, METHODS
@@ -71,6 +72,8 @@ def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
         data["driven"] = record.driven
     else:
         data = {"omega": record.omega, "response": record.response, "weights": record.weights, "title": record.title}
+    if record.time_unit is not None:
+        data["time_unit"] = record.time_unit
     return {
         "record": data | {"input_label": record.input_label, "output_label": record.output_label},
         "initial_state": one.initial_state,
@@ -138,6 +141,7 @@ def _record(fields: Fields) -> Record:
         fields.text("input_label"),
         fields.text("output_label"),
         fields.flag("driven"),
+        time_unit=_unit(fields),
     )
 
 
@@ -150,7 +154,13 @@ def _response(fields: Fields) -> FrequencyRecord:
         fields.text("input_label"),
         fields.text("output_label"),
         fields.text("title"),
+        _unit(fields),
     )
+
+
+def _unit(fields: Fields) -> str | None:
+    """Unit of time of a record; older files tell none."""
+    return _one_of(fields, "time_unit", tuple(SECONDS)) if "time_unit" in fields else None
 
 
 def _information(fields: Fields) -> Information:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
+from .._units import common_unit
 from ..exceptions import IdentificationError, StructureError
 from .data import Record, record_of_pair, records_of_response, refuse_contradiction
 from .data_frames import is_data_frame, record_of_frame
@@ -80,6 +81,7 @@ def as_experiments(
     for k, (one, step, share) in enumerate(zip(data, steps, shares, strict=True), start=1):
         with _in_experiment(k):
             found.extend(_experiment(one, step, share, output_needed))
+            common_unit(found)
     return tuple(found)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._units import common_unit
 from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from ..propagation import INTERSAMPLE, METHODS
@@ -112,6 +113,7 @@ class Formulation:
 
     def guess(self, initial_guess: Any) -> Array:
         """Frequencies to start from."""
+        common_unit(self.records, initial_guess)
         if initial_guess is None:
             return np.zeros(0)
         if isinstance(initial_guess, tuple | list) and len(initial_guess) == 2:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._frozen import Frozen
+from .._units import checked_unit, with_unit
 from ..exceptions import IdentificationError, StructureError
 from .data import refuse_out_of_range
 
@@ -35,6 +36,8 @@ class FrequencyRecord(Frozen):
         Names of input and output.
     title : str
         What the response is called; may be empty.
+    time_unit : str or None
+        Unit of time that `omega` is in radians per; None where it is not known.
     """
 
     omega: Array
@@ -43,6 +46,7 @@ class FrequencyRecord(Frozen):
     input_label: str = "u"
     output_label: str = "y"
     title: str = ""
+    time_unit: str | None = None
 
     def __post_init__(self) -> None:
         weights = np.ones(len(self.omega)) if self.weights is None else self.weights
@@ -66,10 +70,11 @@ class FrequencyRecord(Frozen):
 
     def as_response(self) -> FrequencyResponseData:
         """Return the record as python-control keeps one, which has no weights; its names have no dots."""
-        return FrequencyResponseData(
+        found = FrequencyResponseData(
             self.response, self.omega, inputs=[self.input_label.replace(".", "_")],
             outputs=[self.output_label.replace(".", "_")], title=self.title or None,
         )  # fmt: skip
+        return with_unit(found, self.time_unit)
 
 
 def record_of_frequency_response(data: FrequencyResponseData, weights: Any = None) -> FrequencyRecord:
@@ -101,6 +106,7 @@ def record_of_frequency_response(data: FrequencyResponseData, weights: Any = Non
         data.input_labels[0],
         data.output_labels[0],
         data.title or ("" if data._generic_name_check() else data.name),
+        checked_unit(getattr(data, "time_unit", None)),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._units import common_unit
 from ..exceptions import StructureError
 from ..propagation import INTERSAMPLE, METHODS
 from .data import Record
@@ -48,6 +49,7 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
         steps = fitted + [step for step in sampled if step and not isinstance(step, bool)]
         dt = steps[0] if steps else None
     records: tuple[Kind, ...] = as_experiments(data, dt, weights=weights)
+    common_unit(records, models)
     several = len(records) > 1
     for k, record in enumerate(records, start=1):
         if not record.observed.any():

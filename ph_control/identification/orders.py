@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
+from .._units import common_unit, unit_for
 from ..exceptions import StructureError
 from ..validation_plots import stabilisation_plot
 from .formulation import Callback, Formulation, reporter
@@ -51,6 +52,8 @@ class OrderSelection(Report, Frozen):
         Observed output samples; of responses real and imaginary parts.
     held_out : int
         How many of them were held out.
+    time_unit : str or None
+        Unit of time of the data; None where it is not known.
     """
 
     orders: NDArray[np.intp]
@@ -63,6 +66,7 @@ class OrderSelection(Report, Frozen):
     stable: tuple[NDArray[np.bool_], ...]
     samples: int
     held_out: int
+    time_unit: str | None = None
 
     def chosen(self, criterion: str = "bic") -> int:
         """Order that a criterion chooses.
@@ -135,6 +139,7 @@ class OrderSelection(Report, Frozen):
             # on the scale of the others: twice the difference of Gaussian log-likelihoods
             least = max(float(self.holdout.min()), np.finfo(float).tiny)
             above["hold-out"] = self.held_out * np.log(np.maximum(self.holdout, least) / least)
+        kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
         return stabilisation_plot(
             self.orders, self.frequencies, self.stable, above,
             chosen=self.chosen(criterion), criterion=_WRITTEN[criterion], **kwargs,
@@ -253,6 +258,7 @@ def order_selection(
         stable=tuple(stable[k] for k in kept),
         samples=problem.samples,
         held_out=ahead,
+        time_unit=common_unit(posed.records),
     )
 
 

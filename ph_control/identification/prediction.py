@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
+from .._units import with_unit
 from ..exceptions import StructureError
 from ..modal import ModalForm
 from ..response import forced_response
@@ -136,7 +137,7 @@ def response_on(
     else:
         output = np.reshape(found.outputs, -1) + offset
     found.y = np.reshape(output, found.y.shape)
-    return found
+    return with_unit(found, record.time_unit)
 
 
 def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:

@@ -5,16 +5,39 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .. import _checks
 from .._display import Report, html_heading, html_report, html_table
+from .._units import common_unit, hertz_size, rate
 from ..fit_data import percent
 from .data import Record
 
+Array = NDArray[np.float64]
+
 _SHOWN = 6  # experiments listed one by one
+_DIGITS = 8  # of a number in a table, at most
 
 
 class FitReport(Report):
     """What the result of a fit shows of itself."""
+
+    @property
+    def time_unit(self) -> str | None:
+        """Unit of time of the data, as 'ms', and so of `d` in radians per unit; None where it is not known."""
+        result: Any = self
+        return common_unit([one.record for one in result.experiments])
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """Natural frequencies, ascending, rad per unit time: `d`."""
+        result: Any = self
+        return np.asarray(result.d)
+
+    @property
+    def hertz(self) -> Array:
+        """Natural frequencies in Hz; where `time_unit` is not known, as if it were the second."""
+        return _checks.readonly(self.natural_frequencies / hertz_size(self.time_unit))
 
     def __str__(self) -> str:
         return summary_of(self)
@@ -28,16 +51,8 @@ class FitReport(Report):
         result: Any = self
         above, _, _ = summary_of(self).partition("\n\n")
         title, _, lines = above.partition("\n")
-        d, r = result.d, result.r
-        errors = [[_error(value).strip() for value in result.stderr[name]] for name in ("d", "r")]
-        rows = [
-            [
-                str(l + 1), f"{d[l]:.10g}", errors[0][l], f"{d[l] / 2 / np.pi:.8g}", f"{r[l]:.7g}", errors[1][l],
-                _note(result, l),
-            ]
-            for l in range(result.order)
-        ]  # fmt: skip
-        head = ["mode", "d [rad/time]", "±", "cycles/time", "r", "±", "note"]
+        head, *rows = mode_table(result)
+        head = [text.replace("+-", "±") for text in head]
         return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(result.message)
 
 
@@ -55,14 +70,53 @@ def summary_of(result: Any) -> str:
         f"  noise           standard deviation {np.sqrt(result.noise_variance):.4g}",
         f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})",
         "",
-        "   mode        d [rad/time]     +-          cycles/time    r               +-          note",
+        *_aligned(mode_table(result)),
     ]
-    for l in range(result.order):
-        lines.append(
-            f"  {l + 1:5d}  {result.d[l]:18.10g}  {_error(result.stderr['d'][l])}  {result.d[l] / 2 / np.pi:15.8g}"
-            f"  {result.r[l]:14.7g}  {_error(result.stderr['r'][l])}  {_note(result, l)}".rstrip()
-        )
     return "\n".join([*lines, "", *_wrap(result.message)])
+
+
+def mode_table(result: Any) -> list[list[str]]:
+    """Frequencies, residues and weights with their standard errors, to the digits that these leave; a head first."""
+    unit, d, r, stderr = result.time_unit, result.d, result.r, result.stderr
+    head = ["mode", f"d [{rate(unit)}]", "+-", f"f [{'1/time' if unit is None else 'Hz'}]"]
+    columns = [(d, stderr["d"]), (result.hertz, stderr["d"] / hertz_size(unit))]
+    columns += [(r * d, residue_errors(result)), (r, stderr["r"])]
+    cells = [
+        [(to_its_error(*pair), to_its_error(pair[1], pair[1])) for pair in zip(*each, strict=True)] for each in columns
+    ]
+    rows = [
+        [str(l + 1), *cells[0][l], cells[1][l][0], *cells[2][l], *cells[3][l], _note(result, l)]
+        for l in range(result.order)
+    ]
+    return [[*head, "residue kappa", "+-", "weight r", "+-", "note"], *rows]
+
+
+def residue_errors(result: Any) -> Array:
+    """Standard errors of the residues `kappa = r d`; NaN where the weight is held."""
+    n, d, r = result.order, result.d, result.r
+    C = result.covariance
+    l = np.arange(n)
+    return np.sqrt(np.maximum(r**2 * C[l, l] + d**2 * C[n + l, n + l] + 2 * r * d * C[l, n + l], 0.0))
+
+
+def to_its_error(value: float, error: float) -> str:
+    """Text of a number down to the second digit of its standard error, of few digits where that is not known."""
+    if np.isnan(value) or not value:
+        return "-" if np.isnan(value) else "0"
+    power = int(np.floor(np.log10(abs(value))))
+    fine = int(np.floor(np.log10(error))) if 0 < error < np.inf else power - _DIGITS // 2
+    digits = min(max(power - fine + 2, 1), _DIGITS)
+    return f"{value:.{max(digits - 1 - power, 0)}f}" if -5 < power < _DIGITS - 1 else f"{value:.{digits - 1}e}"
+
+
+def _aligned(table: list[list[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return [
+        "  "
+        + "  ".join(text.rjust(width) for text, width in zip(row[:-1], widths, strict=False))
+        + f"  {row[-1]}".rstrip()
+        for row in table
+    ]
 
 
 def _modes(order: int) -> str:
@@ -70,7 +124,7 @@ def _modes(order: int) -> str:
 
 
 def _note(result: Any, l: int) -> str:
-    return "not in the record" if l in result.unseen else "constraint active" if l in result.active else ""
+    return "not seen" if l in result.unseen else "held at 0" if l in result.active else ""
 
 
 def _data_lines(result: Any, missing: int) -> list[str]:
@@ -82,12 +136,12 @@ def _data_lines(result: Any, missing: int) -> list[str]:
         points = sum(record.samples for record in records)
         return [f"  response        {points} frequencies{tail}", *sensor]
     if len(records) == 1:
-        lines = [f"  record          {records[0].samples} samples, step {records[0].dt:g}{tail}"]
+        lines = [f"  record          {records[0].samples} samples, step {_in_unit(records[0])}{tail}"]
     else:
         samples = sum(record.samples for record in records)
         lines = [f"  experiments     {len(records)}, {samples} samples{tail}"]
         for k, one in enumerate(result.experiments[:_SHOWN], start=1):
-            step = f"{one.record.samples} samples, step {one.record.dt:g}, fit {one.fit_percent:.2f} %"
+            step = f"{one.record.samples} samples, step {_in_unit(one.record)}, fit {one.fit_percent:.2f} %"
             lines.append(f"    {k:4d}          {step}")
     method = result.method + (
         f", {result.intersample} input" if result.method != "euler" else " (not lossless: its energy grows)"
@@ -102,8 +156,8 @@ def _data_lines(result: Any, missing: int) -> list[str]:
     return lines
 
 
-def _error(value: float) -> str:
-    return f"{'-':>8}" if np.isnan(value) else f"{value:8.2g}"
+def _in_unit(record: Record) -> str:
+    return f"{record.dt:g}" + (f" {record.time_unit}" if record.time_unit else "")
 
 
 def _wrap(text: str, width: int = 98) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
+from .._units import unit_for
 from ..exceptions import StructureError
 from ..fit_data import percent
 from ..validation_plots import correlation_plot, residual_response_plot, whiteness_plot
@@ -240,6 +241,7 @@ class ResidualAnalysis(Report, Frozen):
                 f"Residual over frequency{which_of(experiment, len(self.experiments))}",
                 f"Autocorrelation from point to point (Ljung-Box {p_value(self.whiteness)})",
             )
+            kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), one.record)
             return residual_response_plot(
                 one.record.omega, one.measured, one.residuals, *auto,
                 confidence=self.confidence, panel_titles=titles, heading=heading, **kwargs,

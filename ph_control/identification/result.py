@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._frozen import Frozen, ReadOnlyMapping
+from .._units import common_unit, unit_for
 from ..exceptions import StructureError
 from ..files import save
 from ..fit_plots import fit_plot
@@ -389,6 +390,7 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         first = self.experiments[0].record
         fitted_dt = first.dt if isinstance(first, Record) else None
         record = as_record(data, fitted_dt if dt is None else dt, input_needed=False, output_needed=False)
+        record = replace(record, time_unit=common_unit(record, self))
         hold = self._hold(record.dt)
         if initial_state is None:
             fallback = "fitted" if isinstance(first, Record) else "zero"
@@ -467,6 +469,7 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         kwargs.setdefault("output_label", name)
         if bracket:
             kwargs.setdefault("output_unit", unit.removesuffix("]"))
+        kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
         return fit_plot(one.record.time, one.record.y, one.predicted, fit_percent=one.fit_percent, **kwargs)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

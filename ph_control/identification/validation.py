@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
+from .._units import unit_for
 from ..exceptions import StructureError
 from ..fit_data import percent
 from ..validation_plots import comparison_plot, response_comparison_plot
@@ -188,6 +189,7 @@ class Comparison(Report, Frozen):
         """
         one = chosen_experiment(self.experiments, experiment)
         record, which = one.record, which_of(experiment, len(self.experiments))
+        kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), record)
         if isinstance(record, FrequencyRecord):
             heading = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
             return response_comparison_plot(

@@ -1,0 +1,81 @@
+"""The unit of time that data bring along: how headers spell it, and what frequencies are called in it.
+
+Times and what is made of them stay in that unit; only Hz are converted.  A unit that nobody has told is not known, and
+never shown.  Data, and results of fits, tell theirs by an attribute `time_unit`, one of `SECONDS` or None.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from . import _checks
+from .exceptions import StructureError
+
+SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+_SPELLINGS = {
+    "ns": ("ns", "nsec", "nanosecond", "nanoseconds"),
+    "us": ("us", "\u00b5s", "\u03bcs", "usec", "microsecond", "microseconds"),
+    "ms": ("ms", "msec", "msecs", "millisecond", "milliseconds"),
+    "s": ("s", "sec", "secs", "second", "seconds"),
+    "min": ("min", "mins", "minute", "minutes"),
+    "h": ("h", "hr", "hrs", "hour", "hours"),
+}
+_UNITS = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
+
+
+def known_unit(text: str) -> str | None:
+    """Unit of time that a text spells, or None; of two letters, `mS` and `Ms` are other units."""
+    return _UNITS.get(text.lower() if len(text) > 2 or text.isupper() else text)
+
+
+def checked_unit(value: Any) -> str | None:
+    """Unit of time that a caller gave, in the spelling of `SECONDS`."""
+    unit = known_unit(value) if isinstance(value, str) else None
+    if value is not None and unit is None:
+        raise StructureError(
+            f"time_unit is {_checks.shown(value)}; known are {', '.join(map(repr, SECONDS))}, or None where no unit is"
+        )
+    return unit
+
+
+def with_unit(data: Any, unit: str | None) -> Any:
+    """The same data, told its unit of time."""
+    data.time_unit = unit
+    return data
+
+
+def common_unit(*things: Any) -> str | None:
+    """Unit of time of data, results and lists of these, where any tells one; two of them are refused."""
+    flat = [one for thing in things for one in (thing if isinstance(thing, list | tuple) else [thing])]
+    found = dict.fromkeys(checked_unit(getattr(one, "time_unit", None)) for one in flat)
+    units = [unit for unit in found if unit is not None]
+    if len(units) > 1:
+        raise StructureError(
+            f"the times are in {units[0]} here and in {units[1]} there, so that frequencies mean different things; "
+            "bring them to one unit"
+        )
+    return units[0] if units else None
+
+
+def unit_for(given: str | None, *things: Any) -> str | None:
+    """Unit for the labels of a picture: the one given, which may be any text, or else that of what is drawn."""
+    known = common_unit(*things)
+    if given is None or known is None:
+        return known if given is None else str(given)
+    if known_unit(str(given)) not in (known, None):
+        raise StructureError(
+            f"time_unit is {given!r}, but the times are in {known}; leave it out, or convert the times"
+        )
+    return str(given)
+
+
+def rate(unit: str | None) -> str:
+    """Name of the unit of angular frequencies."""
+    return f"rad/{unit or 'time'}"
+
+
+def hertz_size(unit: str | None) -> float:
+    """One Hz in radians per unit of time; where that is not known, times are taken for seconds."""
+    return 2 * np.pi * SECONDS["s" if unit is None else unit]

@@ -1,0 +1,192 @@
+"""The unit of time goes from the header of a recording to every number, table and picture; none is made up."""
+
+from __future__ import annotations
+
+import io
+import pickle
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import ph_control as phc
+from ph_control import StructureError
+
+D, R, STEP = np.array([0.3, 1.1]), np.array([1.0, 0.4]), 0.2
+
+
+def signals(samples: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng, t = np.random.default_rng(0), STEP * np.arange(samples)
+    u = rng.standard_normal(samples)
+    return (
+        t,
+        u,
+        phc.forced_response(phc.ph(phc.modes(D, R)), t, u, intersample="zoh").outputs
+        + 0.05 * rng.standard_normal(samples),
+    )
+
+
+def recording(label: str, **options) -> ct.TimeResponseData:
+    lines = [f"{t:.1f},{u!r},{y!r}" for t, u, y in zip(*map(np.ndarray.tolist, signals()), strict=True)]
+    return phc.read_csv(io.StringIO("\n".join([f'"{label}",f [N],v [m/s]', *lines])), **options)
+
+
+@pytest.fixture(scope="module")
+def in_ms():
+    return phc.pem(recording("Time (ms)"), 2)
+
+
+@pytest.mark.parametrize(
+    "label, unit",
+    [
+        ("Time (ms)", "ms"), ("t [s]", "s"), ("time_ms", "ms"), ("time/ms", "ms"), ("t / h", "h"), ("t_s", "s"),
+        ("Time (sec)", "s"), ("TIME (MS)", "ms"), ("time [us]", "us"), ("time [µs]", "us"), ("time [\u03bcs]", "us"),
+        ("Time in minutes", "min"), ("time, ns", "ns"), ("Time(min)", "min"), ("timestamp", None), ("t", None),
+        ("time [frames]", None), ("time [mS]", None), ("Time (Ms)", None),
+    ],
+)  # fmt: skip
+def test_a_header_tells_the_unit_of_time_or_none(label, unit):
+    data = phc.read_csv(io.StringIO(f'"{label}";u;y\n0;1;2\n0.5;3;4\n'))
+    assert data.time_unit == unit and data.time.tolist() == [0.0, 0.5]
+
+
+@pytest.mark.parametrize("label", ["time_constant", "t_max", "time_m", "T [s]", "time/length"])
+def test_what_is_no_time_does_not_become_one_by_a_unit(label):
+    with pytest.raises(StructureError, match="no column is the time"):
+        phc.read_csv(io.StringIO(f"{label},u,y\n0,1,2\n1,3,4\n"))
+
+
+def test_a_row_of_units_and_a_column_of_any_name_tell_it_too():
+    assert phc.read_csv(io.StringIO("time,u,y\nms,N,m\n0,1,2\n1,3,4\n")).time_unit == "ms"
+    text = "elapsed_ms,u,y\n0,1,2\n1,3,4\n"
+    assert phc.read_csv(io.StringIO(text), time="elapsed_ms").time_unit == "ms"
+    assert phc.read_csv(io.StringIO(text), time="elapsed_ms", time_unit="min").time_unit == "min"
+    assert phc.read_csv(io.StringIO("0,1\n1,2\n"), dt=2.0).time_unit is None
+    assert phc.read_csv(io.StringIO("0,1\n1,2\n"), dt=2.0, time_unit="usec").time_unit == "us"
+    with pytest.raises(StructureError, match="time_unit is 'parsec'; known are 'ns'"):
+        phc.read_csv(io.StringIO("0,1\n1,2\n"), dt=2.0, time_unit="parsec")
+
+
+def test_a_result_has_its_frequencies_in_the_unit_of_the_recording_and_in_hertz(in_ms):
+    assert in_ms.time_unit == in_ms.record.time_unit == "ms"
+    np.testing.assert_allclose(in_ms.d, D, rtol=1e-3)
+    np.testing.assert_allclose(in_ms.hertz, 1e3 * in_ms.d / (2 * np.pi))
+    np.testing.assert_array_equal(in_ms.natural_frequencies, in_ms.d)
+    _t, u, y = signals()
+    unknown = phc.pem((u, y), 2, dt=STEP)
+    assert unknown.time_unit is None
+    np.testing.assert_allclose(unknown.hertz, unknown.d / (2 * np.pi))
+
+
+def test_the_table_has_hertz_residues_and_weights_to_their_errors(in_ms):
+    head, *rows = [line.split() for line in in_ms.summary().split("\n\n")[1].splitlines()]
+    assert " ".join(head) == "mode d [rad/ms] +- f [Hz] residue kappa +- weight r +- note"
+    assert "step 0.2 ms" in in_ms.summary()
+    C = in_ms.covariance
+    for l, row in enumerate(rows):
+        d, d_error, hertz, kappa, kappa_error, r, r_error = map(float, row[1:])
+        gradient = np.zeros(len(C))
+        gradient[[l, 2 + l]] = in_ms.r[l], in_ms.d[l]
+        exact = np.sqrt(gradient @ np.where(np.isnan(C), 0.0, C) @ gradient)
+        assert kappa_error == pytest.approx(exact, rel=0.05)
+        assert abs(kappa - in_ms.r[l] * in_ms.d[l]) < 0.06 * exact
+        assert abs(hertz - in_ms.hertz[l]) < 0.06 * 1e3 * d_error / (2 * np.pi)
+        for value, error, shown, key in ((in_ms.d, d_error, d, "d"), (in_ms.r, r_error, r, "r")):
+            assert error == pytest.approx(in_ms.stderr[key][l], rel=0.05)
+            assert abs(shown - value[l]) < 0.06 * error
+        # two digits of the error, and no more of the number than that
+        for number, error in ((row[1], row[2]), (row[4], row[5]), (row[6], row[7])):
+            assert "e" in error or len(number.partition(".")[2]) == len(error.partition(".")[2])
+
+
+def test_no_unit_is_shown_that_nobody_has_told():
+    _t, u, y = signals()
+    unknown = phc.pem((u, y), 2, dt=STEP)
+    assert "d [rad/time]" in unknown.summary() and "f [1/time]" in unknown.summary()
+    assert "Hz" not in unknown.summary() and "rad/s" not in unknown.summary()
+    pictures = [
+        unknown.plot(), phc.bode_plot(unknown), phc.step_plot(unknown), phc.modes_plot(unknown),
+        phc.compare((u, y), unknown).plot(), phc.bode_plot(unknown.system, data=unknown.record.as_response()),
+    ]  # fmt: skip
+    for picture in pictures:
+        assert picture.axes[-1, 0].get_xlabel().split(" [")[-1] in ("Time", "rad/time]")
+
+
+def test_every_picture_carries_the_unit_of_the_recording(in_ms):
+    data = recording("Time (ms)")
+    pictures = {
+        "fit": in_ms.plot(), "fit_plot": phc.fit_plot(in_ms), "bode": phc.bode_plot(in_ms),
+        "data": phc.bode_plot(in_ms.system, data=data), "step": phc.step_plot(in_ms), "modes": phc.modes_plot(in_ms),
+        "poles": phc.pole_zero_plot(in_ms), "compare": phc.compare(data, in_ms).plot(),
+        "orders": phc.order_selection(data, 2).plot(),
+    }  # fmt: skip
+    labels = {name: picture.axes[-1, 0].get_xlabel() for name, picture in pictures.items()}
+    assert all(label.endswith(("Time [ms]", "[rad/ms]")) for label in labels.values()), labels
+    for picture in (phc.bode_plot(in_ms.system, data=data, Hz=True), phc.bode_plot(in_ms, data=data, Hz=True)):
+        assert picture.axes[-1, 0].get_xlabel() == "Frequency [Hz]"
+        legend = [text.get_text() for text in picture.legend.get_texts()]
+        assert legend[-1] == "Nyquist frequency (2500 Hz)"
+    poles, *_ = phc.pole_zero_plot(in_ms, Hz=True).lines[0, 0]
+    np.testing.assert_allclose(poles.get_xdata(), in_ms.hertz)
+    with pytest.raises(StructureError, match="time_unit is 's', but the times are in ms"):
+        phc.bode_plot(in_ms, time_unit="s")
+    plt.close("all")
+
+
+def test_a_file_keeps_the_unit(in_ms, tmp_path):
+    phc.save(in_ms, tmp_path / "fit.json")
+    again = phc.load(tmp_path / "fit.json")
+    assert again.time_unit == "ms" and again.summary() == in_ms.summary()
+    assert in_ms.record.as_response().time_unit == "ms"
+    assert in_ms.predict(recording("Time (ms)")).time_unit == "ms"
+    assert pickle.loads(pickle.dumps(in_ms.record)).time_unit == "ms"
+
+
+def test_a_unit_can_be_said_of_any_data():
+    t, u, y = signals()
+    data = ct.TimeResponseData(t, y, inputs=u)
+    assert phc.pem(data, 2).time_unit is None
+    data.time_unit = "µs"
+    assert phc.pem(data, 2).time_unit == "us"
+    data.time_unit = 3
+    with pytest.raises(StructureError, match="time_unit is 3"):
+        phc.pem(data, 2)
+
+
+class Frame(dict):
+    """What is used of a data frame."""
+
+    @property
+    def columns(self):
+        return list(self)
+
+
+def test_a_data_frame_tells_it_by_the_label_of_its_time():
+    t, u, y = signals()
+    assert phc.pem(Frame({"Time (ms)": t, "u": u, "y": y}), 2).time_unit == "ms"
+
+
+def test_two_units_are_never_mixed(in_ms):
+    seconds = recording("t [s]")
+    with pytest.raises(StructureError, match="times are in ms here and in s there"):
+        phc.pem([recording("t [ms]"), seconds], 2)
+    for call in (
+        lambda: phc.compare(seconds, in_ms), lambda: phc.residual_analysis(seconds, in_ms),
+        lambda: in_ms.predict(seconds), lambda: phc.bode_plot(in_ms, data=seconds),
+        lambda: phc.pem(seconds, 2, initial_guess=in_ms),
+    ):  # fmt: skip
+        with pytest.raises(StructureError, match="times are in"):
+            call()
+
+
+def test_a_table_of_frequencies_is_per_second():
+    omega = 2 * np.pi * np.geomspace(100.0, 1000.0, 60)
+    G = phc.ph(phc.modes([2000.0], [1.0]))(1j * omega)
+    lines = [f"{w / 2e3 / np.pi!r},{g.real!r},{g.imag!r}" for w, g in zip(omega.tolist(), G.tolist(), strict=True)]
+    data = phc.read_frequency_csv(io.StringIO("\n".join(["f [kHz],re,im", *lines])))
+    result = phc.pem(data, 1)
+    assert data.time_unit == result.time_unit == "s" and "f [Hz]" in result.summary()
+    np.testing.assert_allclose(result.hertz, 2000.0 / 2 / np.pi)
+    assert phc.bode_plot(result).axes[-1, 0].get_xlabel() == "Frequency [rad/s]"
+    plt.close("all")
