@@ -121,6 +121,27 @@ def test_points_weighted_by_their_gain_lead_to_the_resonances(seed):
     assert np.allclose(result.d, [0.618, 1.618], rtol=1e-3) and result.verdict == "consistent with the record"
 
 
+def plant_with_noise(n, seed, *, relative, points=25):
+    """Residues within a factor of 5, modes at least 4 points apart, noise in proportion to the gain."""
+    rng = np.random.default_rng([n, seed])
+    omega = np.linspace(0.05, 3.2, points * n)
+    place = np.sort(rng.uniform(2, len(omega) - 3, (1000, n)), axis=1)
+    place = place[np.min(np.diff(place, axis=1), axis=1, initial=np.inf) >= 4][0]
+    d, r = np.interp(place, np.arange(len(omega)), omega), rng.uniform(0.2, 1.0, n)
+    exact = response(d, r, omega)
+    return d, r, exact, ct.frd(exact + noise(relative / np.sqrt(2) * np.abs(exact), seed), omega, smooth=False)
+
+
+@pytest.mark.parametrize("n", [3, 6, 12])
+def test_the_order_is_found_where_noise_and_weights_go_with_the_gain(n):
+    """There one mode alone explains next to nothing, and no criterion speaks for it."""
+    for seed in range(2):
+        d, r, exact, data = plant_with_noise(n, seed, relative=0.01)
+        result = phc.pem(data, weights=1 / np.abs(exact) ** 2)
+        assert result.order == n and is_at_the_optimum(result, d, r)
+        assert result.verdict == "consistent with the record"
+
+
 @pytest.mark.parametrize(
     "d, r",
     [

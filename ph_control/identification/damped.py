@@ -160,13 +160,14 @@ class DampedResponse:
     rows: FrequencyRows
     driven: bool = True
 
-    @cached_property
+    @property
     def target(self) -> ComplexArray:
         """Response in the scale of its weights."""
-        return np.asarray(self.rows.record.response[self.rows.record.observed] * self.rows.scale)
+        return self.rows.target
 
     @cached_property
-    def _factor(self) -> ComplexArray:
+    def factor(self) -> ComplexArray:
+        """Numerator of a mode of unit residue, in the scale of the weights."""
         omega = self.rows.omega
         factor = {"velocity": 1j * omega, "displacement": 1.0 + 0j * omega, "acceleration": -(omega**2) + 0j}
         return np.asarray(factor[self.rows.quantity] * self.rows.scale)
@@ -177,15 +178,20 @@ class DampedResponse:
         lowest = omega[omega > 0].min(initial=np.inf)
         if len(omega) < 10 + 4 * len(d) or not np.isfinite(lowest):
             return np.zeros((0, len(omega)), complex)
-        return np.stack([self._factor / np.maximum(omega, lowest) ** 2, self._factor])
+        return np.stack([self.factor / np.maximum(omega, lowest) ** 2, self.factor])
 
     def shared(self, d: Array, sigma: Array) -> ComplexArray:
         """Responses of modes of unit residue."""
-        return np.asarray(self._factor / self._gap(d, sigma))
+        return np.asarray(self.factor / self._gap(d, sigma))
+
+    def partial_fractions(self, d: Array, sigma: Array) -> ComplexArray:
+        """Velocity and displacement, times d, of modes of unit residue, shape (2n, m); not weighted."""
+        gap = self._gap(d, sigma)
+        return np.concatenate([1j * self.rows.omega / gap, d[:, None] / gap])
 
     def slopes(self, d: Array, sigma: Array, kappa: Array, own: Array) -> ComplexArray:
         """Derivatives of the output by `(d, sigma)`."""
-        by_gap = -kappa[:, None] * self._factor / self._gap(d, sigma) ** 2
+        by_gap = -kappa[:, None] * self.factor / self._gap(d, sigma) ** 2
         return np.concatenate([2 * d[:, None] * by_gap, 2j * self.rows.omega * by_gap])
 
     def _gap(self, d: Array, sigma: Array) -> ComplexArray:

@@ -14,16 +14,20 @@ from numpy.typing import NDArray
 from .damped import Band, DampedProjection, DampedResponse, DampedRows, DampedTransform, refine_damped
 from .experiment import Experiment
 from .frequency_rows import FrequencyRows
+from .residual_data import without_peaks
 from .response_candidates import ranked_candidates
 from .search import Report, Step, more_than_noise
 from .solver import Problem
 from .spectrum import Spectrum
 from .start import Screen
+from .whiteness import ljung_box
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _PIECE = 1 << 18  # numbers worked on at a time
+_LAGS = 20
+_WHITE = 1e-3  # p-value
 
 
 class DampedData(Protocol):
@@ -37,6 +41,9 @@ class DampedData(Protocol):
 
     def loss(self, left: Sequence[ComplexArray]) -> float:
         """Sum of squares, over the data as they were measured."""
+
+    def sequences(self, left: Sequence[ComplexArray]) -> list[Array]:
+        """Real residuals in the order in which white noise is white; NaN where missing."""
 
     def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
         """Frequencies at which one more mode explains most, and how much."""
@@ -77,6 +84,11 @@ class Records:
         parts = zip(self.errors(left), self.spectra, strict=True)
         return float(sum(np.sum(error[one.experiment.observed] ** 2) for error, one in parts))
 
+    def sequences(self, left: Sequence[ComplexArray]) -> list[Array]:
+        """Residuals in time."""
+        observed = (one.experiment.observed for one in self.spectra)
+        return [np.where(seen, error, np.nan) for seen, error in zip(observed, self.errors(left), strict=True)]
+
     def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
         """Candidates of the screen."""
         return self._screen.ranked(left)
@@ -103,6 +115,10 @@ class Responses:
     def loss(self, left: Sequence[ComplexArray]) -> float:
         """Weighted sum of squares."""
         return float(sum(np.sum(np.abs(one) ** 2) for one in left))
+
+    def sequences(self, left: Sequence[ComplexArray]) -> list[Array]:
+        """Real and imaginary parts from point to point, without the few that outweigh all others."""
+        return [without_peaks(part) for one in left for part in (one.real, one.imag)]
 
     def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
         """Candidates between the points."""
@@ -141,9 +157,13 @@ class DampedSearch:
         self._decay.update(zip(at.d.tolist(), at.sigma.tolist(), strict=True))
         return at
 
-    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
-        """Refine modes from a start and look for more."""
+    def step(self, d: Array, rtol: float, report: Report | None = None, sigma: Array | None = None) -> Step:
+        """Refine modes from a start, with decay rates if they are known, and look for more."""
+        if sigma is not None:
+            self._decay.update(zip(d.tolist(), sigma.tolist(), strict=True))
         at = self.refined(d)
         left = self.data.left(at)
         none = np.zeros(len(at.d), bool)
-        return Step(at.d, self.data.loss(left), 1, True, *self.data.ranked(left), none, np.abs(at.kappa))
+        coloured = ljung_box(self.data.sequences(left), _LAGS) < _WHITE
+        ranked = self.data.ranked(left)
+        return Step(at.d, self.data.loss(left), 1, True, *ranked, none, np.abs(at.kappa), coloured=coloured)

@@ -92,11 +92,11 @@ def _batch(search: Search, step: Step, most: int) -> Array:
 
 
 def stop_of(criterion: Callable[[Step], float]) -> Callable[[list[Step]], bool]:
-    """End of a path whose criterion has not improved for some orders."""
+    """End of a path whose criterion has not improved for some orders, where it can judge them."""
 
     def stop(path: list[Step]) -> bool:
         values = [criterion(step) for step in path]
-        return len(path) - 1 - int(np.argmin(values)) >= _PATIENCE
+        return not path[-1].coloured and len(path) - 1 - int(np.argmin(values)) >= _PATIENCE
 
     return stop
 

@@ -64,10 +64,14 @@ class FrequencyRows:
         return FrequencyEvaluation(self, d)
 
     @cached_property
+    def target(self) -> ComplexArray:
+        """Response that was measured, in the scale of its weight."""
+        return np.asarray(self.record.response[self.record.observed] * self.scale)
+
+    @cached_property
     def largest(self) -> float:
         """Largest response, in the scale of its weight."""
-        response = self.record.response[self.record.observed]
-        return float(np.max(np.abs(response) * self.scale, initial=0.0))
+        return float(np.max(np.abs(self.target), initial=0.0))
 
 
 class FrequencyEvaluation(Evaluation):

@@ -7,8 +7,6 @@ judged by the loss.
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,10 +14,11 @@ from .damped_search import DampedSearch, damped_data
 from .frequency_rows import FrequencyRows
 from .search import Report, Step, mode_energies, more_than_noise
 from .solver import Problem, refine
+from .vector_fitting import vector_fit
 
 Array = NDArray[np.float64]
 
-_APART = 4  # points between resonances that are told apart at sight
+_MUCH = 0.1  # of the weighted squares of a response: with more left, modes are missing that no criterion can weigh
 
 
 class ResponseSearch:
@@ -28,9 +27,9 @@ class ResponseSearch:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self._damped = DampedSearch(problem, damped_data(problem))
-        self._points = np.unique(
-            np.concatenate([one.omega for one in problem.experiments if isinstance(one, FrequencyRows)])
-        )
+        self._responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+        self._power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self._responses)
+        self._together: dict[int, Step] = {}
 
     @property
     def affords_batches(self) -> bool:
@@ -41,32 +40,23 @@ class ResponseSearch:
         """Whether what is left shows a mode that noise alone would hardly show anywhere."""
         return more_than_noise(self.problem, step)
 
-    @cached_property
-    def _first(self) -> Step:
-        return self._damped.step(np.zeros(0), 1.0)
-
-    def _peaks(self, count: int) -> Array:
-        """The strongest resonances as they stand in the data, apart from one another.
-
-        A mode that joined early, when others were still missing, may have left its resonance to explain these.
-        """
-        chosen: list[int] = []
-        places = np.searchsorted(self._points, self._first.candidates)
-        for k, place in enumerate(places):
-            if len(chosen) < count and all(abs(place - places[other]) >= _APART for other in chosen):
-                chosen.append(k)
-        return self._first.candidates[chosen]
+    def _at_once(self, n: int, rtol: float) -> Step:
+        """The best that comes of all modes found together, whatever has joined until now."""
+        if n not in self._together:
+            d, sigma = vector_fit(self._responses, n)
+            self._together[n] = self._damped.step(d, rtol, sigma=sigma)
+        return self._together[n]
 
     def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
         """Refine modes from a start and look for more."""
         free = self._damped.step(d, rtol)
-        peaks = self._peaks(len(d))
-        if len(peaks) == len(d) > 1:
-            free = min(free, self._damped.step(peaks, rtol), key=lambda one: one.loss)
+        if free.coloured and len(d):
+            other = self._at_once(len(d), rtol)
+            free = other if len(other.d) == len(d) and other.loss < free.loss else free
         end = refine(self.problem, free.d, rtol=rtol, progress=report)
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
         return Step(
             free.d, at.loss, end.iterations, end.converged, free.candidates, free.gains, ~at.free, mode_energies(at),
-            end.interrupted,
+            end.interrupted, free.coloured and free.loss > _MUCH * self._power,
         )  # fmt: skip

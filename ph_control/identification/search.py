@@ -35,7 +35,8 @@ class Step:
     """Some modes, refined: what they leave as a sum of squares, and the candidates for one more.
 
     `candidates` are natural frequencies by how much a mode there would explain, the most first, and `gains` how much;
-    `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them.
+    `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them;
+    `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet.
     """
 
     d: Array
@@ -47,6 +48,7 @@ class Step:
     held: NDArray[np.bool_]
     weights: Array
     interrupted: bool = False
+    coloured: bool = False
 
 
 class Search(Protocol):
