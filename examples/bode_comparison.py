@@ -25,7 +25,7 @@ figure, axes = plt.subplots(4, 2, figsize=(11, 10), layout="constrained")
 drawn = {}
 for column, limits in enumerate(([0.5, 200.0], [9.9, 10.1])):
     theirs = ct.bode_plot(ct.ss(system), ax=axes[:2, column : column + 1], dB=True, omega_limits=limits, title="")
-    ours = phc.bode_plot(system, ax=axes[2:, column : column + 1], omega_limits=limits, title="")
+    ours = phc.bode_plot(system, ax=axes[2:, column : column + 1], omega_limits=limits, title="", time_unit="s")
     drawn[column] = {"python-control": theirs.lines, "ph_control": ours.lines}
 for row, name in ((0, "python-control"), (2, "ph_control")):
     axes[row, 0].set_title(name, loc="left", fontsize="medium")

@@ -27,7 +27,7 @@ print("zeros [rad/s]:", circuit.modes.zeros.imag[circuit.modes.zeros.imag >= 0].
 # Poles and zeros alternate along the imaginary axis, as Foster found for every circuit without resistors: between two
 # series resonances there is a frequency at which the branches block together.
 
-phc.bode_plot(circuit, gain_unit="A/V").figure.savefig("lc_bode.png", dpi=110)
+phc.bode_plot(circuit, gain_unit="A/V", time_unit="s").figure.savefig("lc_bode.png", dpi=110)
 
 # %%
 # A voltage that is switched on for a second and a half supplies energy; when it is off the energy stays. The simulation

@@ -29,7 +29,7 @@ for criterion in ("bic", "aicc", "holdout"):
 # right, the criteria: BIC and the error of what was held out turn back at the true order; AIC and AICc, which hardly
 # charge for a mode in so long a record, go on into the noise.
 
-selection.plot().figure.savefig("order_selection.png", dpi=110)
+selection.plot(time_unit="s").figure.savefig("order_selection.png", dpi=110)
 
 # %%
 # `pem` with its default, `order="auto"`, takes the order of the least BIC, and drops modes that noise alone could have

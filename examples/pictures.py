@@ -21,7 +21,7 @@ print(f"{2 * np.pi / 2e5 / np.diff(sampled.time)[0]:.1e} samples in a period of 
 
 figure, axes = plt.subplots(1, 2, figsize=(11, 3.6), layout="constrained", sharey=True)
 ct.time_response_plot(sampled, ax=axes[:1, None], title="")
-phc.step_plot(stiff, 20.0, ax=axes[1], title="", show_legend=True)
+phc.step_plot(stiff, 20.0, time_unit="s", ax=axes[1], title="", show_legend=True)
 axes[0].set_title("python-control, 201 instants", loc="left", fontsize="medium")
 axes[1].set_xlabel("Time [s]")
 figure.savefig("plots_step.png", dpi=100)
@@ -35,13 +35,13 @@ t = 0.2 * np.arange(250)
 force = rng.standard_normal(250)
 velocity = phc.forced_response(frame, t, force, intersample="zoh").outputs + 0.15 * rng.standard_normal(250)
 fit = phc.pem((force, velocity), order=4, dt=0.2)
-phc.modes_plot([fit, frame], title="").figure.savefig("plots_modes.png", dpi=100)
+phc.modes_plot([fit, frame], time_unit="s", title="").figure.savefig("plots_modes.png", dpi=100)
 
 # %%
 # A hundred poles alternate with as many zeros.  The axis is parted into strips in which each is seen.
 
 many = phc.modes(np.linspace(1.0, 20.0, 100) + 0.05 * rng.standard_normal(100), np.ones(100))
-phc.pole_zero_plot(many, title="").figure.savefig("plots_poles.png", dpi=100)
+phc.pole_zero_plot(many, time_unit="s", title="").figure.savefig("plots_poles.png", dpi=100)
 
 # %%
 # The energy that is stored is the energy that was supplied; explicit Euler makes energy from nothing.
@@ -52,4 +52,5 @@ balances = [
 ]
 for name, balance in zip(("exact", "Euler"), balances, strict=True):
     print(f"{name}: {balance}")
-phc.energy_plot(balances, label=["exact", "Euler"], title="").figure.savefig("plots_energy.png", dpi=100)
+plot = phc.energy_plot(balances, label=["exact", "Euler"], title="", time_unit="s", energy_unit="J")
+plot.figure.savefig("plots_energy.png", dpi=100)
