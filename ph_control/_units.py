@@ -71,9 +71,19 @@ def unit_for(given: str | None, *things: Any) -> str | None:
     return str(given)
 
 
+def step_of(record: Any) -> str:
+    """Text of the step of a record, or of what was found of one."""
+    return f"step {record.dt:g} {record.time_unit or ''}".rstrip()
+
+
 def rate(unit: str | None) -> str:
     """Name of the unit of angular frequencies."""
     return f"rad/{unit or 'time'}"
+
+
+def in_unit(text: str, unit: str | None) -> str:
+    """Text of findings that are counted in units of time, with the name of that unit where it is known."""
+    return text.replace("rad/time", rate(unit)).replace(" time units", f" {unit}") if unit else text
 
 
 def hertz_size(unit: str | None) -> float:

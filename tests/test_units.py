@@ -190,3 +190,13 @@ def test_a_table_of_frequencies_is_per_second():
     np.testing.assert_allclose(result.hertz, 2000.0 / 2 / np.pi)
     assert phc.bode_plot(result).axes[-1, 0].get_xlabel() == "Frequency [rad/s]"
     plt.close("all")
+
+
+def test_what_an_input_shows_is_told_in_the_unit_of_the_record():
+    t = 0.1 * np.arange(500)
+    data = ct.TimeResponseData(t, np.zeros(500), inputs=np.sin(t))
+    data.time_unit = "ms"
+    data.y[:] = np.nan
+    found = phc.excitation(data, ([0.5, 2.0], [1.0, 0.25]))
+    text = "".join([found.summary(), str(found), *found.remedies])
+    assert "step 0.1 ms: one bin is 0.1257 rad/ms" in text and "d [rad/ms]" in text and "time" not in text

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._units import common_unit, in_unit
 from ..exceptions import StructureError
 from ..modal import ModalForm
 from ..propagation import INTERSAMPLE, METHODS
@@ -118,15 +119,16 @@ def excitation(
     _checks.choice("initial_state", initial_state, ("estimate", "zero"))
     noise = np.nan if noise_std is None else _positive("noise_std", noise_std)
     _checks.choice("quantity", quantity, QUANTITIES)
+    records = _in_time(as_experiments(data, dt, output_needed=False))
+    unit = common_unit(records, order)
     problems = [
-        _problem(record, Hold(record.dt, method, intersample), initial_state == "zero", quantity)
-        for record in _in_time(as_experiments(data, dt, output_needed=False))
+        _problem(record, Hold(record.dt, method, intersample), initial_state == "zero", quantity) for record in records
     ]
     problem = max(problems, key=lambda one: len(one.u))
     if isinstance(order, int | np.integer) and not isinstance(order, bool):
         if order < 1:
             raise StructureError(f"order is {order}; a number of modes must be at least 1")
-        return _of_order(problem, int(order), noise)
+        return _in_unit(_of_order(problem, int(order), noise), unit)
     model = _model(order, method, intersample)
     _check_phases(problem, model.d)
     motions = [_free_motion(one, model) if one.measured else (np.zeros(model.n, complex), np.nan) for one in problems]
@@ -134,11 +136,17 @@ def excitation(
     if problem.measured and noise_std is None:
         noise = float(getattr(order, "noise_variance", left**2)) ** 0.5
     if len(problems) == 1:
-        return examine(problem, model.d, model.r, amplitudes, noise_std=noise)
+        return _in_unit(examine(problem, model.d, model.r, amplitudes, noise_std=noise), unit)
     joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
     # the initial states are eliminated already
     settled = replace(problem, from_rest=True)
-    return examine(settled, model.d, model.r, amplitudes, noise_std=noise, information=joint)
+    found = examine(settled, model.d, model.r, amplitudes, noise_std=noise, information=joint)
+    return _in_unit(found, unit)
+
+
+def _in_unit(found: Excitation, unit: str | None) -> Excitation:
+    """The same, told in the unit of time of the record."""
+    return replace(found, time_unit=unit, remedies=tuple(in_unit(text, unit) for text in found.remedies))
 
 
 def examine(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .._display import Report
 from .._frozen import Frozen, ReadOnlyMapping
+from .._units import in_unit, step_of
 from .excited_band import ExcitedBand
 from .information import Combination, Information, listed, named_modes
 from .scan import SPACING, Scan
@@ -60,6 +61,8 @@ class Excitation(Report, Frozen):
         For a number of modes: what is shown at which frequencies.
     remedies : tuple of str
         What to change, each as an instruction.
+    time_unit : str or None
+        Unit of time of the record; None where it is not known.
 
     Examples
     --------
@@ -87,6 +90,7 @@ class Excitation(Report, Frozen):
     driven_zeros: tuple[float, ...]
     scan: Scan | None
     remedies: tuple[str, ...]
+    time_unit: str | None = None
 
     @property
     def n(self) -> int:
@@ -182,7 +186,7 @@ class Excitation(Report, Frozen):
     @property
     def message(self) -> str:
         """What the verdict rests on, and what to do, in sentences; empty if there is nothing to say."""
-        return " ".join(_sentences(self))
+        return in_unit(" ".join(_sentences(self)), self.time_unit)
 
     def __str__(self) -> str:
         return f"The record {self.headline}. {self.message}".rstrip()
@@ -217,7 +221,7 @@ class Excitation(Report, Frozen):
             f"What the record shows of {self.n} mode{'s' * (self.n != 1)}"
             + (" spread over the excited band" if self.scan is not None else ""),
             f"  verdict         {self.headline}",
-            f"  record          {self.samples} samples, step {self.dt:g}: one bin is {self.band.bin:.4g} rad/time, "
+            f"  record          {self.samples} samples, {step_of(self)}: one bin is {self.band.bin:.4g} rad/time, "
             f"Nyquist {np.pi / self.dt:.4g} rad/time",
             f"  excited band    {self.band}",
             f"  order           {more}{self.band.order} (of persistent excitation)",
@@ -233,7 +237,7 @@ class Excitation(Report, Frozen):
             text = self.message.replace("Re x", "Re\xa0x").replace("Im x", "Im\xa0x")
             wrapped = textwrap.wrap(text, 100, initial_indent="  ", subsequent_indent="  ")
             lines += ["", *(line.replace("\xa0", " ") for line in wrapped)]
-        return "\n".join(lines)
+        return in_unit("\n".join(lines), self.time_unit)
 
     def _row(self, l: int) -> str:
         note = (

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import Report, html_heading, html_report, html_table
-from .._units import common_unit, hertz_size, rate
+from .._units import common_unit, hertz_size, in_unit, rate, step_of
 from ..fit_data import percent
 from .data import Record
 
@@ -53,7 +53,12 @@ class FitReport(Report):
         title, _, lines = above.partition("\n")
         head, *rows = mode_table(result)
         head = [text.replace("+-", "±") for text in head]
-        return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(result.message)
+        return (
+            html_heading(title)
+            + html_report(lines)
+            + html_table(head, rows)
+            + html_report(in_unit(result.message, result.time_unit))
+        )
 
 
 def summary_of(result: Any) -> str:
@@ -72,7 +77,7 @@ def summary_of(result: Any) -> str:
         "",
         *_aligned(mode_table(result)),
     ]
-    return "\n".join([*lines, "", *_wrap(result.message)])
+    return "\n".join([*lines, "", *_wrap(in_unit(result.message, result.time_unit))])
 
 
 def mode_table(result: Any) -> list[list[str]]:
@@ -136,12 +141,12 @@ def _data_lines(result: Any, missing: int) -> list[str]:
         points = sum(record.samples for record in records)
         return [f"  response        {points} frequencies{tail}", *sensor]
     if len(records) == 1:
-        lines = [f"  record          {records[0].samples} samples, step {_in_unit(records[0])}{tail}"]
+        lines = [f"  record          {records[0].samples} samples, {step_of(records[0])}{tail}"]
     else:
         samples = sum(record.samples for record in records)
         lines = [f"  experiments     {len(records)}, {samples} samples{tail}"]
         for k, one in enumerate(result.experiments[:_SHOWN], start=1):
-            step = f"{one.record.samples} samples, step {_in_unit(one.record)}, fit {one.fit_percent:.2f} %"
+            step = f"{one.record.samples} samples, {step_of(one.record)}, fit {one.fit_percent:.2f} %"
             lines.append(f"    {k:4d}          {step}")
     method = result.method + (
         f", {result.intersample} input" if result.method != "euler" else " (not lossless: its energy grows)"
@@ -154,10 +159,6 @@ def _data_lines(result: Any, missing: int) -> list[str]:
         )
         lines.append(f"  offset          {shown}")
     return lines
-
-
-def _in_unit(record: Record) -> str:
-    return f"{record.dt:g}" + (f" {record.time_unit}" if record.time_unit else "")
 
 
 def _wrap(text: str, width: int = 98) -> list[str]:
