@@ -264,7 +264,7 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
             F, right = F / unit, unit[:, None] * right
         high, low = product(exactly(F), exactly(right), needed, _lower_times)
         rows.append((high.T, low.T))
-    return rows, sigma * np.sqrt(squares.reshape(2, -1).prod(axis=0)), bool(np.max(x * y) <= _TIGHT)
+    return rows, sigma * np.sqrt(squares).reshape(2, -1).prod(axis=0), bool(np.max(x * y) <= _TIGHT)
 
 
 def _cost_of_rounding(d: Array, x: Array, y: Array) -> float:

@@ -93,7 +93,8 @@ def is_symplectic(S: ArrayLike, *, rtol: float | None = None) -> bool:
     Raises
     ------
     StructureError
-        If `S` is not a real, finite matrix, or `rtol` no number from 0 to 1.
+        If `S` is not a real, finite matrix, its products leave the range of doubles, or `rtol` is no number from 0
+        to 1.
 
     Examples
     --------
@@ -105,6 +106,7 @@ def is_symplectic(S: ArrayLike, *, rtol: float | None = None) -> bool:
     rows, columns = array.shape
     if rows != columns or rows % 2:
         return False
+    _checks.in_range("S", array)
     allowed = 100 * rows * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     residual = array.T @ apply_form(array) - symplectic_form(rows // 2)
     scale = max(1.0, float(np.linalg.norm(array, 2)) ** 2) if rows else 1.0

@@ -126,7 +126,7 @@ def test_williamson_holds_for_random_matrices_of_one_to_eight_degrees_of_freedom
     assert np.array_equal(Q, original)
 
 
-@pytest.mark.parametrize("scale", [1e-150, 1e-9, 1e9, 1e150])
+@pytest.mark.parametrize("scale", [1e-299, 1e-200, 1e-150, 1e-9, 1e9, 1e150])
 def test_a_scaled_matrix_has_scaled_frequencies_and_residuals_as_good(scale):
     Q, _ = random_hamiltonian([1.0, 2.0, 2.0, 5.0], np.random.default_rng(3))
     d, S = phc.williamson(Q)
@@ -400,3 +400,11 @@ def test_a_tolerance_of_no_meaning_is_refused_and_symmetrises_nothing(test, rtol
 def test_a_symplectic_form_that_no_memory_holds_is_refused(n):
     with pytest.raises(phc.StructureError, match="n is too large for a matrix in memory"):
         phc.symplectic_form(n)
+
+
+@pytest.mark.parametrize("size", [1e300, 1e154])
+def test_a_matrix_whose_products_leave_the_range_of_doubles_is_not_called_symplectic_or_not(size):
+    with pytest.raises(phc.StructureError, match="S is out of range"):
+        phc.is_symplectic(size * np.eye(2))
+    with pytest.raises(phc.StructureError, match="S is out of range"):
+        phc.controllable_morphism([1.0], [1.0, 0.0], size * np.eye(2))
