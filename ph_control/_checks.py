@@ -6,6 +6,7 @@ measured, what is allowed and what to do.  All tolerances are relative.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from operator import index
 from typing import Any
 
@@ -257,6 +258,7 @@ def symplectic_matrix(S: ArrayLike, size: int) -> Array:
     array = real_array("S", S, 2)
     if array.shape != (size, size):
         raise StructureError(f"S has shape {array.shape}; needed ({size}, {size})")
+    in_range("S", array)
     n = size // 2
     half = array[:n].T @ array[n:]
     residual = half - half.T
@@ -382,10 +384,10 @@ def distance_from_grid(t: Array, step: float) -> float:
 def sampling_step(dt: Any, *, name: str = "dt") -> float:
     """Check a sampling step: one positive finite number."""
     try:
-        step = float(dt)
-    except (TypeError, ValueError, OverflowError):
+        step = float(real_array(name, dt, 0))
+    except StructureError:
         step = np.nan
-    if isinstance(dt, bool) or not 1e-100 <= step <= 1e100:
+    if isinstance(dt, bool | np.bool_) or not 1e-100 <= step <= 1e100:
         raise StructureError(f"{name} is {shown(dt)}; it must be one positive number, a time between 1e-100 and 1e100")
     return step
 
@@ -414,6 +416,27 @@ def level(name: str, value: Any) -> float:
     if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 < value < 1):
         raise StructureError(f"{name} is {shown(value)}; it must be a number between 0 and 1, such as 0.95")
     return float(value)
+
+
+def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
+    """Check the name of a system, and those of so many signals of each kind, before python-control reads them."""
+    if names.get("name") is not None:
+        _text("name", names["name"])
+    for kind, size in sizes.items():
+        given = next((names[key] for key in (kind, kind[:-1]) if names.get(key) is not None), size)
+        count = given
+        if isinstance(given, bool) or not isinstance(given, int | np.integer):
+            listed = given if isinstance(given, list | tuple) else [given]
+            for one in listed:
+                _text(f"one of the {kind}", one)
+            count = len(set(listed))
+        if count != size:
+            raise StructureError(f"{shown(count)} names given for {size} {kind}; give one name for each, all different")
+
+
+def _text(what: str, name: Any) -> None:
+    if not (isinstance(name, str) and "." not in name):
+        raise StructureError(f"{what} is {shown(name)}; a name is a text without dots")
 
 
 def random_generator(rng: Any) -> np.random.Generator:

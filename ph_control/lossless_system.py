@@ -69,6 +69,7 @@ class LosslessSystem(ct.StateSpace):
             return
         self._views = {}
         sizes = {"inputs": nports, "outputs": nports, "states": nstates}
+        _checks.signal_names(names, **sizes)
         for kind, count in sizes.items():
             if names.get(kind) is None and names.get(kind[:-1]) is None:
                 names[kind] = count
@@ -76,10 +77,6 @@ class LosslessSystem(ct.StateSpace):
         NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **names)
         # the functions are those of the class; of its own a system would have to hold itself, and outlive its last use
         del self.updfcn, self.outfcn
-        for kind, count in sizes.items():
-            found = len(getattr(self, kind[:-1] + "_labels"))
-            if found != count:
-                raise StructureError(f"{found} names given for {count} {kind}; give one name for each, all different")
 
     def _with_default_names(self, nstates: int, nports: int) -> None:
         """As python-control does it, whose steps are taken once for all; states are named when somebody asks."""

@@ -15,6 +15,8 @@ from .systems import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
 
+_LARGEST = 10**6  # masses of a chain: its matrices are dense
+
 
 def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
     """Circuit of n parallel branches, in each an inductor in series with a capacitor, across a voltage source.
@@ -166,8 +168,10 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
     >>> phc.frenkel_kontorova().d.round(6)
     array([0.618034, 1.618034])
     """
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise StructureError(f"n is {n!r}; the number of masses is a whole number, at least 1")
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n <= _LARGEST:
+        raise StructureError(
+            f"n is {_checks.shown(n)}; the number of masses is a whole number, at least 1 and at most {_LARGEST}"
+        )
     return spring_chain(np.ones(n), 1.0, ground=np.eye(1, int(n))[0], **names)
 
 
@@ -324,6 +328,8 @@ def _positive(name: str, value: ArrayLike, what: str) -> Array:
     if array.min() <= 0:
         worst = int(array.argmin())
         raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; {what} is > 0")
+    with np.errstate(over="ignore"):
+        _checks.representable(f"the reciprocals of {name}", 1.0 / array)
     return array
 
 
@@ -340,12 +346,13 @@ def _stiffness(name: str, value: ArrayLike, count: int, of: str) -> Array:
 
 
 def _port_indices(port: Any, n: int) -> list[int]:
-    ports = list(port) if isinstance(port, Sequence | np.ndarray) and not isinstance(port, str) else [port]
+    several = isinstance(port, Sequence) or (isinstance(port, np.ndarray) and port.ndim)
+    ports = list(port) if several and not isinstance(port, str | bytes) else [port]
     if not ports:
         raise StructureError("port is empty; name at least one mass")
     for index in ports:
         if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < n:
-            raise StructureError(f"port is {port!r}; masses are counted from 0 to {n - 1}")
+            raise StructureError(f"port is {_checks.shown(port)}; masses are counted from 0 to {n - 1}")
     return [int(index) for index in ports]
 
 

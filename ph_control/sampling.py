@@ -85,6 +85,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     if rule.method == "exact":
         _warn_of_aliases(sys.modes.d, rule.h)
     size, ports = sys.nstates, sys.ninputs
+    _checks.signal_names(names, inputs=ports, outputs=ports, states=size)
     rest = np.zeros(size)
     with np.errstate(over="ignore", invalid="ignore"):
         F = np.array([_one_step(sys, np.zeros((ports, 2)), z, rule) for z in np.eye(size)]).T

@@ -151,6 +151,7 @@ def spectral_estimate(
     """
     u, y, step = _record(data)
     _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.signal_names(names, inputs=1, outputs=1)
     length = _segment_length(len(u), segments)
     Puu, Pyy, Puy, count = _averaged_spectra(u, y, length)
     omega = 2.0 * np.pi * np.arange(len(Puu)) / (length * step)

@@ -144,6 +144,39 @@ def test_names_of_the_wrong_number_are_refused(source, names, message):
     assert refusal(lambda: phc.ph(*source, **names)) == message
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        {"name": 3}, {"name": "a.b"}, {"inputs": b"x"}, {"outputs": ["a.b"]}, {"inputs": [None]}, {"input": 2.0},
+        {"inputs": True}, {"outputs": 2**63}, {"outputs": {"a": 1}}, {"inputs": np.array(["u"])}, {"outputs": [["y"]]},
+    ],
+    ids=repr,
+)  # fmt: skip
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **names: phc.ph(I, [0.0, 1.0], **names), lambda **names: phc.ch([1.0], [1.0, 0.0], **names),
+        lambda **names: phc.tf(phc.frenkel_kontorova(1), **names), phc.frenkel_kontorova,
+        lambda **names: phc.sample(phc.frenkel_kontorova(1), 0.1, **names),
+        lambda **names: phc.affine(I, [1.0, 0.0], **names),
+    ],
+)  # fmt: skip
+def test_names_that_are_no_texts_are_refused(make, names):
+    refusal(lambda: make(**names))
+
+
+def test_a_number_of_names_that_no_memory_holds_is_refused_at_once():
+    assert refusal(lambda: phc.ph(I, [0.0, 1.0], states=2**63)).startswith("9223372036854775808 names given for 2")
+    assert phc.ph(I, [0.0, 1.0], states=np.int64(2), inputs=1).nstates == 2
+
+
+@pytest.mark.parametrize(
+    "h", [1j, np.array(0.1 + 1j), np.ma.masked, "0.1", np.True_, [0.1], np.array(["0.1"])], ids=repr
+)
+def test_a_step_that_is_no_number_is_refused(h):
+    assert "must be one positive number" in refusal(lambda: phc.sample(phc.frenkel_kontorova(1), h))
+
+
 @pytest.mark.parametrize("dt", [0, 0.1, None, True])
 @pytest.mark.parametrize("source", [(I, [0.0, 1.0]), (phc.modes(1.0, 1.0),), (ct.tf([1, 0], [1, 0, 1]),)])
 def test_a_sampling_time_is_refused(source, dt):

@@ -400,3 +400,23 @@ def test_the_benchmark_ladder_without_resistors_is_a_chain_with_capacitors_for_m
     chain = spring_chain(np.full(cells, C), 1 / L, ground=np.eye(cells)[-1] / L)
     for s in (0.1 + 0.3j, 0.01 + 1j, 2.5j):
         assert abs(chain(s) / dense_response(ladder, s)[0, 0] - 1) < 1e4 * EPS * cells
+
+
+@pytest.mark.parametrize("make", [lambda: lc_circuit([5e-324], 1.0), lambda: spring_chain([1.0, 5e-324])])
+def test_values_whose_reciprocals_leave_the_range_of_doubles_are_refused(make):
+    with pytest.raises(StructureError, match="leave the range of doubles"):
+        make()
+
+
+@pytest.mark.parametrize(
+    "port", [np.array(0), b"\x00", np.array([None]), 10**5000, "0"], ids=["0-d", "bytes", "none", "huge", "text"]
+)
+def test_a_port_that_is_no_number_of_a_mass_is_refused(port):
+    with pytest.raises(StructureError, match="masses are counted from 0 to 1"):
+        spring_chain([1.0, 1.0], port=port)
+
+
+@pytest.mark.parametrize("n", [2**63, 10**5000], ids=["2**63", "huge"])
+def test_a_chain_that_no_memory_holds_is_refused(n):
+    with pytest.raises(StructureError, match="the number of masses"):
+        frenkel_kontorova(n)
