@@ -17,6 +17,8 @@ from shell import run
 
 import ph_control as phc
 from ph_control.cli.coefficients import list_of_numbers
+from ph_control.cli.matlab import read_matlab
+from ph_control.exceptions import FileFormatError
 
 PLANT = phc.frenkel_kontorova(2)
 LOSSY = {"A": [[0, 1], [-1, -0.1]], "B": [[0], [1]], "C": [[0, 1]]}
@@ -205,6 +207,27 @@ def test_what_is_no_model_is_said_to_be_so_in_one_line(content, message):
     assert (done.status, done.out) == (2, "")
     assert re.search(message, done.error), done.error
     assert done.error.startswith("ph-control: ") and done.error.count("\n") == 1
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_no_damage_to_a_mat_file_ends_the_program_or_leaves_a_bare_error(packed):
+    """The reader of scipy ends the process at some of these."""
+    buffer, K = BytesIO(), scipy.sparse.csc_matrix(PLANT.A)
+    scipy.io.savemat(buffer, {"K": K, "s": {"A": PLANT.A, "t": "text"}, "B": PLANT.B + 1j}, do_compression=packed)
+    whole = buffer.getvalue()
+    read = read_matlab(whole, "x.mat")
+    np.testing.assert_array_equal(read["K"], PLANT.A)
+    np.testing.assert_array_equal(read["s"]["A"], PLANT.A)
+    np.testing.assert_array_equal(read["B"], PLANT.B + 1j)
+    refused = 0
+    for place in range(120, len(whole)):
+        for damage in (bytes([whole[place] ^ 0x80]), bytes([whole[place] ^ 0x11]), b"\xff\xff\xff\x7f", b""):
+            content = whole[:place] + damage + (whole[place + len(damage) :] if damage else b"")
+            try:
+                read_matlab(content, "x.mat")
+            except FileFormatError:
+                refused += 1
+    assert refused > len(whole)
 
 
 def test_files_that_are_none_are_said_to_be_so(tmp_path):

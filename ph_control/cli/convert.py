@@ -9,7 +9,8 @@ from typing import Any
 from ..exceptions import StructureError
 from .answers import emit_json, strict
 from .coefficients import columns_of, rows_of
-from .matrices import arrays_of, matlab_of, modes_of, polynomials_of
+from .matlab import matlab_of
+from .matrices import arrays_of, modes_of, polynomials_of
 from .models import Model, read_models
 from .options import Parser, add_json, add_model, add_overwrite, system_name
 from .outcome import DONE, emit

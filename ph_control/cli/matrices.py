@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -113,58 +111,6 @@ def _refuse_sampled(known: _Lookup) -> None:
                 f"{known.source} is a sampled system ({key} = {shown}), and a lossless model runs in continuous time; "
                 "convert it first: in MATLAB by d2c, in Python by ph_control.ph with its method"
             )
-
-
-# --- MATLAB ----------------------------------------------------------------------------------------------------------
-
-
-def is_matlab(content: bytes, name: str) -> bool:
-    """Whether this is a `.mat` file; old ones have no mark but their name."""
-    return content.startswith(b"MATLAB ") or content.startswith(b"\x89HDF") or name.casefold().endswith(".mat")
-
-
-def read_matlab(content: bytes, name: str) -> dict[str, Any]:
-    """Variables of a `.mat` file."""
-    import scipy.io
-
-    if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise FileFormatError(f"{name} is of version 7.3, which is not read; save it in MATLAB with the option '-v7'")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = scipy.io.loadmat(io.BytesIO(content))
-    except Exception as error:
-        # a damaged file ends in errors of every kind, also of modules below the reader
-        raise FileFormatError(
-            f"{name} is no .mat file, or damaged ({type(error).__name__}); save it anew in MATLAB with the option '-v7'"
-        ) from None
-    fields = {key: value for key, value in found.items() if not key.startswith("__")}
-    opaque = [key for key, value in fields.items() if type(value).__name__ in ("MatlabOpaque", "MatlabFunction")]
-    if opaque or "__function_workspace__" in found:
-        raise FileFormatError(
-            f"{name} holds a MATLAB object, which only MATLAB reads; there: [A,B,C,D] = ssdata(sys); save('model.mat', "
-            "'A','B','C','D','-v7')"
-        )
-    return {key: _unpacked(value) for key, value in fields.items()}
-
-
-def _unpacked(value: Any) -> Any:
-    """A structure as a mapping, anything else as it is."""
-    names = getattr(getattr(value, "dtype", None), "names", None)
-    return {name: value[name].flat[0] for name in names} if names and value.size == 1 else value
-
-
-def matlab_of(fields: Mapping[str, Any]) -> bytes:
-    """Content of a `.mat` file."""
-    import scipy.io
-
-    with io.BytesIO() as buffer:
-        scipy.io.savemat(buffer, dict(fields))
-        content = bytearray(buffer.getvalue())
-    # the header tells the time of writing: the same model shall give the same bytes
-    text = b"MATLAB 5.0 MAT-file, written by ph_control"
-    content[:116] = text.ljust(116)
-    return bytes(content)
 
 
 def arrays_of(system: Any) -> dict[str, Any]:

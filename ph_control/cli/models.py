@@ -10,7 +10,8 @@ from typing import Any
 
 from ..exceptions import FileFormatError, NotLosslessError, StructureError
 from .coefficients import table_of_coefficients
-from .matrices import is_matlab, read_matlab, system_of
+from .matlab import is_matlab, read_matlab
+from .matrices import system_of
 from .options import system_name_of
 from .outcome import NoError
 from .sources import Source, opened

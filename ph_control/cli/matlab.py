@@ -1,0 +1,137 @@
+"""MATLAB's `.mat` files: level 5 is read here, with every size checked; the reader of scipy crashes on damaged ones."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..exceptions import FileFormatError
+
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_MATRIX, _COMPRESSED = 14, 15  # types of elements that hold others
+_CELL, _STRUCT, _TEXT, _SPARSE, _NUMERIC = 1, 2, 4, 5, range(6, 16)  # classes of arrays
+_OBJECTS = (3, 16, 17)
+_MOST = 1 << 26  # entries of a sparse matrix, which is filled up
+
+
+class _MatlabObject(Exception):
+    """What only MATLAB reads."""
+
+
+def is_matlab(content: bytes, name: str) -> bool:
+    """Whether this is a `.mat` file; old ones have no mark but their name."""
+    return content.startswith(b"MATLAB ") or content.startswith(b"\x89HDF") or name.casefold().endswith(".mat")
+
+
+def read_matlab(content: bytes, name: str) -> dict[str, Any]:
+    """Variables of a `.mat` file: arrays, and structures as mappings; of what is no number a text in its place."""
+    if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise FileFormatError(f"{name} is of version 7.3, which is not read; save it in MATLAB with the option '-v7'")
+    try:
+        # the header of level 5 ends in the mark of its byte order
+        order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+        with np.errstate(all="ignore"):
+            return dict(_variables(content[128:], order)) if order else _level_4(content)
+    except _MatlabObject:
+        raise FileFormatError(
+            f"{name} holds a MATLAB object, which only MATLAB reads; there: [A,B,C,D] = ssdata(sys); save('model.mat', "
+            "'A','B','C','D','-v7')"
+        ) from None
+    except Exception as error:
+        # a damaged file ends in errors of every kind, also of modules below the reader
+        raise FileFormatError(
+            f"{name} is no .mat file, or damaged ({type(error).__name__}); save it anew in MATLAB with the option '-v7'"
+        ) from None
+
+
+def _level_4(content: bytes) -> dict[str, Any]:
+    import scipy.io
+
+    if 0 not in content[:4]:
+        raise ValueError(content[:4])
+    return {key: value for key, value in scipy.io.loadmat(io.BytesIO(content)).items() if not key.startswith("__")}
+
+
+def _variables(data: bytes, order: str) -> Iterator[tuple[str, Any]]:
+    for kind, body in _elements(data, order):
+        if kind == _COMPRESSED:
+            yield from _variables(zlib.decompress(body), order)
+        elif kind == _MATRIX:
+            yield _matrix(body, order)
+        else:
+            raise ValueError(kind)
+
+
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Type and content of one element after the other; each must end where the data end, or before."""
+    place = 0
+    while place < len(data):
+        kind, size = (int(word) for word in np.frombuffer(data, order + "u4", 2, place))
+        start, stop = place + 8, place + 8 + size
+        if kind >> 16:
+            # a small element: the size in the upper half of the type, and the content in place of the size
+            kind, size = kind & 0xFFFF, kind >> 16
+            start, stop = place + 4, place + 4 + size
+            if size > 4:
+                raise ValueError(size)
+        if stop > len(data):
+            raise EOFError
+        yield kind, data[start:stop]
+        place = stop if kind == _COMPRESSED else -(-stop // 8) * 8
+
+
+def _numbers(element: tuple[int, bytes], order: str) -> Any:
+    kind, body = element
+    return np.frombuffer(body, order + _NUMBERS[kind])
+
+
+def _matrix(body: bytes, order: str) -> tuple[str, Any]:
+    """Name and value of an array."""
+    if not body:
+        return "", np.zeros((0, 0))
+    elements = _elements(body, order)
+    flags = int(_numbers(next(elements), order)[0])
+    kind = flags & 0xFF
+    if kind in _OBJECTS:
+        raise _MatlabObject
+    shape = tuple(int(size) for size in _numbers(next(elements), order))
+    name = next(elements)[1].decode("latin-1")
+    if kind in _NUMERIC:
+        parts = [_numbers(element, order).astype(float).reshape(shape, order="F") for element in elements]
+        return name, parts[0] + 1j * parts[1] if flags & 0x800 else parts[0]
+    if kind == _SPARSE:
+        # the values of a logical matrix are bytes, whatever their tag says
+        told = [(2, body) if k > 1 and flags & 0x200 else (tag, body) for k, (tag, body) in enumerate(elements)]
+        rows, ends, *parts = (_numbers(element, order) for element in told)
+        return name, _filled(shape, rows, ends, parts[0] + 1j * parts[1] if flags & 0x800 else parts[0])
+    if kind == _STRUCT:
+        width, names = int(_numbers(next(elements), order)[0]), next(elements)[1]
+        keys = [names[k : k + width].split(b"\0")[0].decode("latin-1") for k in range(0, len(names), width)]
+        values = [_matrix(part, order)[1] for _, part in elements]
+        return name, dict(zip(keys, values, strict=True)) if np.prod(shape) == 1 else "an array of structures"
+    return name, {_CELL: "a cell array", _TEXT: "a text"}[kind]
+
+
+def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
+    if shape[0] * shape[1] > _MOST or len(ends) != shape[1] + 1 or np.any(np.diff(ends) < 0):
+        raise ValueError(shape)
+    full = np.zeros(shape, values.dtype)
+    full[rows[: ends[-1]], np.repeat(np.arange(shape[1]), np.diff(ends))] = values[: ends[-1]]
+    return full
+
+
+def matlab_of(fields: Mapping[str, Any]) -> bytes:
+    """Content of a `.mat` file."""
+    import scipy.io
+
+    with io.BytesIO() as buffer:
+        scipy.io.savemat(buffer, dict(fields))
+        content = bytearray(buffer.getvalue())
+    # the header tells the time of writing: the same model shall give the same bytes
+    text = b"MATLAB 5.0 MAT-file, written by ph_control"
+    content[:116] = text.ljust(116)
+    return bytes(content)
