@@ -73,7 +73,8 @@ COMMAND = 0.05
 # where infinity, or NaN, is an answer: at poles, for margins that no loop has, for samples that are missing
 INFINITE = re.compile(r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd")
 UNKNOWN = re.compile(
-    r"margin|Excitation|read_csv|read_frequency_csv|load|FittedExperiment|PEMResult|Comparison|ResidualAnalysis"
+    r"margin|[Ee]xcitation|read_.*csv|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
+    r"pem|prediction_error_fit|order_selection|OrderSelection"
 )
 
 REFUSALS = re.compile(
@@ -392,7 +393,7 @@ def _file_call(target: Target) -> bool:
 
 
 def _allowed(target: Target, error: Exception) -> bool:
-    if isinstance(error, phc.PHControlError):
+    if isinstance(error, phc.PHControlError | MemoryError):  # what needs more memory than there is may say so
         return True
     if isinstance(error, TypeError) and REFUSALS.search(str(error)):
         return True
@@ -598,7 +599,7 @@ def warm_up() -> None:
             pool(target.owner)
     # the fonts may lie where nobody may look
     font = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-    font_manager.fontManager.findfont = lambda *_, **__: str(font)
+    font_manager.findfont = font_manager.fontManager.findfont = lambda *_, **__: str(font)
     font_manager.fontManager._find_fonts_by_props = lambda *_, **__: [str(font)]
     plt.figure().suptitle(r"$\omega_1$").figure.canvas.draw()
     plt.close("all")

@@ -6,7 +6,7 @@ measured, what is allowed and what to do.  All tolerances are relative.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import index
 from typing import Any
 
@@ -445,7 +445,7 @@ def random_generator(rng: Any) -> np.random.Generator:
     try:
         # an array in numpy's own hands may end in a recursion that no handler catches, as np.matrix does
         if rng is not None and not isinstance(rng, sources):
-            rng = [index(one) for one in rng] if np.iterable(rng) else index(rng)
+            rng = [index(one) for one in rng] if isinstance(rng, Sequence | np.ndarray) else index(rng)
         return np.random.default_rng(rng)
     except (TypeError, ValueError, OverflowError):
         raise StructureError(f"rng is {shown(rng)}; pass a numpy Generator, a seed >= 0, or None") from None

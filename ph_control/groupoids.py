@@ -220,7 +220,7 @@ class PortHamiltonianGroupoid:
         See `PortHamiltonianGroupoid`.
         """
         try:
-            cls(np.asarray(L), source)
+            cls(_checks.real_array("L", L), source)
         except StructureError:
             return False
         return True
@@ -432,7 +432,7 @@ class ReducedGroupoid:
         See `ReducedGroupoid`.
         """
         try:
-            cls(np.asarray(P), np.asarray(A), np.asarray(d), np.asarray(v))
+            cls(*(_checks.real_array(name, value) for name, value in (("P", P), ("A", A), ("d", d), ("v", v))))
         except StructureError:
             return False
         return True

@@ -299,3 +299,9 @@ def test_there_is_a_unit_at_the_system_without_states():
 def test_there_is_no_unit_at_what_is_no_port_hamiltonian_system(thing):
     with pytest.raises(phc.StructureError, match="an object of the groupoid is a PortHamiltonian, not a"):
         PortHamiltonianGroupoid.identity(thing)
+
+
+def test_masked_matrices_are_no_arrow():
+    masked = np.ma.masked_array(np.eye(2), np.eye(2))
+    assert not phc.ReducedGroupoid.is_arrow(np.ma.masked_array([[1.0]], [[True]]), np.eye(2), [1.0], [1.0, 0.0])
+    assert not phc.PortHamiltonianGroupoid.is_arrow(masked, phc.frenkel_kontorova(1))

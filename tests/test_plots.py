@@ -1159,3 +1159,11 @@ def test_a_fit_that_cannot_be_drawn_says_why(arguments, message):
     *signals, keywords = arguments if isinstance(arguments[-1], dict) else (*arguments, {})
     with pytest.raises(StructureError, match=message):
         fit_plot(*signals, **keywords)
+
+
+@pytest.mark.parametrize("scale", [(1e160, 1.0), (1.0, 1e160), (1e-160, 1.0), (1.0, 1e-160)])
+def test_the_spectra_of_a_record_out_of_range_are_refused(scale):
+    u, y = np.random.default_rng(0).standard_normal((2, 100))
+    record = ct.TimeResponseData(0.1 * np.arange(100), scale[1] * y, inputs=scale[0] * u, issiso=True)
+    with pytest.raises(phc.StructureError, match="out of range"):
+        phc.spectral_estimate(record)

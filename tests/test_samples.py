@@ -4,6 +4,7 @@ import copy
 import math
 import pickle
 
+import control as ct
 import mpmath as mp
 import numpy as np
 import pytest
@@ -771,3 +772,17 @@ def test_the_band_of_the_step_response_widens_until_the_phase_is_lost():
     assert np.all(np.abs((high - low) / (2 * norm.ppf(0.975) * sigma * crossing) - 1) < 0.05)
     low, high = samples.step_band(np.linspace(10, 12, 50) / sigma)
     assert np.all(high > 0.99) and np.all(low < -0.99)
+
+
+@pytest.mark.parametrize("values", [(1.0, 2.0), (None, [[1.0]]), ([[1.0]], {}), ([[1.0]], [[1.0]], 3.0)], ids=repr)
+def test_draws_of_no_shape_are_refused(values):
+    with pytest.raises(phc.StructureError):
+        ModeSamples(*values)
+
+
+@pytest.mark.parametrize("k", [2**31, 2**63, 10**400])
+def test_a_number_of_draws_that_no_memory_holds_is_refused(k):
+    with pytest.raises(phc.StructureError, match="whole number of draws"):
+        draw([1.0], [[1.0]], k, 0)
+    with pytest.raises(phc.StructureError, match="rng is StateSpace"):
+        draw([1.0], [[1.0]], 1, ct.ss([[-1.0]], [[1.0]], [[1.0]], 0))

@@ -24,6 +24,7 @@ from ..reactance import sum_with_twice_the_digits
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_MOST = 10**9  # draws
 _BLOCK = 1 << 17  # entries of a (point x sample) table held at once
 _ROUNDS = 100  # of k draws each, before a sampler that needs no luck takes over
 _SWEEPS = 100  # of that sampler; a start in the worst corner is forgotten after a third of them
@@ -140,8 +141,8 @@ def draw(
 
 def draws_from(k: Any, rng: Any) -> tuple[int, np.random.Generator]:
     """Check how many draws are wanted, and from where."""
-    if isinstance(k, bool) or not isinstance(k, int | np.integer) or k < 0:
-        raise StructureError(f"k is {_checks.shown(k)}; it must be a whole number of draws, 0 or more")
+    if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k <= _MOST:
+        raise StructureError(f"k is {_checks.shown(k)}; it must be a whole number of draws, 0 or more, at most {_MOST}")
     return int(k), _checks.random_generator(rng)
 
 
@@ -251,8 +252,9 @@ class ModeSamples(Frozen):
     initial_state: Array = field(default=None)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
-        given = np.empty((len(self.d), 0)) if self.initial_state is None else self.initial_state
-        for name, value in (("d", self.d), ("r", self.r), ("initial_state", given)):
+        d = _checks.real_array("d", self.d, 2)
+        given = np.empty((len(d), 0)) if self.initial_state is None else self.initial_state
+        for name, value in (("d", d), ("r", self.r), ("initial_state", given)):
             object.__setattr__(self, name, _checks.readonly(_checks.real_array(name, value, 2)))
             _checks.in_range(name, getattr(self, name))
         shapes = self.d.shape, self.r.shape, self.initial_state.shape
