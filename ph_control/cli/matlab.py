@@ -117,7 +117,9 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
 
 
 def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
-    if shape[0] * shape[1] > _MOST or len(ends) != shape[1] + 1 or np.any(np.diff(ends) < 0):
+    ends, stored = ends.astype(np.int64), min(len(rows), len(values))
+    steps = np.diff(ends, prepend=0, append=stored)
+    if len(ends) != shape[1] + 1 or steps.min() < 0 or shape[0] * shape[1] > _MOST:
         raise ValueError(shape)
     full = np.zeros(shape, values.dtype)
     full[rows[: ends[-1]], np.repeat(np.arange(shape[1]), np.diff(ends))] = values[: ends[-1]]
