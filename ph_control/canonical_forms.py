@@ -91,7 +91,7 @@ class _CanonicalForm(LosslessSystem):
 
     def _companion(self) -> Array:
         """Companion matrix with the coefficients in its last row."""
-        _warn_of_lost_digits(self.modes, "companion matrix")
+        warn_of_lost_digits(self.n, self.digits, "companion matrix", stacklevel=5)
         A = np.eye(len(self.a), k=1)
         A[-1:] = 0.0 - self.a
         return A
@@ -380,14 +380,14 @@ def _restore(kind: type[Any], d: Array, v: Array, names: dict[str, Any]) -> Any:
     return self
 
 
-def _warn_of_lost_digits(modes: ModalForm, what: str) -> None:
-    kept = digits(modes.d)
+def warn_of_lost_digits(n: int, kept: float, what: str, *, stacklevel: int) -> None:
+    """Warn where so many digits of the frequencies are not enough."""
     if kept < _ENOUGH:
         warnings.warn(
-            f"the {what} of {modes.n} modes carries {kept:.1f} decimal digits of the natural frequencies: rounding "
-            "its coefficients to doubles loses the others; work with the system itself, whose responses use d and v",
+            f"the {what} of {n} modes carries {kept:.1f} decimal digits: rounding to doubles loses the others; work "
+            "with the system itself, whose responses use d and v, or with ph(sys)",
             ConditioningWarning,
-            stacklevel=5,
+            stacklevel=stacklevel,
         )
 
 
@@ -436,7 +436,7 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             names[kind] = getattr(source, label)
     modes = source.modes.minimal()
-    _warn_of_lost_digits(modes, "transfer function")
+    warn_of_lost_digits(modes.n, digits(modes.d), "transfer function", stacklevel=3)
     if modes.nports == 1:
         a, c = modes.coefficients()
         numerator, denominator = np.zeros(max(1, 2 * modes.n)), np.concatenate([[1.0], a[::-1]])

@@ -1,21 +1,24 @@
 """Trajectories: from an input and an initial state in the coordinates of a system to its outputs and states.
 
 Outputs run on modal coordinates for every class.  Port-Hamiltonian states are brought back from there; those of a
-canonical form too, as long as the frequencies are apart.  Where they are not, its companion matrix is close to or has
-Jordan blocks, and a chain of resonators, each driven by the one before, takes the place of the modes.
+canonical form too, as long as doubles have the digits for it.  Where frequencies are many or close, its companion
+matrix is near to one with Jordan blocks, or has them, and is stepped in whole numbers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_triangular
 
+from . import _checks
 from .affine_system import AffineHamiltonian
-from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
+from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
 from .coefficients import cofactors
+from .companion import CompanionStep
 from .exceptions import StructureError
 from .lossless_system import LosslessSystem
 from .propagation import Step, discretize, simulate
@@ -25,7 +28,7 @@ from .systems import PortHamiltonian
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_DIGITS = 10.0  # that separate modes must carry, so that a state of a canonical form is taken apart into them
+_DIGITS = 10.0  # of the largest value of a state that modes must leave, so that they give those of a canonical form
 
 
 class Rule(NamedTuple):
@@ -117,17 +120,27 @@ def _poles(sys: Any) -> _Poles:
     )
 
 
+def companion_step(sys: Any, rule: Rule) -> CompanionStep:
+    """One step of a canonical form in its own coordinates."""
+    d, kappa = _poles(sys)
+    return CompanionStep(
+        d, kappa, rule.h, rule.method, rule.intersample, transposed=isinstance(sys, ObservableHamiltonian)
+    )
+
+
 def _controllable(
     sys: ControllableHamiltonian, u: Array, s0: Array, rule: Rule, states: bool
 ) -> tuple[Array, Array | None]:
     """In modal coordinates `w' = -i d w + u`, `y = sum kappa Re w`: defined for every `d`, repeated ones included."""
     d, kappa = _poles(sys)
-    apart = _apart(sys)
     step = Step.of(d, np.ones((sys.n, 1), complex), kappa[None, :].astype(complex), *rule)
-    y, w = simulate(step, u, _cofactor_map(d) @ s0, states=states and apart)
-    if not states:
+    W = _cofactor_map(d)
+    y, w = simulate(step, u, W @ s0, states=states)
+    if w is None:
         return y, None
-    return y, _lagrange_states(d, w) if w is not None else _Chain(sys).controllable(u, s0, rule)
+    error = np.abs(W) @ np.abs(s0) + np.abs(w).max(axis=1)
+    L = _lagrange_map(d)
+    return y, _with_digits(sys, (L.T @ w).real, np.abs(L).T @ error, lambda: companion_step(sys, rule).states(u[0], s0))
 
 
 def _observable(
@@ -135,26 +148,39 @@ def _observable(
 ) -> tuple[Array, Array | None]:
     """In modal coordinates `w' = -i d w + kappa u`, `y = sum Re w`, where the frequencies are apart."""
     d, kappa = _poles(sys)
-    apart = _apart(sys)
     # after an impulse every mode starts from its residue, which need not be taken out of the state
-    struck = bool(s0.any()) and np.array_equal(s0, sys.B[:, 0])
-    if struck:
-        start = kappa.astype(complex)
-    else:
-        start = _lagrange_map(d) @ s0 if apart else np.zeros(sys.n, complex)
+    struck, L = bool(s0.any()) and np.array_equal(s0, sys.B[:, 0]), _lagrange_map(d)
+    start = kappa.astype(complex) if struck else L @ s0 if s0.any() else np.zeros(sys.n, complex)
+    error = np.abs(start) if struck or not s0.any() else np.abs(L) @ np.abs(s0)
     step = Step.of(d, kappa[:, None].astype(complex), np.ones((1, sys.n), complex), *rule)
-    y, w = simulate(step, u, start, states=states and apart)
-    if apart:
-        return y, (_cofactor_map(d).T @ w).real if w is not None else None
-    chain = _Chain(sys)
+    y, w = simulate(step, u, start, states=states)
+    exact = cache(lambda: companion_step(sys, rule).states(u[0], None if struck else s0))
     if s0.any() and not struck:
-        y = y + chain.observable(np.zeros_like(u), s0, rule)[0]
-    return y, chain.observable(u, s0, rule)[1] if states else None
+        y = _with_digits(sys, y, error.sum()[None], lambda: exact()[-1:])
+    if w is None:
+        return y, None
+    W = _cofactor_map(d)
+    return y, _with_digits(sys, (W.T @ w).real, np.abs(W).T @ (error + np.abs(w).max(axis=1)), exact)
 
 
-def _apart(sys: Any) -> bool:
-    """Whether the states of a canonical form can be taken apart into modes: single poles, well separated."""
-    return not len(sys.modes.rigid) and sys.digits >= _DIGITS
+def _with_digits(sys: Any, rows: Array, error: Array, exact: Callable[[], Array]) -> Array:
+    """Rows computed in modal coordinates, with an error of so many roundings, if they have digits, else exact ones.
+
+    Where these would take too long, a warning says how many digits there are; without any the error is raised.
+    """
+    size = np.abs(rows).max(axis=1)
+    with np.errstate(all="ignore"):
+        worst = np.nan_to_num(np.where(size == 0, 0.0, error / size), nan=np.inf).max()
+        left = -float(np.log10(_checks.EPS * worst))
+    if left >= _DIGITS:
+        return rows
+    try:
+        return exact()
+    except StructureError:
+        if left <= 0:
+            raise
+    warn_of_lost_digits(sys.n, left, "modal form, in which so many samples of states are computed,", stacklevel=2)
+    return rows
 
 
 def _cofactor_map(d: Array) -> ComplexArray:
@@ -171,91 +197,9 @@ def _lagrange_map(d: Array) -> ComplexArray:
     gaps = (d - d[:, None]) * (d + d[:, None])
     np.fill_diagonal(gaps, 1.0)
     # interleaved, so that powers and products do not leave the range of doubles one after the other
-    ratio = (d[:, None] ** 2 / np.where(np.eye(n, dtype=bool), d**2, gaps)).prod(axis=1)
-    exponents = np.arange(2 * n) - 1 - 2 * (n - 1)
-    return ratio[:, None] * d[:, None] ** exponents * (-1j) ** (np.arange(2 * n) - 1)
-
-
-def _lagrange_states(d: Array, w: ComplexArray) -> Array:
-    states: Array = (_lagrange_map(d).T @ w).real
-    return states
-
-
-class _Chain:
-    """A canonical form as a chain of resonators `xi_l'' = -d_l^2 xi_l + xi_{l-1}`, the first driven by the input.
-
-    With time in a unit in which the frequencies are about 1, and `xi_n` the first state.  Higher states are derivatives
-    of it: sums of terms of one sign, so nothing is lost however close the frequencies are.
-    """
-
-    def __init__(self, sys: Any) -> None:
-        d = _poles(sys).d
-        n = len(d)
-        live = d[d > 0]
-        self.unit = float(2.0 ** np.round(np.mean(np.log2(live)))) if len(live) else 1.0
-        links = np.diag(np.ones(n - 1), -1) - np.diag((d / self.unit) ** 2)
-        rows = np.eye(n)[-1:]
-        while len(rows) < n:
-            rows = np.concatenate([rows, rows[-1:] @ links])
-        self.rows = rows
-        self.motion = np.block([[np.zeros((n, n)), np.eye(n)], [links, np.zeros((n, n))]])
-        self.scale = self.unit ** np.arange(2 * n, 0, -1.0)
-        self.readout = sys._readout()
-
-    def controllable(self, u: Array, s0: Array, rule: Rule) -> Array:
-        """States of the controllable form."""
-        n = len(self.rows)
-        start = self._halves(s0 * self.scale, lambda part: self._solve(part))
-        drive = np.eye(2 * n)[:, n]
-        x = _recursion(self.unit * self.motion, self.unit * drive, u[0], start, rule)
-        sigma = np.empty_like(x)
-        sigma[0::2], sigma[1::2] = self.rows @ x[:n], self.rows @ x[n:]
-        return sigma / self.scale[:, None]
-
-    def observable(self, u: Array, s0: Array, rule: Rule) -> tuple[Array, Array]:
-        """Outputs and states of the observable form: the transpose of the same chain."""
-        n = len(self.rows)
-        start, drive = (self._halves(s / self.scale, lambda part: self.rows.T @ part) for s in (s0, self.readout))
-        x = _recursion(self.unit * self.motion.T, drive, u[0], start, rule)
-        rho = np.empty_like(x)
-        rho[0::2], rho[1::2] = (self._solve(part, transposed=True) for part in (x[:n], x[n:]))
-        s = rho * self.scale[:, None]
-        return s[-1:], s
-
-    def _halves(self, s: Array, act: Any) -> Array:
-        return np.concatenate([act(s[0::2]), act(s[1::2])])
-
-    def _solve(self, part: Array, *, transposed: bool = False) -> Array:
-        """Invert `rows`, triangular once its columns are read backwards."""
-        turned = self.rows[:, ::-1]
-        if transposed:
-            solution = solve_triangular(turned, part[::-1], lower=True, trans="T", unit_diagonal=True)
-            return np.asarray(solution)
-        return np.asarray(solve_triangular(turned, part, lower=True, unit_diagonal=True))[::-1]
-
-
-def _recursion(F: Array, g: Array, u: Array, x0: Array, rule: Rule) -> Array:
-    """States (N, T) of `x' = F x + g u` stepped by the rule."""
-    N, h = len(F), rule.h
-    one = np.eye(N)
-    if rule.method == "euler":
-        step: Array = one + h * F
-        now, then = h * g, 0 * g
-    elif rule.method == "midpoint":
-        both = np.asarray(np.linalg.solve(one - 0.5 * h * F, np.column_stack([one + 0.5 * h * F, h * g])), float)
-        step, gain = both[:, :N], both[:, N]
-        now, then = (gain, 0 * g) if rule.intersample == "zoh" else (0.5 * gain, 0.5 * gain)
-    else:
-        M = np.zeros((N + 2, N + 2))
-        M[:N, :N], M[:N, N], M[N, N + 1] = h * F, h * g, 1.0
-        M = np.asarray(expm(M), float)
-        step, whole, late = M[:N, :N], M[:N, N], M[:N, N + 1]
-        now, then = (whole, 0 * g) if rule.intersample == "zoh" else (whole - late, late)
-    x = np.empty((N, len(u)))
-    x[:, 0] = x0
-    for k in range(len(u) - 1):
-        x[:, k + 1] = step @ x[:, k] + now * u[k] + then * u[k + 1]
-    return x
+    with np.errstate(all="ignore"):
+        ratio = (d[:, None] ** 2 / np.where(np.eye(n, dtype=bool), d**2, gaps)).prod(axis=1)
+        return ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1)) * (-1j) ** (np.arange(2 * n) - 1)
 
 
 def check_finite(y: Array, z: Array | None, growth: float, rule: Rule) -> None:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._instants import listed
+from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
 from .discrete import check_method
 from .exceptions import ResolutionWarning, StructureError
 from .lossless_system import LosslessSystem, inherited_names
-from .motion import Rule, check_finite, trajectory
+from .motion import Rule, check_finite, companion_step, trajectory
 from .propagation import INTERSAMPLE
 
 Array = NDArray[np.float64]
@@ -53,6 +54,8 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     ResolutionWarning
         If `method` is 'exact' and modes turn by half a period or more in a step: beyond the frequency of Nyquist they
         cannot be told from slower ones, and after whole half periods the input may not reach them.
+    ConditioningWarning
+        If the rounding of the matrix of a canonical form to doubles leaves fewer than six digits of the frequencies.
 
     See Also
     --------
@@ -62,7 +65,8 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     Notes
     -----
     `F` is symplectic for 'exact' and 'midpoint', and conserves the energy; for 'euler' it does neither.  With
-    'midpoint' and 'foh' the transfer function is that of the bilinear (Tustin) transformation.  O(n^3).
+    'midpoint' and 'foh' the transfer function is that of the bilinear (Tustin) transformation.  Every entry of
+    that of a canonical form is right to the last place.  O(n^3).
 
     Examples
     --------
@@ -84,18 +88,32 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     )
     if rule.method == "exact":
         _warn_of_aliases(sys.modes.d, rule.h)
-    size, ports = sys.nstates, sys.ninputs
-    _checks.signal_names(names, inputs=ports, outputs=ports, states=size)
-    rest = np.zeros(size)
+    _checks.signal_names(names, inputs=sys.ninputs, outputs=sys.noutputs, states=sys.nstates)
+    matrices = _companion if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian) else _matrices
     with np.errstate(over="ignore", invalid="ignore"):
-        F = np.array([_one_step(sys, np.zeros((ports, 2)), z, rule) for z in np.eye(size)]).T
-        now, then = (
-            np.array([_one_step(sys, _pulse(ports, port, k), rest, rule) for port in range(ports)]).T for k in (0, 1)
-        )
-    F, now, then = F.reshape(size, size), now.reshape(size, ports), then.reshape(size, ports)
-    check_finite(F, now, 1.0, rule)
-    kept = inherited_names(sys, names, "inputs", "outputs", "states")
-    return ct.ss(F, now + F @ then, sys.C, sys.C @ then, rule.h, **kept)
+        F, G, D = matrices(sys, rule)
+    check_finite(F, G, 1.0, rule)
+    return ct.ss(F, G, sys.C, D, rule.h, **inherited_names(sys, names, "inputs", "outputs", "states"))
+
+
+def _companion(sys: Any, rule: Rule) -> tuple[Array, Array, Array]:
+    """`F`, `G` and `D` of a canonical form, each entry right to the last place."""
+    step = companion_step(sys, rule)
+    warn_of_lost_digits(sys.n, step.digits(), "sampled matrix", stacklevel=4)
+    ahead, _ = trajectory(sys, _pulse(1, 0, 1), np.zeros(sys.nstates), rule, states=False)
+    return step.matrices()[0], step.shifted()[:, None], ahead[:, 1:]
+
+
+def _matrices(sys: LosslessSystem, rule: Rule) -> tuple[Array, Array, Array]:
+    """`F`, `G` and `D` of any other system."""
+    size, ports = sys.nstates, sys.ninputs
+    rest = np.zeros(size)
+    F = np.array([_one_step(sys, np.zeros((ports, 2)), z, rule) for z in np.eye(size)]).T.reshape(size, size)
+    now, then = (
+        np.array([_one_step(sys, _pulse(ports, port, k), rest, rule) for port in range(ports)]).T.reshape(size, ports)
+        for k in (0, 1)
+    )
+    return F, now + F @ then, sys.C @ then
 
 
 def _warn_of_aliases(d: Array, h: float) -> None:

@@ -16,10 +16,10 @@ ORDER = (
     "_instants", "coefficients", "reduction", "symplectic", "semidefinite", "casimirs", "zeros", "reactance", "modal",
     "conditioning", "reachability", "propagation", "partial_fractions", "discrete", "lossless", "lossless_system",
     "_forms", "systems", "canonical_forms", "affine_system", "realization", "lifting", "pairs", "morphisms", "filters",
-    "isomorphism", "equivalence", "groupoids", "motion", "sampling", "response", "margins", "models", "spectra",
-    "_sysdata", "bode", "drawing", "fit_data", "energy", "fit_plots", "plots", "validation_plots", "transients",
-    "time_plots", "mode_data", "mode_plots", "_documents", "_tables", "recordings", "frequency_tables", "files",
-    "identification", "result_plots", "demo", "cli",
+    "isomorphism", "equivalence", "groupoids", "companion", "motion", "sampling", "response", "margins", "models",
+    "spectra", "_sysdata", "bode", "drawing", "fit_data", "energy", "fit_plots", "plots", "validation_plots",
+    "transients", "time_plots", "mode_data", "mode_plots", "_documents", "_tables", "recordings", "frequency_tables",
+    "files", "identification", "result_plots", "demo", "cli",
 )  # fmt: skip
 
 # the package itself collects the public names, and python -m starts the command line: nothing imports these two

@@ -172,6 +172,57 @@ def test_thirty_modes_respond_though_their_companion_matrix_tells_nothing():
 
 
 @pytest.mark.parametrize("rule", RULES, ids="-".join)
+@pytest.mark.parametrize("make", [phc.ch, phc.oh])
+@pytest.mark.parametrize("d", [np.arange(1.0, 8.0), 1 + 1e-3 * np.arange(6.0), np.repeat([1.0, 2.0], 3)])
+def test_the_first_steps_of_many_or_close_modes_have_their_digits_too(d, make, rule):
+    """Where a short record leaves the states small beside those of the modes; against the exact coefficients."""
+    sys, h, n = make(d, np.random.default_rng(0).standard_normal(2 * len(d))), 0.05, 2 * len(d)
+    u = np.array([0.7, -1.3, 0.4])
+    with mp.workdps(80):
+        P, c = [mp.mpf(1)], [mp.mpf(0)]
+        for x, kappa in zip(sys.modes.d, sys.modes.kappa, strict=True):
+            x, kappa = mp.mpf(float(x)) ** 2, mp.mpf(float(kappa))
+            c = [x * a + b + kappa * p for a, b, p in zip([*c, 0], [0, *c], [*P, 0], strict=True)]
+            P = [x * a + b for a, b in zip([*P, 0], [0, *P], strict=True)]
+        A, b, readout = mp.zeros(n), mp.zeros(n, 1), mp.zeros(n, 1)
+        for k in range(n - 1):
+            A[k, k + 1] = 1
+        for k in range(n // 2):
+            A[n - 1, 2 * k], readout[2 * k + 1] = -P[k], c[k]
+        b[n - 1] = 1
+        if make is phc.oh:
+            A, b = A.T, readout
+        rows = [[A[i, j] for j in range(n)] for i in range(n)]
+        F, now, then = companion_step(Listed(rows), Listed([[b[i]] for i in range(n)]), h, *rule)
+        s, truth = mp.zeros(n, 1), []
+        for k in range(3):
+            truth.append([float(x) for x in s])
+            s = F * s + now * mp.mpf(float(u[k])) + then * mp.mpf(float(u[min(k + 1, 2)]))
+        wanted = [np.array([[float(M[i, j]) for j in range(M.cols)] for i in range(n)]) for M in (F, now + F * then)]
+    states = phc.forced_response(sys, h * np.arange(3), u, 0.0, method=rule[0], intersample=rule[1]).states
+    assert np.all(np.abs(states.T - truth) <= 1e-9 * np.max(np.abs(truth), axis=0))
+    sampled = phc.sample(sys, h, rule[0], intersample=rule[1])
+    for found, exact in zip((sampled.A, sampled.B), wanted, strict=True):
+        assert np.all(np.abs(found - exact) <= 4 * EPS * np.abs(exact))
+
+
+class Listed:
+    """Numbers with many digits where `companion_step` expects an array."""
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def tolist(self):
+        return self.rows
+
+
+def test_a_record_too_long_for_exact_states_of_a_repeated_frequency_is_refused():
+    sys = phc.oh(np.ones(12), np.ones(24))
+    with pytest.raises(phc.StructureError, match="take fewer"):
+        phc.initial_response(sys, 0.1 * np.arange(500_000), 1.0)
+
+
+@pytest.mark.parametrize("rule", RULES, ids="-".join)
 def test_an_affine_system_has_the_states_of_its_derivative_and_integrates_its_output(rule):
     rng = np.random.default_rng(1)
     sys = phc.affine(np.diag([0.0, 4.0, 1.0, 2.0]), [1.0, -1.0, 0.0, 0.0])

@@ -1,6 +1,7 @@
 """Sampled systems: symplectic steps, the balance of energy, and the way back to continuous time."""
 
 import control as ct
+import mpmath as mp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -69,6 +70,28 @@ def test_canonical_forms_are_sampled_in_their_own_coordinates(make, rule):
     assert np.max(np.abs(sampled.A - F)) < 1e-12 * np.max(np.abs(F))
     assert np.max(np.abs(sampled.B - now - F @ then)) < 1e-11 * np.max(np.abs(sampled.B))
     assert np.max(np.abs(sampled.C - sys.C)) == 0
+
+
+@pytest.mark.parametrize("make", [phc.ch, phc.oh])
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_fifteen_modes_in_canonical_form_are_sampled_as_in_modal_coordinates(make, hold):
+    sys = make(np.arange(1.0, 16.0), np.ones(30))
+    sampled = phc.sample(sys, 0.05, intersample=hold)
+    z = np.exp(0.037j)
+    with mp.workdps(50):
+        A, B, C, D = (mp.matrix(M.tolist()) for M in (sampled.A, sampled.B, sampled.C, sampled.D))
+        found = complex((C * mp.lu_solve(mp.mpc(z) * mp.eye(30) - A, B))[0] + D[0])
+    truth = phc.sample(phc.ph(sys), 0.05, intersample=hold)(z)
+    assert abs(found - truth) < 1e-11 * abs(truth)
+
+
+@pytest.mark.parametrize("make", [phc.ch, phc.oh])
+def test_a_sampled_matrix_that_carries_no_digit_is_finite_and_warns(make):
+    sys = make(0.05 * np.arange(1.0, 41.0), np.ones(80))
+    with pytest.warns(phc.ConditioningWarning, match=r"sampled matrix of 40 modes carries 0\.0 decimal digits"):
+        sampled = phc.sample(sys, 1.0, intersample="foh")
+    assert all(np.isfinite(M).all() for M in (sampled.A, sampled.B, sampled.C, sampled.D))
+    assert abs(sampled.D[0, 0] / phc.sample(phc.ph(sys), 1.0, intersample="foh").D[0, 0] - 1) < 1e-12
 
 
 def test_the_midpoint_rule_with_an_interpolated_input_is_the_bilinear_transformation():
