@@ -486,7 +486,7 @@ class Session:
         for warning in told:
             if not issubclass(warning.category, TOLD):
                 where = f"{warning.filename.rpartition('ph_control' + os.sep)[2]}:{warning.lineno}"
-                if not self._documented(target, warning):
+                if not (self._documented(target, warning) or (target.foreign and "ph_control" not in warning.filename)):
                     self._note(target, warning.category.__name__, where, str(warning.message))
         if out.getvalue() and target.kind != "command":
             self._note(target, "printed", "", out.getvalue())
@@ -535,6 +535,8 @@ class Session:
             if numbers.dtype.kind not in "fc":
                 continue
             infinite = np.isinf(numbers)
+            if target.foreign:
+                break
             if np.any(np.isnan(numbers) & ~infinite) and not UNKNOWN.search(target.name) and not _has_gaps(positional):
                 self._note(target, "NaN", "", "")
                 break

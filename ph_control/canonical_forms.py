@@ -431,7 +431,7 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     array([2., 0., 5., 0.])
     """
     source = sys if isinstance(sys, LosslessSystem) else ph(sys)
-    _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs)
+    _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs, states=0)
     for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             names[kind] = getattr(source, label)

@@ -260,7 +260,7 @@ def _star_residuals(P: Array, A: Array, d1: Array, v1: Array, d2: Array) -> dict
     """Relative residuals of the conditions of `~star` on all but `v2`, by what they compare."""
     energy, motions = reduced_residuals(A, d1, v1)
     return {
-        "frequencies": float(np.max(np.abs(P @ d1 - d2) / d2, initial=0.0)),
+        "frequencies": float(np.max(np.abs(P @ d1 - d2) / np.maximum(P @ d1, d2), initial=0.0)),
         "energies of the inputs": energy,
         "motions": motions,
     }

@@ -168,6 +168,7 @@ def test_names_that_are_no_texts_are_refused(make, names):
 def test_a_number_of_names_that_no_memory_holds_is_refused_at_once():
     assert refusal(lambda: phc.ph(I, [0.0, 1.0], states=2**63)).startswith("9223372036854775808 names given for 2")
     assert phc.ph(I, [0.0, 1.0], states=np.int64(2), inputs=1).nstates == 2
+    assert refusal(lambda: phc.tf(phc.frenkel_kontorova(1), states=["a", "b"])).startswith("2 names given for 0 states")
 
 
 @pytest.mark.parametrize(

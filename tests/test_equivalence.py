@@ -446,3 +446,8 @@ def test_noncanonical_pairs_have_no_coordinates():
 
 def test_nearly_repeated_frequencies_are_canonical_until_rounding():
     assert to_unique([1.0, 1.0 + 1e-12], np.ones(4))[0].tolist() == [1.0, 1.0 + 1e-12]
+
+
+def test_frequencies_any_factor_apart_differ():
+    verdict = phc.star_equivalent([5e-324], [1.0, 0.0], [1e100], [1.0, 0.0])
+    assert not verdict and verdict.residual == 1.0 and verdict.reason == "the frequencies differ"
