@@ -29,11 +29,13 @@ from .partial_fractions import (
     from_state_space,
     from_zeros_poles,
 )
+from .propagation import transfer_function
 from .symplectic import apply_form
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_POINTS = 6  # at which modes are held against the matrices that they were found in
 _UNSEEN = 1e-4  # of the whole: a residue lost in its error bound must also be small to count as zero
 
 
@@ -58,7 +60,7 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
     gives) and the systems of `scipy.signal`.  A state-space system never passes through polynomials.
     """
     if isinstance(sys, scipy.signal.lti):
-        return decide(_from_scipy(sys))
+        return _confirmed(_from_scipy(sys), None)
     if isinstance(sys, scipy.signal.dlti):
         raise NotLosslessError(
             [f"the system is discrete-time (dt = {sys.dt}); give it as a control.StateSpace, with how it was sampled"]
@@ -72,13 +74,43 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
     _ports(sys.noutputs, sys.ninputs)
     if rule is None and isinstance(sys, ct.TransferFunction) and sys.issiso():
         return _from_transfer_function(sys.num_list[0][0], sys.den_list[0][0])
-    form = _poles_and_residues(sys)
-    return decide(form if rule is None else continuous(form, *rule))
+    return _confirmed(_poles_and_residues(sys, 0.0 if rule is None else 1.0), rule)
 
 
-def _poles_and_residues(sys: Any) -> PoleResidueForm:
+def _confirmed(form: PoleResidueForm, rule: tuple[float, str, str] | None) -> Judged:
+    """Decide, and hold what was found against the matrices that it was found in."""
+    judged = decide(form if rule is None else continuous(form, *rule))
+    if form.resolvents:
+        _confirm(judged.modes, form, rule)
+    return judged
+
+
+def _confirm(modes: ModalForm, form: PoleResidueForm, rule: tuple[float, str, str] | None) -> None:
+    """Refuse modes that do not have the transfer function of the matrices."""
+    rest = 0.0 if rule is None else 1.0
+    distance = np.abs(form.poles[form.poles != rest] - rest)
+    if not len(distance):
+        distance = np.array([1.0 if rule else max(np.linalg.norm(part.T) for part in form.resolvents) or 1.0])
+    # off the axis, and off the bisectors of its quadrants
+    points = rest + (0.5 + 0.8j) * np.geomspace(0.1 * distance.min(), 10 * distance.max(), _POINTS)
+    parts = [part.at(points) for part in form.resolvents]
+    true = form.feedthrough + sum(values for values, _ in parts)
+    size = np.abs(true).max(axis=(1, 2))
+    allowed = SAFETY**2 * (sum(error for _, error in parts) + len(form.poles) * _checks.EPS * size)
+    off = np.abs(transfer_function(modes, points, rule) - true).max(axis=(1, 2))
+    # not "greater than": NaN is no agreement
+    if not (off <= allowed).all():
+        k = int(np.argmax(~(off <= allowed)))
+        raise StructureError(
+            f"the system is too ill-conditioned to convert: at {_complex(complex(points[k]))} the transfer function of "
+            f"the modes that were found differs from that of the matrices by {off[k]:.3g} of {size[k]:.3g}, allowed "
+            f"{allowed[k]:.1e}; give it in better scaled states, or as zeros, poles and gain"
+        )
+
+
+def _poles_and_residues(sys: Any, rest: float) -> PoleResidueForm:
     if isinstance(sys, ct.StateSpace):
-        return from_state_space(sys.A, sys.B, sys.C, sys.D)
+        return from_state_space(sys.A, sys.B, sys.C, sys.D, rest)
     entries = [
         [from_polynomials(sys.num_list[i][j], sys.den_list[i][j]) for j in range(sys.ninputs)]
         for i in range(sys.noutputs)
@@ -144,7 +176,8 @@ def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
     if isinstance(sys, scipy.signal.TransferFunction):
         return from_polynomials(np.atleast_1d(sys.num), np.atleast_1d(sys.den))
     _ports(sys.outputs, sys.inputs)
-    return from_state_space(*(np.atleast_2d(M) for M in (sys.A, sys.B, sys.C, sys.D)))
+    A, B, C, D = (np.atleast_2d(M) for M in (sys.A, sys.B, sys.C, sys.D))
+    return from_state_space(A, B, C, D)
 
 
 def decide(form: PoleResidueForm) -> Judged:

@@ -7,11 +7,12 @@ from zeros and poles by products.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, matrix_balance, schur
-from scipy.linalg.lapack import ztrsen, ztrsyl
+from scipy.linalg.lapack import ztrsen, ztrsyl, ztrtrs
 
 from . import _checks
 from ._graphs import components
@@ -29,7 +30,8 @@ class PoleResidueForm:
     """Poles (N,), residue matrices (N, p, m), error bounds of both (N,), feedthrough (p, m).
 
     `growth` (N,) is the coefficient of `1/(s - pole)^2`, or what stands for it in a higher pole: 0 where it is simple.
-    `gain` is the size that residues could have if nothing cancelled.
+    `gain` is the size that residues could have if nothing cancelled.  `resolvents` are those of the matrices that the
+    form was made of.
     """
 
     poles: ComplexArray
@@ -40,6 +42,27 @@ class PoleResidueForm:
     growth_error: Array
     gain: float
     feedthrough: Array
+    resolvents: tuple[Resolvent, ...] = ()
+
+
+class Resolvent(NamedTuple):
+    """`outputs (s - T)^{-1} inputs` of a triangular matrix, which is known up to `backward`."""
+
+    T: ComplexArray
+    inputs: ComplexArray
+    outputs: ComplexArray
+    backward: float
+
+    def at(self, points: ComplexArray) -> tuple[ComplexArray, Array]:
+        """Values at points, (N, p, m), and first-order bounds of their errors, (N,).  O(n^2) a point."""
+        n = len(self.T)
+        into = np.empty((len(points), n, self.inputs.shape[1]), complex)
+        out = np.empty((len(points), n, len(self.outputs)), complex)
+        for k, s in enumerate(points):
+            shifted = s * np.eye(n) - self.T
+            into[k] = ztrtrs(shifted, self.inputs)[0]
+            out[k] = ztrtrs(shifted, self.outputs.T, trans=1)[0]
+        return self.outputs @ into, self.backward * np.linalg.norm(into, axis=(1, 2)) * np.linalg.norm(out, axis=(1, 2))
 
 
 def clusters(poles: ComplexArray, radius: Array) -> list[NDArray[np.intp]]:
@@ -52,11 +75,12 @@ def clusters(poles: ComplexArray, radius: Array) -> list[NDArray[np.intp]]:
 # --- state space -----------------------------------------------------------------------------------------------
 
 
-def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
+def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) -> PoleResidueForm:
     """Poles and residues of `C (sI - A)^{-1} B + D`, with bounds for a backward error `n eps ||A||` of the balanced A.
 
     Modes are first taken apart, each pole alone or, where eigenvectors nearly coincide, each cluster of poles as one
-    block.  So nothing is decided by rank: a part that no port sees has a residue of zero within its bound.
+    block.  So no rank decides what ports see: a part that none does has a residue of zero within its bound.  Only at
+    `rest`, the pole of rigid bodies, ranks tell the Jordan chains: 0, or 1 in discrete time.
     """
     A, B, C, D = (_checks.real_array(name, M, 2) for name, M in zip("ABCD", (A, B, C, D), strict=True))
     for name, M in zip("ABC", (A, B, C), strict=True):
@@ -65,7 +89,7 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
     count, label = components(A != 0)
     parts = [np.flatnonzero(label == k) for k in range(count)]
     # parts that do not act on one another have units and rounding errors of their own
-    forms = [_from_coupled_states(A[np.ix_(part, part)], B[part], C[:, part], D) for part in parts]
+    forms = [_from_coupled_states(A[np.ix_(part, part)], B[part], C[:, part], D, rest) for part in parts]
     return _side_by_side(forms) if forms else _static(D)
 
 
@@ -80,13 +104,18 @@ def _side_by_side(forms: list[PoleResidueForm]) -> PoleResidueForm:
         np.concatenate([form.growth_error for form in forms]),
         max(form.gain for form in forms),
         forms[0].feedthrough,
+        tuple(part for form in forms for part in form.resolvents),
     )
 
 
-def _from_coupled_states(A: Array, B: Array, C: Array, D: Array) -> PoleResidueForm:
+def _from_coupled_states(A: Array, B: Array, C: Array, D: Array, rest: float) -> PoleResidueForm:
     A, B, C = _balanced(A, B, C)
     backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
-    blocks = _spectral_blocks(A, B, C, backward)
+    T, Z = _schur_form(A)
+    given = Resolvent(T, Z.conj().T @ B, C @ Z, backward)
+    resolvent, sizes = _rest_first(given, rest)
+    backward = resolvent.backward
+    blocks = _spectral_blocks(resolvent, sizes, rest)
     residue_error = _residue_errors(blocks, backward, B, C)
     refined = [
         _block_errors(block, backward / block.separation, error)
@@ -102,6 +131,7 @@ def _from_coupled_states(A: Array, B: Array, C: Array, D: Array) -> PoleResidueF
         growth_error,
         float(np.linalg.norm(B) * np.linalg.norm(C)),
         D,
+        (given,),
     )
 
 
@@ -157,32 +187,46 @@ class _Block:
     outputs: ComplexArray
     inputs: ComplexArray
     separation: float
+    index: int  # power of `N` that is zero
+    known: float = np.inf  # a bound of the error of its residue
 
 
-def _spectral_blocks(A: Array, B: Array, C: Array, backward: float) -> list[_Block]:
-    """One block for each eigenvalue; one for several that rounding does not tell apart."""
+def _schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
     try:
-        T, Z = schur(A, output="complex")
+        return schur(A, output="complex")
     except np.linalg.LinAlgError:
         raise StructureError(
             "the eigenvalues of A were not found: its entries, after balancing, range over "
             f"{np.abs(A[A != 0]).min():.1e} to {np.abs(A).max():.1e}; choose another unit of time, or other states"
         ) from None
+
+
+def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> list[_Block]:
+    """One block for all eigenvalues at `rest`; else one for each, or for several that rounding does not tell apart."""
+    T, to_modes, from_modes, backward = resolvent
+    still = sum(sizes)
     # of a triangular matrix: the eigenvalues come in the order of its diagonal
     values, left, right = eig(T, left=True, right=True)
-    to_modes, from_modes = Z.conj().T @ B, C @ Z
     overlap = np.sum(left.conj() * right, axis=0)
     separation = np.maximum(np.abs(overlap), _checks.EPS)
     # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
-    radius = np.minimum(SAFETY * backward / separation, 4 * _checks.EPS**0.25 * np.linalg.norm(A))
+    radius = np.minimum(SAFETY * backward / separation, 4 * _checks.EPS**0.25 * np.linalg.norm(T))
     blocks = []
-    for group in clusters(values, radius):
-        if len(group) == 1 and separation[group[0]] > len(A) * _PARALLEL:
+    if still:
+        block = _joint_block(T, to_modes, from_modes, np.arange(still))
+        N = np.triu(T[:still, :still], 1)
+        # the residue is the integral along a circle around all that is at rest, and nothing else
+        size = 0.5 * float(np.min(np.abs(values[still:] - rest), initial=2 * np.linalg.norm(T))) or 1.0
+        circle = rest + size * np.exp(1j * np.pi * (np.arange(4) + 0.5) / 4)
+        known = size * float(np.mean(resolvent.at(circle)[1]))
+        blocks.append(_Block(complex(rest), N, block.outputs, block.inputs, block.separation, len(sizes), known))
+    for group in clusters(values[still:], radius[still:]):
+        group = group + still
+        if len(group) == 1 and separation[group[0]] > len(T) * _PARALLEL:
             l = group[0]
             inputs = left[None, :, l].conj() @ to_modes / overlap[l]
-            blocks.append(
-                _Block(values[l], np.zeros((1, 1), complex), from_modes @ right[:, [l]], inputs, separation[l])
-            )
+            outputs = from_modes @ right[:, [l]]
+            blocks.append(_Block(values[l], np.zeros((1, 1), complex), outputs, inputs, separation[l], 1))
             continue
         # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
         while len(group):
@@ -191,6 +235,53 @@ def _spectral_blocks(A: Array, B: Array, C: Array, backward: float) -> list[_Blo
             blocks.append(_well_separated_block(T, to_modes, from_modes, group, backward))
             group = group[len(blocks[-1].N) :]
     return blocks
+
+
+def _rest_first(resolvent: Resolvent, rest: float) -> tuple[Resolvent, list[int]]:
+    """Bring the eigenvalues `rest` of a Schur form to its top, exactly; also the sizes of the steps of their chains.
+
+    Rounding scatters the eigenvalues of Jordan chains, and takes those of several apart at random; the dimensions of
+    the kernels of `T - rest` and of its powers remain.
+    """
+    T, inputs, outputs, backward = resolvent
+    n, size = len(T), float(np.linalg.norm(T))
+    near = np.abs(np.diag(T) - rest) <= 4 * _checks.EPS**0.25 * size
+    m = int(near.sum())
+    if m == 0:
+        return resolvent, []
+    S, Q, *_ = ztrsen(near.astype(np.int32), T, np.eye(n, dtype=complex), lwork=max(1, 2 * m * (n - m)))
+    V, left = np.eye(m, dtype=complex), S[:m, :m] - rest * np.eye(m)
+    sizes: list[int] = []
+    low = high = SAFETY * backward
+    while len(left):
+        _, sigma, Wh = np.linalg.svd(left)
+        # what is no more than the error of the steps before may be 0: the widest gap tells
+        ladder = np.concatenate([[size], np.maximum(sigma, backward), [backward]])
+        least, most = int(np.sum(sigma > high)), int(np.sum(sigma > low))
+        rank = least + int(np.argmax(ladder[least : most + 1] / ladder[least + 1 : most + 2]))
+        if rank == len(left):
+            break
+        high *= max(1.0, size / sigma[rank - 1]) if rank else 1.0
+        W = np.roll(Wh.conj().T, len(left) - rank, axis=1)
+        V[:, sum(sizes) :] = V[:, sum(sizes) :] @ W
+        sizes.append(len(left) - rank)
+        W = W[:, sizes[-1] :]
+        left = W.conj().T @ left @ W
+    k = sum(sizes)
+    if k == 0:
+        return resolvent, []
+    left, W = schur(left, output="complex") if k < m else (left, left)
+    V[:, k:] = V[:, k:] @ W
+    S[:, :m] = S[:, :m] @ V
+    S[:m] = V.conj().T @ S[:m]
+    # a step maps into those before it
+    step = np.concatenate([np.repeat(np.arange(len(sizes)), sizes), np.full(m - k, len(sizes))])
+    exact = np.where(step[:, None] < step, S[:m, :m], 0.0) + rest * np.eye(m)
+    exact[k:, k:] = left + rest * np.eye(m - k)
+    backward = max(backward, float(np.linalg.norm(S[:m, :m] - exact)))
+    S[:m, :m] = exact
+    Q[:, :m] = Q[:, :m] @ V
+    return Resolvent(S, Q.conj().T @ inputs, outputs @ Q, backward), sizes
 
 
 def _well_separated_block(
@@ -228,7 +319,7 @@ def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArr
     shift = np.vdot(residue, moment) / size if size > 0 else 0.0
     if abs(shift) > np.abs(values[:k] - center).max():
         shift = 0.0
-    return _Block(center + shift, N - shift * np.eye(k), outputs, inputs, max(separation, _checks.EPS))
+    return _Block(center + shift, N - shift * np.eye(k), outputs, inputs, max(separation, _checks.EPS), k)
 
 
 def _residue_errors(blocks: list[_Block], backward: float, B: Array, C: Array) -> Array:
@@ -237,6 +328,7 @@ def _residue_errors(blocks: list[_Block], backward: float, B: Array, C: Array) -
     separation = np.array([block.separation for block in blocks])
     spread = np.array([np.linalg.norm(block.N) for block in blocks])
     count = np.array([len(block.N) for block in blocks])
+    index = np.array([block.index for block in blocks])
     error = backward / separation
     out_error = np.full(len(blocks), _checks.EPS * np.linalg.norm(C))
     in_error = np.full(len(blocks), _checks.EPS * np.linalg.norm(B))
@@ -247,15 +339,15 @@ def _residue_errors(blocks: list[_Block], backward: float, B: Array, C: Array) -
         resolvent = np.linalg.inv(np.where(apart, gap, 1.0)[:, None, None] * np.eye(count[j]) - other.N)
         x, y = other.outputs @ resolvent, resolvent @ other.inputs
         # X -> (c_i + N_i) X - X (c_j + N_j) is inverted by a series that ends where powers of N_i do
-        for power in range(count.max()):
-            reached = apart & (power < count)
+        for power in range(index.max()):
+            reached = apart & (power < index)
             out_error += np.where(reached, spread**power * np.linalg.norm(x, axis=(1, 2)) * error[j], 0.0)
             in_error += np.where(reached, spread**power * np.linalg.norm(y, axis=(1, 2)) * backward, 0.0)
             x, y = x @ resolvent, resolvent @ y
     in_error = in_error / separation
     out_size = np.array([np.linalg.norm(block.outputs) for block in blocks])
     in_size = np.array([np.linalg.norm(block.inputs) for block in blocks])
-    return out_error * in_size + out_size * in_error + out_error * in_error
+    return np.minimum(out_error * in_size + out_size * in_error + out_error * in_error, [b.known for b in blocks])
 
 
 def _block_errors(block: _Block, pole_error: float, residue_error: float) -> tuple[float, float, float]:
@@ -265,7 +357,8 @@ def _block_errors(block: _Block, pole_error: float, residue_error: float) -> tup
         return pole_error, 0.0, 0.0
     size = float(np.linalg.norm(block.outputs) * np.linalg.norm(block.inputs))
     residue = float(np.linalg.norm(block.outputs @ block.inputs))
-    if residue > residue_error:
+    # what ranks have put at rest is there
+    if residue > residue_error and np.diag(block.N).any():
         moved = pole_error + (residue_error * spread + size * pole_error) / residue
     else:
         moved = pole_error

@@ -68,10 +68,28 @@ def discretize(modes: ModalForm, h: float, method: str = "exact", intersample: s
     midpoint: the implicit midpoint rule, input at the middle of the step, `lambda = (1 - i d h/2)/(1 + i d h/2)`.
     euler: `x_{k+1} = (1 - i d h) x_k + h nu u_k`, not lossless: the energy grows by `1 + (d h)^2` a step.
     """
+    return Step.of(*_equations(modes), h, method, intersample)
+
+
+def _equations(modes: ModalForm) -> tuple[Array, ComplexArray, ComplexArray]:
+    """`d`, `b` and `c` of `x' = -i d x + b u`, `y = Re(c x)`; the rigid-body modes follow the oscillating ones."""
     d = np.concatenate([modes.d, np.zeros(len(modes.rigid))])
     b = np.concatenate([modes.nu, modes.rigid])
-    c = np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
-    return Step.of(d, b, c, h, method, intersample)
+    return d, b, np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
+
+
+def transfer_function(modes: ModalForm, points: ComplexArray, rule: tuple[float, str, str] | None) -> ComplexArray:
+    """Transfer function of the modes, sampled by `(h, method, intersample)` or not, term by term; shape (N, m, m)."""
+    if rule is None:
+        d, b, c = _equations(modes)
+        poles, later = imaginary(-d), np.zeros_like(b)
+    else:
+        step = discretize(modes, *rule)
+        poles, b, later, c = step.multiplier, step.b0, step.b1, step.c
+    # the real part of a sum over half of the poles is a sum over all
+    z = np.stack([points, points.conj()])[..., None, None]
+    half, conjugate = c @ ((b + later * z) / (z - poles[:, None]))
+    return 0.5 * (half + conjugate.conj())
 
 
 def step_factors(d: Array, h: float, method: str) -> tuple[Array, tf.Pair]:
