@@ -59,7 +59,7 @@ def test_weights_make_the_estimate_that_of_the_noise_they_belong_to(n):
     errors = []
     for seed in range(4):
         data = ct.frd(exact + noise(size, seed), omega)
-        weighted, plain = phc.pem(data, n, weights=1 / size**2), phc.pem(data, n)
+        weighted, plain = phc.pem(data, n, weights=1 / size**2), phc.pem(data, n, weights=np.ones(80))
         assert is_at_the_optimum(weighted, d, r)
         assert weighted.noise_variance == pytest.approx(1.0, rel=0.4)
         errors.append([np.linalg.norm(weighted.r - r), np.linalg.norm(plain.r - r)])
@@ -104,11 +104,47 @@ def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_e
     noise = rng.standard_normal(300) + 1j * rng.standard_normal(300)
     data = ct.frd(exact * (1 + 0.01 * noise), omega, smooth=False)
     suspicion = "All points were taken as equally sure"
-    alike = phc.pem(data, 2)
+    alike = phc.pem(data, 2, weights=np.ones(300))
     assert alike.verdict == "doubtful, see below" and suspicion in alike.message
+    assert alike.noise.kind == "constant" and alike.noise.share == 0
     weighted = phc.pem(data, 2, weights=1 / np.abs(exact) ** 2)
-    assert weighted.verdict == "consistent with the record"
+    assert weighted.verdict == "consistent with the record" and weighted.noise.kind == "weights"
     assert suspicion not in weighted.message + phc.pem(data, 1, weights=1 / np.abs(exact) ** 2).message
+
+
+@pytest.mark.parametrize("order", [3, "auto"])
+def test_noise_that_goes_with_the_gain_is_estimated_without_weights(order):
+    inside = []
+    for seed in range(4):
+        d, r, exact, data = plant_with_noise(3, seed, relative=0.02, floor=0.002)
+        result = phc.pem(data, order)
+        assert result.order == 3 and result.verdict == "consistent with the record"
+        assert result.noise.kind == "gain" and result.noise.share == pytest.approx(0.02 / np.sqrt(2), rel=0.4)
+        size = np.hypot(0.02 * np.abs(exact), 0.002 * np.median(np.abs(exact)))
+        known = phc.pem(data, 3, weights=1 / size**2)
+        assert np.allclose(result.stderr["d"], known.stderr["d"], rtol=0.4)
+        assert np.all(np.abs(result.d - known.d) < 1.5 * known.stderr["d"])
+        for name, true in (("d", d), ("r", r)):
+            inside.append(np.abs(getattr(result, name) - true) < 1.96 * result.stderr[name])
+    assert np.mean(inside) > 0.85
+
+
+def test_constant_noise_of_a_response_stays_constant():
+    d, r = PLANTS[3]
+    omega = np.linspace(0.05, 3.2, 80)
+    exact = response(d, r, omega)
+    for seed in range(4):
+        data = ct.frd(exact + noise(np.full(80, 0.02 * np.median(np.abs(exact))), seed), omega)
+        plain, told = phc.pem(data, 3), phc.pem(data, 3, weights=np.ones(80))
+        assert plain.noise.kind == "constant" and np.array_equal(plain.d, told.d)
+        assert plain.noise.floor == pytest.approx(np.sqrt(plain.noise_variance))
+
+
+def test_the_noise_law_is_saved_with_the_result(tmp_path):
+    *_, data = plant_with_noise(1, 0, relative=0.02)
+    result = phc.pem(data, 1)
+    result.save(tmp_path / "fit.json")
+    assert phc.load(tmp_path / "fit.json").noise == result.noise and result.noise.kind == "gain"
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -121,15 +157,16 @@ def test_points_weighted_by_their_gain_lead_to_the_resonances(seed):
     assert np.allclose(result.d, [0.618, 1.618], rtol=1e-3) and result.verdict == "consistent with the record"
 
 
-def plant_with_noise(n, seed, *, relative, points=25):
-    """Residues within a factor of 5, modes at least 4 points apart, noise in proportion to the gain."""
+def plant_with_noise(n, seed, *, relative, floor=0.0, points=25):
+    """Residues within a factor of 5, modes at least 4 points apart, noise in proportion to the gain above a floor."""
     rng = np.random.default_rng([n, seed])
     omega = np.linspace(0.05, 3.2, points * n)
     place = np.sort(rng.uniform(2, len(omega) - 3, (1000, n)), axis=1)
     place = place[np.min(np.diff(place, axis=1), axis=1, initial=np.inf) >= 4][0]
     d, r = np.interp(place, np.arange(len(omega)), omega), rng.uniform(0.2, 1.0, n)
     exact = response(d, r, omega)
-    return d, r, exact, ct.frd(exact + noise(relative / np.sqrt(2) * np.abs(exact), seed), omega, smooth=False)
+    size = np.hypot(relative * np.abs(exact), floor * np.median(np.abs(exact))) / np.sqrt(2)
+    return d, r, exact, ct.frd(exact + noise(size, seed), omega, smooth=False)
 
 
 @pytest.mark.parametrize("n", [3, 6, 12])

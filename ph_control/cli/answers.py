@@ -46,7 +46,7 @@ def fit_of(result: Any) -> dict[str, Any]:
         "hertz": None if result.time_unit is None else result.hertz,
         **modes_of(result.modes),
         "stderr": {**result.stderr, "kappa": residue_errors(result)},
-        "noise_std": math.sqrt(result.noise_variance),
+        "noise_std": result.noise.floor,
         "loss": result.loss,
         "loglik": result.loglik,
         "aic": result.aic,

@@ -21,6 +21,7 @@ from .frequency_data import FrequencyRecord
 from .information import Information, information_at
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from .residual_data import without_peaks
+from .response_noise import NoiseLaw, record_law
 from .result import PEMResult
 from .selection import criteria
 from .solver import Problem, Projection, Refinement
@@ -48,6 +49,7 @@ class Fit:
     at_limit: bool
     most: int
     contradiction: Contradiction | None = None
+    law: NoiseLaw | None = None
 
 
 def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> PEMResult:
@@ -73,6 +75,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at))
         if fit.found is not found:
             return conclude(fit, method, intersample, quantity, representation)
+    law = record_law(fit.records, estimated.variance, fit.law)
     information = information_at(at, rank)
     figures = criteria(problem, at.loss, n)
     # a mode held at 0 in a frequency response has no trace left: that is the constraint's doing, not the input's
@@ -100,7 +103,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         contradiction=str(fit.contradiction or ""),
         quantity=quantity,
         in_time=isinstance(problem.experiments[0], Experiment),
-        alike=bool(weights) and all(np.ptp(one) == 0 for one in weights),
+        alike=bool(weights) and fit.law is None and all(np.ptp(one) == 0 for one in weights),
+        share=law.share,
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
@@ -110,6 +114,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         covariance=estimated.covariance,
         offset_stderr=estimated.offsets,
         noise_variance=estimated.variance,
+        noise=law,
         loss=at.loss / problem.samples,
         loglik=figures.loglik,
         aic=figures.aic,

@@ -19,6 +19,7 @@ from .frequency_data import FrequencyRecord
 from .information import Information
 from .prediction import FittedExperiment
 from .regressors import QUANTITIES
+from .response_noise import NoiseKind, NoiseLaw
 from .result import OrderRow, PEMResult
 
 _NUMBERS = ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "whiteness")
@@ -32,6 +33,7 @@ def _to_dict(result: PEMResult) -> dict[str, Any]:
         "covariance": result.covariance,
         "offset_stderr": result.offset_stderr,
         **{name: getattr(result, name) for name in _NUMBERS},
+        "noise": {"kind": result.noise.kind.value, "floor": result.noise.floor, "share": result.noise.share},
         "active": list(result.active),
         "unseen": list(result.unseen),
         "identifiability": {
@@ -94,6 +96,7 @@ def _from_dict(fields: Fields) -> PEMResult:
         covariance=fields.array("covariance", (size, size), finite=False),
         offset_stderr=fields.array("offset_stderr", (len(experiments),), finite=False),
         **{name: fields.number(name) for name in _NUMBERS},
+        noise=_noise(fields),
         active=_modes(fields, "active", n),
         unseen=_modes(fields, "unseen", n),
         identifiability=_information(fields.nested("identifiability")),
@@ -108,6 +111,15 @@ def _from_dict(fields: Fields) -> PEMResult:
         quantity=_one_of(fields, "quantity", QUANTITIES),
         representation=_one_of(fields, "representation", REPRESENTATIONS),
     )
+
+
+def _noise(fields: Fields) -> NoiseLaw:
+    """Law of the noise; older files tell only of one variance."""
+    if "noise" not in fields:
+        return NoiseLaw(NoiseKind.CONSTANT, float(np.sqrt(fields.number("noise_variance"))))
+    inner = fields.nested("noise")
+    kind = NoiseKind(_one_of(inner, "kind", tuple(one.value for one in NoiseKind)))
+    return NoiseLaw(kind, inner.number("floor"), inner.number("share"))
 
 
 def _experiments(fields: Fields, n: int) -> tuple[FittedExperiment, ...]:

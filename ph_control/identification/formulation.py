@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -73,6 +73,22 @@ class Formulation:
         rest = initial_state == "zero"
         rows = [rows_of(record, method, intersample, quantity, from_rest=rest, offset=offset) for record in records]
         return cls(records, Problem(tuple(rows), structured=representation == "controllable"))
+
+    @property
+    def of_equal_weights(self) -> bool:
+        """Whether these are frequency responses whose points count alike."""
+        return all(isinstance(one, FrequencyRecord) and not np.ptp(one.weights) for one in self.records)
+
+    def weighted(self, weights: Sequence[Array]) -> Formulation:
+        """The same with weights for the points that were measured of each response."""
+        records, rows = [], []
+        for one, shares in zip(self.problem.experiments, weights, strict=True):
+            if isinstance(one, FrequencyRows):
+                all_shares = np.full(one.record.samples, float(np.median(shares)))
+                all_shares[one.record.observed] = shares
+                records.append(replace(one.record, weights=all_shares))
+                rows.append(replace(one, record=records[-1]))
+        return replace(self, records=tuple(records), problem=replace(self.problem, experiments=tuple(rows)))
 
     @cached_property
     def search(self) -> Search:

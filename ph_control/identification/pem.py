@@ -14,6 +14,7 @@ from .conclusion import Fit, conclude
 from .formulation import Callback, Formulation, check_workers, reporter, rounding_floor
 from .forward import Start, prune, reseat, restart, stop_of
 from .holdout import held_out_losses
+from .response_noise import reweighted
 from .result import OrderRow, PEMResult
 from .search import Report, Search, Step
 from .selection import CRITERIA, criteria, significant
@@ -75,7 +76,8 @@ def pem(
     initial_guess : pair (d, r), ModalForm, or system of this package, optional
         Model to start from, in place of the search; with a given order, modes are added to it if it has fewer.
     weights : array_like, shape (K,), or list of these, optional
-        What the squared error at each frequency of a response counts.
+        What the squared error at each frequency of a response counts; by default all the same, unless the residuals
+        show that the noise grows with the gain: then by the law of the noise that is estimated, `noise` in the result.
     criterion : {'bic', 'aicc', 'aic', 'holdout'}
         What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
     max_order : int
@@ -137,11 +139,17 @@ def pem(
     guess = posed.guess(initial_guess)
     largest = posed.largest_order(order, max_order, guess)
     posed.check_signals()
-    found = _found(posed, order, largest, guess, criterion, workers, rng, callback)
+
+    def again(posed: Formulation, start: Array | None) -> Found:
+        return _found(posed, order, largest, guess if start is None else start, criterion, workers, rng, callback)
+
+    found, law = again(posed, None), None
+    if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
+        posed, found, law = reweighted(posed, found, again)
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
-    fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest)
+    fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law)
     return conclude(fit, method, intersample, quantity, representation)
 
 
@@ -175,11 +183,12 @@ def _found(
         end = replace(refine(problem, path[place].d, rtol=_POLISH, max_iterations=1), converged=False)
     else:
         end = refine(problem, path[place].d, rtol=_POLISH, progress=report(len(path[place].d)))
+    all_d = end.projection.d if place else path[-1].d
     if automatic and not interrupted:
         end = significant(problem, end, lambda d: refine(problem, d, rtol=_POLISH))
     rows = tuple(_row(problem, step) for step in path)
     iterations = sum(step.iterations for step in path) + end.iterations
-    return Found(end, rows, tuple(starts), iterations, interrupted or end.interrupted, floor)
+    return Found(end, rows, tuple(starts), iterations, interrupted or end.interrupted, floor, all_d)
 
 
 def _second_thoughts(
@@ -222,7 +231,7 @@ def _second_thoughts(
 
 @dataclass(frozen=True)
 class Found:
-    """The minimum that the search ended in, and how it came there."""
+    """The minimum that the search ended in, and how it came there; `all_d` has the modes that were dropped as noise."""
 
     end: Any
     rows: tuple[OrderRow, ...]
@@ -230,6 +239,7 @@ class Found:
     iterations: int
     interrupted: bool
     floor: float
+    all_d: Array
 
     @property
     def d(self) -> Array:

@@ -72,7 +72,8 @@ def summary_of(result: Any) -> str:
         f"  verdict         {result.verdict}",
         *_data_lines(result, missing),
         f"  fit             {result.fit_percent:.2f} %",
-        f"  noise           standard deviation {np.sqrt(result.noise_variance):.4g}",
+        f"  noise           standard deviation {result.noise.floor:.4g}"
+        + f", and {100 * result.noise.share:.2g} % of the gain" * bool(result.noise.share),
         f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})",
         "",
         *_aligned(mode_table(result)),

@@ -29,6 +29,7 @@ from .information import Information
 from .prediction import FittedExperiment, chosen_experiment, estimated_state, observed_system, response_on, step_after
 from .regressors import Hold
 from .report import FitReport, summary_of
+from .response_noise import NoiseLaw
 from .samples import ModeSamples, draw, normal_interval
 
 Array = NDArray[np.float64]
@@ -79,6 +80,9 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         'offset', one for each record.
     noise_variance : float
         Estimated variance of the output noise; of a frequency response, of its real and imaginary parts at unit weight.
+    noise : NoiseLaw
+        What was taken for the variance of the noise at each point: constant, given by `weights`, or for responses
+        without weights, where a constant is refused, estimated with a part that grows with the gain.
     loss : float
         Mean squared residual over the observed samples.
     loglik, aic, bic : float
@@ -118,6 +122,7 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     covariance: Array
     offset_stderr: Array
     noise_variance: float
+    noise: NoiseLaw
     loss: float
     loglik: float
     aic: float

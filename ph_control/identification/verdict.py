@@ -35,6 +35,7 @@ class Verdict:
     quantity: str = "velocity"
     in_time: bool = True
     alike: bool = False
+    share: float = 0.0
 
     @property
     def _coloured(self) -> bool:
@@ -125,7 +126,12 @@ class Verdict:
                 f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
                 "its quality cannot be judged."
             )
-        if len(parts) == (not self.driven and self.n > 0):
+        if self.share:
+            parts.append(
+                f"The noise grows with the gain, by {100 * self.share:.2g} % of it: this was estimated, and each point "
+                "has the weight that belongs to it."
+            )
+        if len(parts) == (not self.driven and self.n > 0) + bool(self.share):
             parts.append(
                 "The record is reproduced to rounding."
                 if self.noiseless
