@@ -12,6 +12,7 @@ import json
 import math
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Callable
 from contextlib import suppress
@@ -370,6 +371,8 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
     if mode is not None and not stat.S_ISREG(mode):
         # renaming a file to it would put the file in the place of the device
         raise OutputExistsError(f"{path} is not a regular file, but a device, a pipe or a socket; choose another name")
+    if mode is not None and not mode & 0o222:
+        raise OutputExistsError(f"{path} is read-only; make it writable, or choose another name")
     if not overwrite and os.path.lexists(path):
         raise OutputExistsError(f"{path} exists already; choose another name, or pass overwrite=True to replace it")
     if not path.parent.is_dir():
@@ -380,7 +383,8 @@ def write_atomically(path: Path, content: str | bytes, *, overwrite: bool) -> No
     """Write a file so that its name shows the old content or all of the new, never a part.
 
     The content goes to a temporary file in the same folder, reaches the disk, and then takes the name.  Without
-    `overwrite` a file that somebody else makes in the meantime is left alone.
+    `overwrite` a file that somebody else makes in the meantime is left alone; with it the permissions of the old one
+    stay, and a file with several names, by hard links, is written in place.
     """
     refuse_existing(path, overwrite)
     # through a symbolic link the file it points at is replaced, not the link
@@ -393,7 +397,13 @@ def write_atomically(path: Path, content: str | bytes, *, overwrite: bool) -> No
             stream.write(content.encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
-        if overwrite:
+        old = target.stat() if overwrite and target.exists() else None
+        if old is not None and old.st_nlink > 1:
+            # all its names shall lead to the new content, which renaming would give to one only
+            shutil.copyfile(temporary, target)
+        elif overwrite:
+            if old is not None:
+                os.chmod(temporary, stat.S_IMODE(old.st_mode))
             os.replace(temporary, target)
         else:
             _name_new_file(temporary, target)

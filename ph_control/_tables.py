@@ -274,7 +274,9 @@ def _split(row: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return row.split()
     if '"' in row:
-        return next(csv.reader([row], delimiter=delimiter, skipinitialspace=True))
+        # a field that is longer than the module allows is no number: quotes that are never closed are letters
+        with suppress(csv.Error):
+            return next(csv.reader([row], delimiter=delimiter, skipinitialspace=True))
     return row.split(delimiter)
 
 

@@ -6,6 +6,7 @@ measured, what is allowed, and what to do.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 
@@ -21,6 +22,16 @@ class PHControlError(Exception):
     ...     print(type(error).__name__)
     StructureError
     """
+
+    def __str__(self) -> str:
+        """Return the message, without the middle of what is too long to be read, such as a label."""
+        return shortened(super().__str__())
+
+
+def shortened(text: str) -> str:
+    """Text without the middle of words of hundreds of letters, nor that of thousands of words."""
+    text = re.sub(r"\S{400,}", lambda found: f"{found[0][:150]}...{found[0][-150:]}", text)
+    return text if len(text) < 8000 else f"{text[:5000]} ... {text[-2000:]}"
 
 
 class StructureError(PHControlError, ValueError):

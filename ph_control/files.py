@@ -22,6 +22,8 @@ from .systems import PortHamiltonian
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_MOST_PORTS = 1 << 14  # of a document, which may tell any number of a model without modes
+
 
 @dataclass(frozen=True)
 class Codec:
@@ -42,8 +44,8 @@ def _modes_to_dict(modes: ModalForm) -> dict[str, Any]:
 
 def _modes_from_dict(fields: Fields) -> ModalForm:
     ports = fields.integer("ports")
-    if ports < 1:
-        raise StructureError(f"ports is {ports}; a model has at least one port")
+    if not 1 <= ports <= _MOST_PORTS:
+        raise StructureError(f"ports is {ports}; a model has at least one port, and at most {_MOST_PORTS}")
     d = fields.array("d", (None,))
     nu = fields.complex_array("nu", (len(d), ports))
     rigid = fields.array("rigid", (None, ports))
@@ -141,8 +143,8 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     Raises
     ------
     OutputExistsError
-        If the file exists and `overwrite` is False, or the path is a folder, a device, a pipe or a socket.  Nothing
-        is written then.
+        If the file exists and `overwrite` is False or it is read-only, or the path is a folder, a device, a pipe or a
+        socket.  Nothing is written then.
     FileNotFoundError
         If the folder does not exist (an error of this package as well).
     StructureError
@@ -154,7 +156,8 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     Notes
     -----
     Every number comes back bit by bit, with all names; a system made from modes stays one.  The file appears whole
-    or not at all.  Its content is described in `docs/files.md`.
+    or not at all; one that is replaced keeps its permissions, and one with several names (hard links) is written in
+    place.  Its content is described in `docs/files.md`.
 
     Examples
     --------

@@ -529,6 +529,24 @@ def test_row_of_units_below_the_labels_joins_them(read, delimiter, units):
     assert (data.input_labels, data.output_labels) == (["force [N]"], ["velocity [m/s]"])
 
 
+def test_a_quote_that_is_never_closed_is_an_error_of_the_file_however_long_it_goes_on():
+    with pytest.raises(FileFormatError, match="fields, but the header has") as caught:
+        read_csv(io.StringIO('"' + 200_000 * "0" + ",u,y\n0,1,2\n1,2,3\n"))
+    assert len(str(caught.value)) < 1000
+
+
+def test_a_label_of_any_length_is_shortened_in_messages():
+    label = 100_000 * "a"
+    for call in (
+        lambda: read_csv(io.StringIO(f"t,{label},y,z\n0,1,2,3\n1,2,3,4\n")),
+        lambda: read_csv(io.StringIO(f"t,{label}\n0,x\n1,2\n"), input=False),
+        lambda: read_csv(io.StringIO("t,u,y\n0,1,2\n1,2,3\n"), input=label),
+    ):
+        with pytest.raises(StructureError) as caught:
+            call()
+        assert 40 < len(str(caught.value)) < 1000
+
+
 @pytest.mark.parametrize(
     "unit", ["m/s^2", "m/s²", "mm", "µm", "°C", "%", "rad/s", "N*m", "N·m", "kN", "1/s", "volts", "Hz"]
 )

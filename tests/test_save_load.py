@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import io
 import json
 import math
 import os
@@ -309,6 +310,31 @@ def test_permissions_are_those_of_any_new_file(path, model, overwrite):
         assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
 
 
+@pytest.mark.skipif(os.name != "posix", reason="file modes are those of POSIX")
+def test_a_file_that_is_replaced_keeps_its_permissions_and_its_names(path, model):
+    path.write_text("old")
+    path.chmod(0o640)
+    save(model, path, overwrite=True)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    other = path.with_name("other.json")
+    os.link(path, other)
+    save(phc.modes(1.0, 2.0), path, overwrite=True)
+    assert path.samefile(other) and load(other).r.tolist() == [2.0]
+    path.chmod(0o440)
+    with pytest.raises(OutputExistsError, match="is read-only; make it writable"):
+        save(model, path, overwrite=True)
+    assert load(other).r.tolist() == [2.0]
+    assert sorted(os.listdir(path.parent)) == ["model.json", "other.json"]
+
+
+@pytest.mark.parametrize("ports", [0, 10**6, 10**12, 10**30])
+def test_a_number_of_ports_without_entries_is_refused_before_room_is_made_for_them(ports):
+    data = {"ports": ports, "d": [], "nu": [], "rigid": [], "r": []}
+    document = {"format": "ph_control", "schema": 1, "kind": "ModalForm", "data": data}
+    with pytest.raises(FileFormatError, match=r"ports is \d+; a model has at least one port, and at most 16384"):
+        load(io.StringIO(json.dumps(document)))
+
+
 @pytest.mark.skipif(os.name != "posix", reason="symbolic links need no privilege on POSIX only")
 def test_overwriting_through_a_symbolic_link_writes_the_file_it_points_at(path, model):
     (path.parent / "elsewhere").mkdir()
@@ -538,7 +564,7 @@ NOTHING = object()
         (["sha256"], 5, "sha256 is 5, needed a string"),
         (["data", "name"], None, "data: name is null, needed a string"),
         (["data", "name"], NOTHING, "data: the field 'name' is missing; the file is damaged or incomplete"),
-        (["data", "name"], "a.b", "holds no valid PortHamiltonian: invalid system name 'a.b'"),
+        (["data", "name"], "a.b", "holds no valid PortHamiltonian: name is 'a.b'"),
         (["data", "inputs"], ["u", 3], "data: inputs is a list with 2 entries, needed a list of strings"),
         (["data", "inputs"], "u", 'data: inputs is "u", needed a list of strings'),
         (["data", "inputs"], ["u", "w"], "holds no valid PortHamiltonian: 2 "),

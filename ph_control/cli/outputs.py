@@ -35,6 +35,8 @@ def _check(path: Path, sources: list[Path], overwrite: bool) -> None:
         raise OutputExistsError(f"{path} is not a regular file; name another one")
     if exists and not overwrite:
         raise OutputExistsError(f"{path} exists; name another file, or pass --overwrite to replace it")
+    if exists and not path.stat().st_mode & 0o222:
+        raise OutputExistsError(f"{path} is read-only; make it writable, or name another file")
     if not path.resolve().parent.is_dir():
         raise FileMissingError(f"{path} cannot be written: its folder does not exist; make it first")
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._display import Report, html_heading, html_report, html_table
 from .._units import common_unit, hertz_size, in_unit, rate, step_of
+from ..exceptions import shortened
 from ..fit_data import percent
 from .data import Record
 
@@ -78,7 +79,7 @@ def summary_of(result: Any) -> str:
         "",
         *_aligned(mode_table(result)),
     ]
-    return "\n".join([*lines, "", *_wrap(in_unit(result.message, result.time_unit))])
+    return shortened("\n".join([*lines, "", *_wrap(in_unit(result.message, result.time_unit))]))
 
 
 def mode_table(result: Any) -> list[list[str]]:
