@@ -6,7 +6,7 @@ measured, what is allowed and what to do.  All tolerances are relative.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import index
 from typing import Any
 
@@ -40,6 +40,15 @@ def shown(value: Any) -> str:
     except ValueError:  # an integer of thousands of digits
         return type(value).__name__
     return text if len(text) < 40 else type(value).__name__
+
+
+def labels(value: Any) -> list[str]:
+    """Texts of a label, or of several."""
+    if isinstance(value, str):
+        return [value]
+    if not isinstance(value, Iterable):
+        raise StructureError(f"label is {shown(value)}; give a text, or a list of them")
+    return [str(one) for one in value]
 
 
 def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, fresh: bool = True) -> Array:

@@ -7,6 +7,7 @@ from typing import Any
 
 import control as ct
 
+from . import _checks
 from .exceptions import StructureError
 from .modal import ModalForm
 from .systems import PortHamiltonian, ph
@@ -55,7 +56,7 @@ def labels_of(sysdata: Any, systems: list[Any], label: str | Sequence[str] | Non
             f"{name} (dt = {sys.dt})" if names.count(name) > 1 and sys.isdtime(strict=True) else name
             for name, sys in zip(names, systems, strict=True)
         ]
-    labels = [label] if isinstance(label, str) else list(label)
+    labels = _checks.labels(label)
     if len(labels) != len(systems):
         raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
     return labels

@@ -10,8 +10,11 @@ from typing import Any, TypedDict
 import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import RcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
@@ -75,6 +78,7 @@ class Look:
             raise TypeError(f"unexpected keyword argument {unknown[0]!r}; of style: {', '.join(known.__annotations__)}")
         given = {name: value for name, value in style.items() if value is not None}
         frame = {name: given.pop(name) for name in FrameStyle.__annotations__ if name in given}
+        _refuse_unknown_look(given, frame)
         return cls(**frame, line=given)
 
     def context(self) -> AbstractContextManager[None]:
@@ -109,6 +113,18 @@ class Look:
             figure.suptitle(plain(default if self.title is None else self.title))
 
 
+def _refuse_unknown_look(line: Mapping[str, Any], frame: Mapping[str, Any]) -> None:
+    """Refuse what matplotlib would refuse in the middle of a picture."""
+    place = frame.get("legend_loc")
+    if isinstance(place, str) and place not in Legend.codes:
+        raise StructureError(f"legend_loc is {place!r}; it must be one of {', '.join(map(repr, Legend.codes))}")
+    try:
+        Line2D([], [], **line)
+        RcParams(frame.get("rcParams", {}))
+    except (ValueError, TypeError, KeyError) as error:
+        raise StructureError(f"matplotlib does not know this style: {error}") from None
+
+
 def new_axes(ax: Any, shape: tuple[int, int], size: tuple[float, float], **options: Any) -> tuple[Figure, NDArray[Any]]:
     """Axes of the given shape in a new figure, or those that were passed."""
     if ax is not None:
@@ -125,6 +141,9 @@ def given_axes(ax: Any, shape: tuple[int, int], meaning: str = "") -> tuple[Figu
         raise StructureError(
             f"ax has {axes.size} axes; needed {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
         )
+    wrong = [one for one in axes.flat if not isinstance(one, Axes)]
+    if wrong:
+        raise StructureError(f"ax holds {_checks.shown(wrong[0])}; pass axes of matplotlib, as plt.subplots makes them")
     axes = axes.reshape(shape)
     return axes[0, 0].figure, axes
 

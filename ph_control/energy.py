@@ -254,7 +254,7 @@ def energy_plot(
     for one in balances:
         if not isinstance(one, EnergyBalance):
             raise StructureError(f"this is a {type(one).__name__}; pass what energy_balance(response, sys) gives")
-    names = [label] if isinstance(label, str) else list(label or [""] * len(balances))
+    names = _checks.labels([""] * len(balances) if label is None else label)
     if len(names) != len(balances) or not balances:
         raise StructureError(f"{len(names)} labels for {len(balances)} balances; give one for each, and one at least")
     look = Look.of(style)

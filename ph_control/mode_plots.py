@@ -277,7 +277,7 @@ def pole_zero_plot(
 
 
 def _draw_strips(ax: Any, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Any:
-    ranges = strips(maps, None if ax is None else int(np.size(ax)))
+    ranges = strips(maps, None if ax is None else max(1, int(np.size(ax))))
     if ax is not None and np.size(ax) > len(ranges):
         raise StructureError(f"ax has {np.size(ax)} axes, but there are poles for {len(ranges)} only; pass as many")
     shape = (len(ranges), 1)

@@ -636,3 +636,26 @@ def test_a_balance_that_is_none_says_why():
         energy_plot([balance(), balance()], label="one")
     with pytest.raises(StructureError, match="ax has 1 axes"):
         energy_plot(balance(), ax=plt.subplots()[1])
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [
+        {"ax": "a"}, {"ax": []}, {"ax": 3}, {"ax": [1, 2]}, {"legend_loc": "nowhere"}, {"rcParams": 3},
+        {"rcParams": {"no.such": 1}}, {"label": 3}, {"color": "nocolour"}, {"linestyle": "zz"}, {"linewidth": "a"},
+    ],
+)  # fmt: skip
+def test_keywords_of_pictures_are_refused_before_anything_is_drawn(keywords):
+    chain, t = phc.frenkel_kontorova(), 0.1 * np.arange(100)
+    balance = phc.energy_balance(phc.forced_response(chain, t, np.sin(t)), chain)
+    pictures = [
+        lambda **k: phc.bode_plot(chain, **k), lambda **k: phc.step_plot(chain, **k),
+        lambda **k: phc.modes_plot(chain, **k), lambda **k: phc.pole_zero_plot(chain, **k),
+        lambda **k: phc.energy_plot(balance, **k), lambda **k: phc.fit_plot(t, np.sin(t), np.cos(t), **k),
+    ]  # fmt: skip
+    ours = {"ax", "legend_loc", "rcParams"}
+    for draw in pictures[: None if ours & set(keywords) else 3]:
+        before = plt.get_fignums()
+        with pytest.raises(StructureError, match=r"ax h|legend_loc is|matplotlib does not know|label is"):
+            draw(**keywords)
+        assert plt.get_fignums() == before

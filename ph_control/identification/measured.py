@@ -109,10 +109,10 @@ def in_experiment(place: int, count: int) -> Iterator[None]:
 
 def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple[str, ...]:
     """One name for each model, all different."""
-    given = [labels] if isinstance(labels, str) else labels
+    given = None if labels is None else _checks.labels(labels)
     if given is not None and len(given) != len(models):
         raise StructureError(f"{len(given)} labels for {len(models)} models; give one for each")
-    names = [_name(model) for model in models] if given is None else [str(label) for label in given]
+    names = [_name(model) for model in models] if given is None else given
     repeated = Counter(names)
     counts: Counter[str] = Counter()
     for k, name in enumerate(names):
