@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._units import common_unit, in_unit
-from ..exceptions import StructureError
+from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from ..propagation import INTERSAMPLE, METHODS
 from ..systems import modes
@@ -23,11 +23,13 @@ from .information import Combination, Information, joint_information, model_info
 from .regressors import QUANTITIES, Hold, regressors
 from .remedy import input_remedy
 from .scan import Scan, representative, scan
-from .solver import Projection
+from .solver import Problem, Projection
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_ALWAYS = 20  # modes that are judged however short the record, so that it is said how long it has to be
+_MOST = 200  # modes beyond which singular values take minutes
 _SAME = 1e-9  # relative distance of frequencies that no record of any length tells apart in practice
 _FASTEST = 1e6  # radians per step
 _WANTED = 0.1  # relative standard error that a stronger input is to reach
@@ -87,7 +89,7 @@ def excitation(
     StructureError
         If the data, the model or the options are not of this form, or the model leaves the range of doubles.
     IdentificationError
-        If the record has less than two samples.
+        If the record has less than two samples, or there are more modes than it can carry.
 
     Notes
     -----
@@ -125,11 +127,14 @@ def excitation(
         _problem(record, Hold(record.dt, method, intersample), initial_state == "zero", quantity) for record in records
     ]
     problem = max(problems, key=lambda one: len(one.u))
+    most = min(_MOST, max(Problem(tuple(problems)).carried, _ALWAYS))
     if isinstance(order, int | np.integer) and not isinstance(order, bool):
         if order < 1:
             raise StructureError(f"order is {order}; a number of modes must be at least 1")
+        _refuse_many(int(order), most, problems)
         return _in_unit(_of_order(problem, int(order), noise), unit)
     model = _model(order, method, intersample)
+    _refuse_many(model.n, most, problems)
     _check_phases(problem, model.d)
     motions = [_free_motion(one, model) if one.measured else (np.zeros(model.n, complex), np.nan) for one in problems]
     amplitudes, left = motions[problems.index(problem)]
@@ -201,6 +206,16 @@ def examine_fit(at: Projection, information: Information, noise_std: float = np.
     return examine(
         cast(Experiment, record), d, kappa / d, amplitudes[rank], noise_std=noise_std, information=information
     )
+
+
+def _refuse_many(n: int, most: int, problems: list[_Asked]) -> None:
+    """Refuse more modes than the records carry or than can be judged together in acceptable time and memory."""
+    if n > most:
+        samples = sum(one.samples for one in problems)
+        raise IdentificationError(
+            f"{_checks.shown(n)} modes are more than can be judged with {samples} observed samples; the largest number "
+            f"here is {most}: ask for fewer, such as those of one band"
+        )
 
 
 def _positive(name: str, value: Any) -> float:

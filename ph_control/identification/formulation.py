@@ -70,6 +70,7 @@ class Formulation:
             _checks.choice(name, value, allowed)
         _checks.flags(offset=offset)
         records = as_experiments(data, dt, weights=weights)
+        _refuse_unobserved(records)
         rest = initial_state == "zero"
         rows = [rows_of(record, method, intersample, quantity, from_rest=rest, offset=offset) for record in records]
         return cls(records, Problem(tuple(rows), structured=representation == "controllable"))
@@ -188,6 +189,16 @@ class Formulation:
         if len(guess) > int(order):
             raise StructureError(f"initial_guess has {len(guess)} modes, more than the {order} of the order")
         return int(order)
+
+
+def _refuse_unobserved(records: Records) -> None:
+    """Refuse an experiment that says nothing beside others that do."""
+    seen = [bool(record.observed.any()) for record in records]
+    if len(seen) > 1 and not all(seen):
+        place = seen.index(False)
+        raise IdentificationError(
+            f"experiment {place + 1} has no outputs: all {records[place].samples} of them are NaN; leave it out"
+        )
 
 
 def rows_of(

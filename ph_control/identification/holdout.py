@@ -41,7 +41,10 @@ class HeldOut:
 
     def loss(self, d: Array) -> float:
         """Mean squared error over what is held out, of the model that fits the rest best about these frequencies."""
-        at = refine(self.training, d, rtol=_POLISH).projection
+        end = refine(self.training, d, rtol=_POLISH)
+        if end.interrupted:
+            raise KeyboardInterrupt
+        at = end.projection
         found = [errors(at.d, at.kappa, own) for errors, own in zip(self.errors, at.own, strict=True)]
         return float(np.mean(np.concatenate(found) ** 2))
 

@@ -226,6 +226,11 @@ class Information(Frozen):
         return Combination(names, tuple((change / change[0]).tolist()), tuple(weight[order].tolist()), inflation)
 
 
+def work(problem: Experiment, n: int) -> float:
+    """Operations that the information of n modes takes: the QR factorisation of (T, 4n), and the SVD of its factor."""
+    return 16.0 * n**2 * (len(problem.u) + 88.0 * n)
+
+
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the range of doubles is refused
 def model_information(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information of `(d, r, x(0))` at a model, for unit noise; `x(0)` only where it is estimated.

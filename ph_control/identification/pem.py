@@ -145,12 +145,19 @@ def pem(
 
     found, law = again(posed, None), None
     if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
-        posed, found, law = reweighted(posed, found, again)
+        try:
+            posed, found, law = reweighted(posed, found, again)
+        except KeyboardInterrupt:
+            found = replace(found, interrupted=True)
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
     fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law)
-    return conclude(fit, method, intersample, quantity, representation)
+    try:
+        return conclude(fit, method, intersample, quantity, representation)
+    except KeyboardInterrupt:
+        fit = replace(fit, found=replace(found, interrupted=True))
+        return conclude(fit, method, intersample, quantity, representation)
 
 
 def _found(

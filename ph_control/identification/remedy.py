@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from .excited_band import ExcitedBand
 from .experiment import Experiment
-from .information import listed, model_information
+from .information import listed, model_information, work
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _AFFORDABLE = 1_000_000  # samples times modes up to which remedies are tried; beyond, they are named untried
+_WORK = 1e10  # operations of the factorisations that are tried, up to one for each mode
 _MARGIN = (0.5, 1.25)  # of the lowest and highest frequency: the band of a broadband input
 _LONGEST = 8  # times the record
 _MOST_LINES = 6  # that are advised one by one
@@ -42,7 +43,7 @@ def input_remedy(
         return None
     low, high = bandwidth
     broadband = f"use a white or multisine input of the same length over {low:.2g} .. {high:.2g} rad/time"
-    if len(problem.u) * len(d) > _AFFORDABLE:
+    if len(problem.u) * len(d) > _AFFORDABLE or len(d) * work(problem, len(d)) > _WORK:
         return broadband
 
     def shows_all(u: Array) -> bool:

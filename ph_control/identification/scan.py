@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .._frozen import Frozen
 from .excited_band import ExcitedBand
 from .experiment import Experiment
-from .information import model_information
+from .information import model_information, work
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,7 @@ SPACING = 3.0  # bins between neighbours of a group: what a record separates at 
 _WORTH = 10.0  # times the smallest error, up to which a frequency counts as shown
 _PLACES = (12, 40)  # fewest and most frequencies of a grid
 _AFFORDABLE = 2_000_000  # samples times modes times frequencies
+_WORK = 4e9  # operations of all factorisations, but for the three that there are at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,9 @@ class Scan(Frozen):
 def scan(problem: Experiment, n: int, band: ExcitedBand) -> Scan:
     """Information of a group of n modes at each of a grid of frequencies."""
     top = ceiling(problem)
-    count = int(np.clip(_AFFORDABLE / (n * len(problem.u)), *_PLACES))
-    inside = [place for low, high in band.intervals[:8] for place in (low, 0.5 * (low + high), high)]
+    few = max(3, int(_WORK / work(problem, n)))
+    count = min(int(np.clip(_AFFORDABLE / (n * len(problem.u)), *_PLACES)), few)
+    inside = [place for low, high in band.intervals[:8] for place in (low, 0.5 * (low + high), high)][:few]
     grid = np.concatenate([np.geomspace(problem.bin, top, count), inside])
     grid = np.unique(grid[(grid >= problem.bin) & (grid <= top)])
     d = np.array([group(n, centre, problem) for centre in grid])

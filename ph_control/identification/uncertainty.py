@@ -76,7 +76,8 @@ def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int
     records = len(states)
     d, kappa, free = at.d[rank], at.kappa[rank], at.free[rank]
     driven = at.problem.driven
-    held = ~free if driven else np.zeros(n, bool)
+    # of a combination that leaves no trace the smallest solution is 0: a weight of 0 is not an estimate either
+    held = ~free | (kappa == 0) if driven else np.zeros(n, bool)
     safe = np.where(held, 1.0, kappa) if driven else d
     k = np.arange(n)
     T = np.zeros((len(linear), len(linear)))

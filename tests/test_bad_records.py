@@ -1,0 +1,95 @@
+"""Records that show little or nothing, and fits that are cut short: an answer or a refusal, never less."""
+
+import sys
+from pathlib import Path
+
+import control as ct
+import numpy as np
+import pytest
+
+import ph_control as phc
+
+RNG = np.random.default_rng(0)
+TIME = 0.1 * np.arange(300)
+PLANT = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+INPUT = RNG.standard_normal(300)
+NOISE = 0.05 * RNG.standard_normal(300)
+PACKAGE = str(Path(phc.__file__).parent)
+
+
+def answer(u, offset=0.0):
+    return phc.forced_response(PLANT, TIME, u, intersample="zoh").outputs + NOISE + offset
+
+
+def interrupted_at(call, function):
+    """Run a function, and raise KeyboardInterrupt at a call inside the package; its answer and the calls there were."""
+    count = 0
+
+    def profile(frame, event, argument):
+        nonlocal count
+        if event == "call" and frame.f_code.co_filename.startswith(PACKAGE):
+            count += 1
+            if count == call:
+                raise KeyboardInterrupt
+
+    sys.setprofile(profile)
+    try:
+        return function(), count
+    finally:
+        sys.setprofile(None)
+
+
+@pytest.mark.parametrize("part", [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99])
+def test_an_interruption_of_the_judgement_keeps_the_fit(part):
+    # judging takes most of the calls: damping contradicts the model
+    data = INPUT, answer(INPUT) * np.exp(-0.02 * TIME)
+
+    def fit():
+        return phc.pem(data, 2, dt=0.1)
+
+    whole, calls = interrupted_at(0, fit)
+    cut, _ = interrupted_at(int(part * calls), fit)
+    assert not cut.success and cut.verdict == "none, the fit was interrupted" and "interrupted" in cut.summary()
+    assert cut.order == 2 and np.isfinite(cut.loss) and whole.success
+
+
+@pytest.mark.parametrize("options", [{}, {"offset": True}])
+def test_an_experiment_without_outputs_is_refused_by_its_number(options):
+    missing = np.full(300, np.nan)
+    for data in ([(INPUT, answer(INPUT)), (INPUT, missing)], [(None, answer(INPUT)), (None, missing)]):
+        for call in (phc.pem, phc.order_selection):
+            with pytest.raises(phc.IdentificationError, match="experiment 2 has no outputs"):
+                call(data, 2, dt=0.1, **options)
+    omega = np.linspace(0.1, 3.0, 40)
+    with pytest.raises(phc.IdentificationError, match="experiment 1 has no outputs"):
+        phc.pem([ct.frd(np.full(40, np.nan + 0j), omega), ct.frd(PLANT(1j * omega), omega)], 2)
+
+
+def test_the_number_of_modes_that_are_judged_is_bounded_by_the_record():
+    few, many = (INPUT[:200], None), np.arange(1.0, 301.0)
+    for order in (300, 10**30, (many, np.ones(300)), phc.modes(many, np.ones(300))):
+        with pytest.raises(phc.IdentificationError, match="200 observed samples; the largest number here is 49"):
+            phc.excitation(few, order, dt=0.01)
+    assert phc.excitation(few, 3, dt=0.1).n == 3
+    assert phc.excitation((INPUT[:6], None), 3, dt=0.1).observed == 6, "of few modes it is told how much they need"
+
+
+LAST, RAMP = np.eye(1, 300, 299)[0], TIME.copy()
+
+
+@pytest.mark.filterwarnings("ignore::ph_control.exceptions.IdentifiabilityWarning")
+@pytest.mark.parametrize(
+    "u, options",
+    [
+        (LAST, {}), (LAST, {"offset": True}), (LAST, {"initial_state": "zero"}), (LAST, {"method": "midpoint"}),
+        (np.sin(2.0 * TIME), {"representation": "controllable"}), (np.sin(0.5 * TIME), {}),
+        (RAMP, {"offset": True}), (RAMP, {"offset": True, "quantity": "acceleration"}),
+        (RAMP, {"offset": True, "representation": "controllable"}),
+    ],
+)  # fmt: skip
+def test_inputs_that_show_no_weight_give_no_number_for_its_error(u, options):
+    result = phc.pem((u, answer(u, offset=1.0)), 2, dt=0.1, **options)
+    # what was estimated has an error, and what was not has none; RuntimeWarnings are errors here
+    silent = result.r == 0
+    assert np.isnan(result.stderr["r"][silent]).all() and np.isfinite(result.stderr["r"][~silent]).all()
+    assert not np.isinf(result.covariance).any() and result.summary()
