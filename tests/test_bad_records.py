@@ -74,6 +74,17 @@ def test_the_number_of_modes_that_are_judged_is_bounded_by_the_record():
     assert phc.excitation((INPUT[:6], None), 3, dt=0.1).observed == 6, "of few modes it is told how much they need"
 
 
+@pytest.mark.parametrize("quantity", ["velocity", "displacement", "acceleration"])
+def test_a_state_is_given_as_a_vector_or_as_one_number(quantity):
+    result = phc.pem((INPUT, answer(INPUT)), 2, dt=0.1, quantity=quantity)
+    rest, ones = result.predict(INPUT, initial_state="zero"), result.predict(INPUT, initial_state=np.ones(4))
+    assert np.array_equal(result.predict(INPUT, initial_state=0.0).outputs, rest.outputs)
+    assert np.array_equal(result.predict(INPUT, initial_state=1).outputs, ones.outputs)
+    for wrong in (np.ones(3), np.ones((4, 1)), [], [[1.0]], np.nan, "rest", [1j] * 4, {}):
+        with pytest.raises(phc.StructureError, match="initial_state"):
+            result.predict(INPUT, initial_state=wrong)
+
+
 LAST, RAMP = np.eye(1, 300, 299)[0], TIME.copy()
 
 

@@ -356,10 +356,10 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         ----------
         data : TimeResponseData, pair (u, y), or array of inputs (T,)
             Inputs, with the step of the record that was fitted; `(None, y)` is a free motion.
-        initial_state : array_like, shape (2n,), or {'estimate', 'fitted', 'final', 'zero'}, optional
-            State at the first sample.  'estimate' fits it to the outputs of `data`, 'fitted' takes the one of this
-            result, 'final' goes on where the fitted record ended.  Default: 'estimate' if `data` has outputs, else
-            'fitted', or 'zero' after a fit to a frequency response.
+        initial_state : array_like, shape (2n,), float, or {'estimate', 'fitted', 'final', 'zero'}, optional
+            State at the first sample; a number is every entry of it.  'estimate' fits it to the outputs of `data`,
+            'fitted' takes the one of this result, 'final' goes on where the fitted record ended.  Default: 'estimate'
+            if `data` has outputs, else 'fitted', or 'zero' after a fit to a frequency response.
         dt : float, optional
             Time between samples, for arrays; by default that of the record that was fitted.
 
@@ -403,8 +403,14 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         if isinstance(initial_state, str):
             state, offset = self._named_state(record, initial_state, hold)
         else:
-            state, offset = _checks.real_array("initial_state", initial_state), 0.0
+            state, offset = self._given_state(initial_state), 0.0
         return response_on(self.system, record, state, hold, self.quantity, offset)
+
+    def _given_state(self, value: Any) -> Array:
+        state, size = _checks.real_array("initial_state", value), 2 * self.order
+        if state.ndim and state.shape != (size,):
+            raise StructureError(f"initial_state has shape {state.shape}; a state of this model is a vector ({size},)")
+        return np.full(size, state) if not state.ndim else state
 
     def _named_state(self, record: Record, name: str, hold: Hold) -> tuple[Array, float]:
         _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
