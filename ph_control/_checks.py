@@ -141,6 +141,18 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     return points
 
 
+def complex_matrix(name: str, value: Any, rows: int) -> NDArray[np.complex128]:
+    """Check a matrix of finite complex numbers with so many rows; a copy."""
+    try:
+        array = np.array(value, dtype=complex)
+    except (TypeError, ValueError, OverflowError):
+        raise StructureError(f"{name} does not hold complex numbers: {shown(value)}; pass an array of them") from None
+    if array.ndim != 2 or array.shape[0] != rows or array.shape[1] == 0:
+        raise StructureError(f"{name} has shape {array.shape}; it must be ({rows}, number of ports)")
+    finite(name, array)
+    return array
+
+
 def relative_tolerance(rtol: Any) -> float:
     """Check a relative tolerance: a number from 0 to 1, 1 itself excluded."""
     number = isinstance(rtol, int | float | np.integer | np.floating) and not isinstance(rtol, bool)

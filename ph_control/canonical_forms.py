@@ -50,7 +50,7 @@ class _CanonicalForm(LosslessSystem):
         if len(self._d) == n:
             order = np.argsort(self._d, kind="stable")
             nu, rigid, r = (q + 1j * p)[order, None], np.zeros((0, 1)), (q * q + p * p)[order]
-            return _in_range(ModalForm(self._d[order], nu, rigid, r))
+            return _in_range(ModalForm._of(self._d[order], nu, rigid, r))
         d1, d2 = self._d[:n], self._d[n:]
         free = (d1 == 0) | (d2 == 0)
         # a squeeze that makes both halves of the energy of a mode alike
@@ -58,7 +58,7 @@ class _CanonicalForm(LosslessSystem):
         order = np.argsort(d, kind="stable")
         nu = (q[~free] * squeeze + 1j * p[~free] / squeeze)[order, None]
         still = np.sqrt(d1[free]) * q[free] + np.sqrt(d2[free]) * p[free]
-        return _in_range(ModalForm(d[order], nu, still[:, None]))
+        return _in_range(ModalForm._of(d[order], nu, still[:, None]))
 
     @property
     def modes(self) -> ModalForm:
@@ -476,6 +476,6 @@ def _matrix_coefficients(modes: ModalForm) -> tuple[list[list[Array]], Array]:
     for start, total, scale in ((1, symmetric, terms), (0, skew, terms_of_skew)):
         # where all cancel, what is left is rounding
         table[:, :, start::2] = np.where(np.abs(total) > 8 * size * _checks.EPS * scale, total, 0.0)
-    single = ModalForm(rest, np.ones((len(rest), 1), complex), np.ones((size // 2 - len(rest), 1)))
+    single = ModalForm._of(rest, np.ones((len(rest), 1), complex), np.ones((size // 2 - len(rest), 1)))
     denominator = np.concatenate([[1.0], single.coefficients()[0][::-1]])
     return [[entry[::-1] for entry in line] for line in table], denominator

@@ -106,10 +106,10 @@ class Separation:
         nu = np.concatenate([np.zeros((0, self.modes.nports), complex), *(g.nu for g in reached)])
         order = np.argsort(d, kind="stable")
         if self.modes.nports > 1:
-            return ModalForm(d[order], nu[order], self.rigid.copy())
+            return ModalForm._of(d[order], nu[order], self.rigid.copy())
         # the weight of a group is the sum of those of its modes, whatever rotation was found
         r = np.array([self.modes.r[g.members].sum() for g in reached])[order]
-        return ModalForm(d[order], np.sqrt(r).astype(complex)[:, None], self.rigid.copy(), r)
+        return ModalForm._of(d[order], np.sqrt(r).astype(complex)[:, None], self.rigid.copy(), r)
 
     def hidden(self) -> Array:
         """Frequencies that no port reaches, ascending."""

@@ -119,7 +119,7 @@ def _modes_of_pair(d: Array, v: Array) -> ModalForm:
     r = squared_weights(v)
     with np.errstate(over="ignore"):
         _checks.representable("the residues r d of the pair", r * d)
-    return ModalForm(d[order], (v[:n] + 1j * v[n:])[order, None], np.zeros((0, 1)), r[order])
+    return ModalForm._of(d[order], (v[:n] + 1j * v[n:])[order, None], np.zeros((0, 1)), r[order])
 
 
 @np.errstate(over="ignore")  # what overflows is refused

@@ -50,23 +50,7 @@ def _modes_from_dict(fields: Fields) -> ModalForm:
     nu = fields.complex_array("nu", (len(d), ports))
     rigid = fields.array("rigid", (None, ports))
     r = fields.array("r", (len(d),) if ports == 1 else (len(d), ports))
-    _checks.natural_frequencies(d)
-    if np.any(np.diff(d) < 0):
-        raise StructureError("d is not ascending; the natural frequencies must be sorted")
-    _refuse_other_weights(nu, r)
     return ModalForm(d, nu, rigid, r)
-
-
-def _refuse_other_weights(nu: ComplexArray, r: Array) -> None:
-    """`r` is kept beside `nu` to the last bit; here it is only held against a change of one without the other."""
-    if np.any(r < 0):
-        raise StructureError(f"r is negative: {r.min():.6g}; weights are >= 0")
-    with np.errstate(over="ignore"):
-        size, root = np.abs(nu).reshape(r.shape), np.sqrt(r)
-    # compared as roots, whose squares may underflow
-    allowed = np.sqrt(_checks.EPS) * root + 2 * np.sqrt(np.finfo(float).tiny)
-    if np.any(np.abs(size - root) > allowed):
-        raise StructureError("r is not |nu|^2; change both or none")
 
 
 def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:

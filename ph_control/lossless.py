@@ -272,7 +272,7 @@ def _modal_form(found: list[_Found], ports: int) -> Judged:
             d.append(np.full(len(mode.sigma), mode.frequency))
             nu.append(np.sqrt(2 * mode.sigma / mode.frequency)[:, None] * mode.W.T)
             errors.append(np.repeat([[mode.d_error], [mode.kappa_error]], len(mode.sigma), axis=1))
-    modes = ModalForm(np.concatenate(d), np.concatenate(nu), np.concatenate(rigid))
+    modes = ModalForm._of(np.concatenate(d), np.concatenate(nu), np.concatenate(rigid))
     _checks.representable("the modal weights of the system", modes.r, modes.kappa)
     d_error, kappa_error = np.concatenate(errors, axis=1)
     return Judged(modes, d_error, kappa_error)
@@ -336,7 +336,7 @@ def hamiltonian_form(sys: ct.StateSpace) -> tuple[Array, Array] | None:
 def modes_of_energy(energy: tuple[Array, ComplexArray, Array], B: Array) -> ModalForm:
     """Modes of a system given by the energy coordinates of its `Q`, and its input matrix."""
     d, E, E0 = energy
-    modes = ModalForm(d.copy(), (E @ B) / np.sqrt(d)[:, None], E0 @ B)
+    modes = ModalForm._of(d.copy(), (E @ B) / np.sqrt(d)[:, None], E0 @ B)
     what = "the modal weights of this Q and B"
     _checks.representable(what, modes.r, modes.kappa, nonzero=_stands_out(E, B).reshape(modes.r.shape))
     _checks.representable(what, modes.rigid**2, nonzero=_stands_out(E0, B))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,8 +50,14 @@ class ModalForm(ShownModes):
     r : ndarray, shape (n,) or (n, m)
         `|nu|^2`; a vector for one port.  With `d` the paper's unique identification coordinates.
 
+    Raises
+    ------
+    StructureError
+        If `d` is not positive or not ascending, sizes do not fit, a number is not finite, or `r` is not `|nu|^2`.
+
     Notes
     -----
+    Arrays given are copied, and those of the modal form locked.
     Compare two modal forms by their arrays; `==` compares identity.
 
     Examples
@@ -69,14 +76,34 @@ class ModalForm(ShownModes):
     r: Array = field(default=None)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
-        if self.r is None:
-            r = np.abs(self.nu) ** 2
-            object.__setattr__(self, "r", r[:, 0] if self.nports == 1 else r)
-        for array in (self.d, self.nu, self.rigid, self.r):
-            array.setflags(write=False)
+        d = _checks.natural_frequencies(self.d)
+        if np.any(d[1:] < d[:-1]):
+            raise StructureError("d is not ascending; sort the natural frequencies, and the rows of nu with them")
+        nu = _checks.complex_matrix("nu", self.nu, len(d))
+        rigid = _checks.real_array("rigid", self.rigid, 2)
+        if rigid.shape[1] != nu.shape[1]:
+            raise StructureError(f"rigid has shape {rigid.shape}; with nu of shape {nu.shape} it needs as many columns")
+        self._fill(d, nu, rigid, None if self.r is None else _weights_beside(nu, self.r))
+        _checks.representable("the weights |nu|^2", self.r)
 
-    def __reduce__(self) -> tuple[type[ModalForm], tuple[Array, ComplexArray, Array, Array]]:
-        return type(self), (self.d.copy(), self.nu.copy(), self.rigid.copy(), self.r.copy())
+    @classmethod
+    def _of(cls, d: Array, nu: ComplexArray, rigid: Array, r: Array | None = None) -> ModalForm:
+        """Modal form of arrays of its own that need no check."""
+        self = object.__new__(cls)
+        self._fill(d, nu, rigid, r)
+        return self
+
+    def _fill(self, d: Array, nu: ComplexArray, rigid: Array, r: Array | None) -> None:
+        if r is None:
+            with np.errstate(over="ignore"):
+                r = np.abs(nu) ** 2
+            r = r[:, 0] if nu.shape[1] == 1 else r
+        self.__dict__.update({"d": d, "nu": nu, "rigid": rigid, "r": r})
+        for array in (d, nu, rigid, r):
+            array.flags.writeable = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self)._of, (self.d.copy(), self.nu.copy(), self.rigid.copy(), self.r.copy())
 
     @property
     def n(self) -> int:
@@ -424,11 +451,26 @@ class ModalForm(ShownModes):
         if self.nports == 1:
             merged = np.add.reduceat(r, first) if len(first) else r[:0]
             rigid = np.full((1, 1), np.linalg.norm(self.rigid)) if self.rigid.any() else self.rigid[:0]
-            return ModalForm(d[first].copy(), np.sqrt(merged).astype(complex)[:, None], rigid, merged)
+            return ModalForm._of(d[first].copy(), np.sqrt(merged).astype(complex)[:, None], rigid, merged)
         groups = np.split(np.arange(len(d)), first[1:]) if len(d) else []
         rows = [_row_space(nu[g]) for g in groups]
         repeated = np.concatenate([np.zeros(0), *[np.full(len(x), d[g[0]]) for g, x in zip(groups, rows, strict=True)]])
-        return ModalForm(repeated, np.concatenate([nu[:0], *rows]), _row_space(self.rigid))
+        return ModalForm._of(repeated, np.concatenate([nu[:0], *rows]), _row_space(self.rigid))
+
+
+def _weights_beside(nu: ComplexArray, r: ArrayLike) -> Array:
+    """`r`, which is kept beside `nu` to the last bit, held against a change of one without the other."""
+    weights = _checks.real_array("r", r)
+    shape = nu.shape[:1] if nu.shape[1] == 1 else nu.shape
+    if weights.shape != shape:
+        raise StructureError(f"r has shape {weights.shape}; with nu of shape {nu.shape} it must be {shape}")
+    if np.any(weights < 0):
+        raise StructureError(f"r is negative: {weights.min():.6g}; weights are >= 0")
+    size, root = np.abs(nu).reshape(shape), np.sqrt(weights)
+    # compared as roots, whose squares may underflow
+    if np.any(np.abs(size - root) > np.sqrt(_checks.EPS) * root + 2 * np.sqrt(_checks.TINY)):
+        raise StructureError("r is not |nu|^2; change both or none")
+    return weights
 
 
 def imaginary(w: Array) -> ComplexArray:
@@ -458,4 +500,4 @@ def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:
     if np.count_nonzero(frequencies[1:] < frequencies[:-1]):
         order = np.argsort(frequencies, kind="stable")
         frequencies, weights = frequencies[order], weights[order]
-    return ModalForm(frequencies, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights)
+    return ModalForm._of(frequencies, np.sqrt(weights).astype(complex)[:, None], np.zeros((0, 1)), weights)

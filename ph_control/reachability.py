@@ -88,7 +88,7 @@ class Reduction:
 
 def plain_modes(d: Array, r: Array) -> ModalForm:
     """Modes of one port whose weights are real and positive."""
-    return ModalForm(d, np.sqrt(r).astype(complex)[:, None], _NO_RIGID, r)
+    return ModalForm._of(d, np.sqrt(r).astype(complex)[:, None], _NO_RIGID, r)
 
 
 def _beside(d: Array, r: Array) -> Array:

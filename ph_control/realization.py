@@ -249,7 +249,7 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
         )
     found = reduction or system._separation(rtol)
     hidden = found.hidden()
-    unseen = ModalForm(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
+    unseen = ModalForm._of(hidden, np.zeros((len(hidden), 1), complex), np.zeros((0, 1)))
 
     def transformation() -> Array:
         groups = found.groups if reduction is None else as_decided(system.modes, reduction.starts, reduction.reached)

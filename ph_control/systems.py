@@ -332,7 +332,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
                 _checks.in_range(f"B times the square root of {factor:.3g}", B, _checks.SMALLEST_SQUARED)
                 return PortHamiltonian._from_matrices(self.Q, B)._keeping(self._kept(_OF_Q))
             m = self.modes
-            scaled = ModalForm(m.d, root * m.nu, root * m.rigid, factor * m.r)
+            scaled = ModalForm._of(m.d, root * m.nu, root * m.rigid, factor * m.r)
             what = f"the modal weights times {factor:.3g}"
             _checks.representable(what, scaled.r, scaled.kappa, nonzero=m.r > 0)
             _checks.representable(what, scaled.rigid**2, nonzero=m.rigid != 0)

@@ -255,7 +255,7 @@ def lossless_trace(
 
 
 def _part(modes: ModalForm, chosen: NDArray[np.bool_], *, rigid: bool = True) -> ModalForm:
-    return ModalForm(
+    return ModalForm._of(
         modes.d[chosen], modes.nu[chosen], modes.rigid.copy() if rigid else modes.rigid[:0], modes.r[chosen]
     )
 

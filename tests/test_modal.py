@@ -433,3 +433,40 @@ def test_a_value_beyond_the_range_next_to_the_pole_at_0_is_infinite():
     two = phc.ph(np.diag([0.0, 4.0, 1.0, 1.0]), np.eye(4)[:, 2:]).modes
     values = two.evaluate(5e-324)[:, :, 0]
     assert values[0, 0] == complex(np.inf, 0) and values[0, 1] == values[1, 0] == 0 and abs(values[1, 1]) < 1e-300
+
+
+# --- made by hand --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([-1.0], [[1.0]], np.zeros((0, 1))), "d is not positive"),
+        (([np.nan], [[1.0]], np.zeros((0, 1))), "d is not finite"),
+        (([2.0, 1.0], [[1.0], [1.0]], np.zeros((0, 1))), "d is not ascending"),
+        (([1.0], [[np.nan]], np.zeros((0, 1))), "nu is not finite"),
+        (([1.0], [1.0], np.zeros((0, 1))), "nu has shape"),
+        (([1.0], [[1.0], [1.0]], np.zeros((0, 1))), "nu has shape"),
+        (([1.0], "weights", np.zeros((0, 1))), "nu does not hold complex numbers"),
+        (([1.0], [[1.0]], np.zeros((0, 2))), "rigid has shape"),
+        (([1.0], [[1.0]], [[np.inf]]), "rigid is not finite"),
+        (([1.0], [[1e200]], np.zeros((0, 1))), "leave the range of doubles"),
+        (([1.0], [[1.0]], np.zeros((0, 1)), [2.0]), r"r is not \|nu\|\^2"),
+        (([1.0], [[1.0]], np.zeros((0, 1)), [-1.0]), "r is negative"),
+        (([1.0], [[1.0]], np.zeros((0, 1)), [[1.0]]), "r has shape"),
+    ],
+)
+def test_a_modal_form_made_by_hand_is_checked(arguments, message):
+    with pytest.raises(phc.StructureError, match=message):
+        phc.ModalForm(*arguments)
+
+
+def test_a_modal_form_leaves_the_arrays_it_is_made_of_alone():
+    given = [np.array([1.0, 2.0]), np.ones((2, 1), complex), np.ones((1, 1)), np.ones(2)]
+    modes = phc.ModalForm(*given)
+    for array in given:
+        array[:] = 7.0
+    assert np.array_equal(modes.d, [1.0, 2.0]) and np.array_equal(modes.nu, [[1.0], [1.0]])
+    assert np.array_equal(modes.rigid, [[1.0]]) and np.array_equal(modes.r, [1.0, 1.0])
+    for array in (modes.d, modes.nu, modes.rigid, modes.r):
+        assert not array.flags.writeable

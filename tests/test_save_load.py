@@ -438,10 +438,10 @@ def test_object_of_another_type_is_refused_by_its_name(path, obj):
 
 
 def test_model_that_could_not_be_loaded_is_not_written(path):
-    infinite = phc.ModalForm(np.array([1.0]), np.array([[1.0 + 0j]]), np.zeros((0, 1)), np.array([np.inf]))
+    infinite = phc.ModalForm._of(np.array([1.0]), np.array([[1.0 + 0j]]), np.zeros((0, 1)), np.array([np.inf]))
     with pytest.raises(StructureError, match=r'this ModalForm cannot be saved.*r\[0\] is "inf", needed a number'):
         save(infinite, path)
-    unsorted = phc.ModalForm(np.array([2.0, 1.0]), np.ones((2, 1), complex), np.zeros((0, 1)))
+    unsorted = phc.ModalForm._of(np.array([2.0, 1.0]), np.ones((2, 1), complex), np.zeros((0, 1)))
     with pytest.raises(StructureError, match=r"this ModalForm cannot be saved.*d is not ascending"):
         save(unsorted, path)
     assert not path.exists()

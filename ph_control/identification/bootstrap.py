@@ -316,7 +316,7 @@ class _Refit:
         d[:m] = at.d[rank]
         if self.problem.driven:
             r[:m], active[:m] = at.kappa[rank] / at.d[rank], ~at.free[rank]
-        modes = ModalForm(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)))
+        modes = ModalForm._of(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)))
         states, offsets = [np.zeros(0)], np.zeros(len(at.own))
         for k, (rows, own) in enumerate(zip(self.problem.experiments, at.own, strict=True)):
             if not isinstance(rows, Experiment):

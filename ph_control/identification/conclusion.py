@@ -168,7 +168,7 @@ def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:
     r = at.kappa[rank] / d if at.problem.driven else np.ones(len(d))
     # distinct, above those that the data show
     pads = d.max(initial=0.0) * (2.0 + np.arange(float(order - len(d))))
-    return ModalForm(
+    return ModalForm._of(
         np.concatenate([d, pads]), np.sqrt(np.concatenate([r, 0 * pads])).astype(complex)[:, None], np.zeros((0, 1))
     )
 
