@@ -42,6 +42,9 @@ def fit_of(result: Any) -> dict[str, Any]:
         "message": result.message,
         "order": result.order,
         "fit_percent": result.fit_percent,
+        "findings": [
+            {"cause": one.cause.value, "values": list(one.values), "gain": one.gain} for one in result.findings
+        ],
         "time_unit": result.time_unit,
         "hertz": None if result.time_unit is None else result.hertz,
         **modes_of(result.modes),
@@ -81,6 +84,7 @@ def _experiment_of(one: Any) -> dict[str, Any]:
         "fit_percent": one.fit_percent,
         "initial_state": one.initial_state,
         "offset": one.offset,
+        "drift": one.drift,
     }
 
 

@@ -12,6 +12,7 @@ from ..exceptions import StructureError
 from .answers import emit_json, fit_of, is_described
 from .measurements import Measurements, measurements
 from .options import (
+    INTERSAMPLE,
     Parser,
     add_json,
     add_meeting,
@@ -58,7 +59,12 @@ def add_options(parser: Parser) -> None:
     model.add_argument("--max-order", type=whole, default=20, metavar="N", help="largest order of auto (default 20)")
     model.add_argument("--criterion", choices=CRITERIA, default="bic", help="what auto minimises (default bic)")
     model.add_argument("--quantity", choices=QUANTITIES, default="velocity", help="what was measured of the port")
-    add_meeting(model, ("estimate", "zero"))  # type: ignore[arg-type]
+    add_meeting(model, ("estimate", "zero"), ("auto", *INTERSAMPLE))  # type: ignore[arg-type]
+    model.add_argument(
+        "--no-offset", dest="offset", action="store_false",
+        help="estimate no constant (default: one, or one that drifts, where the data show it)",
+    )  # fmt: skip
+    parser.set_defaults(offset="auto")
     model.add_argument(
         "--representation", choices=REPRESENTATIONS, default="observable",
         help="whether modes without weight may move (observable, default) or not",

@@ -225,15 +225,16 @@ def add_recording(parser: Parser) -> None:
 _PARTS = {"real": "real part", "imag": "imaginary part"}
 
 
-def add_meeting(parser: Parser, states: tuple[str, ...]) -> None:
+def add_meeting(parser: Parser, states: tuple[str, ...], holds: tuple[str, ...] = INTERSAMPLE) -> None:
     """How a model meets samples."""
     parser.add_argument(
         "--method", choices=METHODS, default="exact",
         help="exact (default); midpoint and euler for data made by such an integrator only",
     )  # fmt: skip
     parser.add_argument(
-        "--intersample", choices=INTERSAMPLE, default="zoh", help="input between samples: held (default) or linear"
-    )
+        "--intersample", choices=holds, default=holds[0],
+        help="input between samples: " + "what the data prefer (default), " * ("auto" in holds) + "held or linear",
+    )  # fmt: skip
     parser.add_argument(
         "--initial-state", choices=states, default="estimate", help="state at the start (default: estimate)"
     )

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import EPS
 from ..exceptions import IdentifiabilityWarning
 from ..modal import ModalForm
 from ..systems import PortHamiltonian
+from .circumstances import Cause, Finding, is_contrary, sentence_of, worth_telling
 from .contradiction import Contradiction, contradiction, is_crowded
 from .data import Record
+from .diagnosis import NOISE, circumstances_of
 from .excitation import examine_fit
 from .experiment import Experiment
 from .fitted_directions import Directions, of_record, of_response
@@ -70,11 +74,14 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     ]
     fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
     held = ~at.free[rank]
+    findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
     if fit.contradiction is None and not noiseless and not found.interrupted:
         active = bool(held.any()) and problem.driven
-        fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at))
+        fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at), findings)
         if fit.found is not found:
             return conclude(fit, method, intersample, quantity, representation)
+    if fit.contradiction is not None:
+        findings = tuple(one for one in findings if one.cause not in NOISE)
     law = record_law(fit.records, estimated.variance, fit.law)
     information = information_at(at, rank)
     figures = criteria(problem, at.loss, n)
@@ -105,6 +112,9 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         in_time=isinstance(problem.experiments[0], Experiment),
         alike=bool(weights) and fit.law is None and all(np.ptp(one) == 0 for one in weights),
         share=law.share,
+        circumstances=tuple(sentence_of(one, intersample) for one in findings if worth_telling(one, intersample)),
+        explained=any(one.cause in NOISE for one in findings),
+        named=any(is_contrary(one, intersample) for one in findings),
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
@@ -134,22 +144,29 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         intersample=intersample,
         quantity=quantity,
         representation=representation,
+        findings=findings,
     )
 
 
-def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool) -> Fit:
+def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool, findings: Sequence[Finding]) -> Fit:
     """The fit with what contradicts it, and where that is grave at the frequencies of the plant.
 
     There lossless modes do not stay where the plant has its own: they mimic its damping, or flee from a residue whose
     sign they cannot have.
     """
     poor = fitted < GOOD_FIT
-    if not (doubtful or (poor and len(at.d))):
+    causes = {one.cause: one.gain for one in findings}
+    # what an autoregression describes is noise, and no reason to look for damping where no mode asks for it
+    doubtful = doubtful and Cause.COLOURED_NOISE not in causes
+    if Cause.DELAY in causes or not (doubtful or (poor and len(at.d))):
         return fit
-    found = contradiction(
-        fit.problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful, most=fit.most
-    )
+    # a plant that loses energy has no more modes than the lossless ones that mimic it
+    most = len(at.d) if Cause.INPUT_NOISE in causes else fit.most
+    found = contradiction(fit.problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful, most=most)
     if found is None:
+        return fit
+    gain = fit.problem.samples * np.log(max(100 - fitted, EPS) / max(100 - found.fit_percent, EPS))
+    if gain < max((causes[one] for one in NOISE if one in causes), default=-np.inf):
         return fit
     d = found.natural_frequencies
     if not (poor or found.negative.any() or len(d) != len(at.d)):
@@ -179,16 +196,18 @@ def _experiments(
     n = len(at.d)
     found: list[FittedExperiment] = []
     every: tuple[Record | FrequencyRecord, ...] = records
-    for record, own, predicted in zip(every, at.own, at.predicted(), strict=True):
+    for record, rows, own, predicted in zip(every, at.problem.experiments, at.own, at.predicted(), strict=True):
         if isinstance(record, FrequencyRecord):
             found.append(FittedExperiment(record, np.zeros(0), np.zeros(0, complex), 0.0, predicted))
             continue
+        terms = rows.offset if isinstance(rows, Experiment) else 0
         amplitudes = np.zeros(modes.n, complex)
         if len(own) >= 2 * n:
             amplitudes[:n] = own[:n][rank] + 1j * own[n : 2 * n][rank]
         state = state_from_amplitudes(modes, amplitudes, quantity)
-        offset = float(own[-1]) if len(own) % 2 else 0.0
-        found.append(FittedExperiment(record, state, amplitudes, offset, predicted))
+        offset = float(own[-1]) if terms else 0.0
+        drift = float(own[-2]) / record.dt if terms > 1 else 0.0
+        found.append(FittedExperiment(record, state, amplitudes, offset, predicted, drift))
     return tuple(found)
 
 

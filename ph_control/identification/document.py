@@ -12,6 +12,7 @@ from .._units import SECONDS
 from ..exceptions import StructureError
 from ..files import Codec, system_from_dict, system_to_dict
 from ..propagation import INTERSAMPLE, METHODS
+from .circumstances import Cause, Finding
 from .data import Record
 from .formulation import REPRESENTATIONS
 from .forward import Start
@@ -64,6 +65,10 @@ def _to_dict(result: PEMResult) -> dict[str, Any]:
         "intersample": result.intersample,
         "quantity": result.quantity,
         "representation": result.representation,
+        "findings": {
+            str(k): {"cause": one.cause.value, "values": np.array(one.values), "gain": one.gain}
+            for k, one in enumerate(result.findings, start=1)
+        },
     }
 
 
@@ -81,6 +86,7 @@ def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
         "initial_state": one.initial_state,
         "free_amplitudes": one.free_amplitudes,
         "offset": one.offset,
+        "drift": one.drift,
         "predicted": one.predicted,
     }
 
@@ -110,6 +116,7 @@ def _from_dict(fields: Fields) -> PEMResult:
         intersample=_one_of(fields, "intersample", INTERSAMPLE),
         quantity=_one_of(fields, "quantity", QUANTITIES),
         representation=_one_of(fields, "representation", REPRESENTATIONS),
+        findings=_findings(fields.nested("findings")) if "findings" in fields else (),
     )
 
 
@@ -120,6 +127,15 @@ def _noise(fields: Fields) -> NoiseLaw:
     inner = fields.nested("noise")
     kind = NoiseKind(_one_of(inner, "kind", tuple(one.value for one in NoiseKind)))
     return NoiseLaw(kind, inner.number("floor"), inner.number("share"))
+
+
+def _findings(fields: Fields) -> tuple[Finding, ...]:
+    found: list[Finding] = []
+    while (key := str(len(found) + 1)) in fields:
+        inner = fields.nested(key)
+        cause = Cause(_one_of(inner, "cause", tuple(one.value for one in Cause)))
+        found.append(Finding(cause, tuple(inner.array("values", (None,)).tolist()), inner.number("gain")))
+    return tuple(found)
 
 
 def _experiments(fields: Fields, n: int) -> tuple[FittedExperiment, ...]:
@@ -140,6 +156,7 @@ def _experiment(fields: Fields, n: int) -> FittedExperiment:
         fields.complex_array("free_amplitudes", (n if in_time else 0,)),
         fields.number("offset"),
         take("predicted", (record.samples,)),
+        fields.number("drift") if "drift" in fields else 0.0,
     )
 
 

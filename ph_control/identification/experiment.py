@@ -81,14 +81,17 @@ class Evaluation(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A record in time: input, output, where the output was observed, and the hold."""
+    """A record in time: input, output, where the output was observed, and the hold.
+
+    `offset` counts the terms of what the output has beside the modes: none, a constant, or a constant and a drift.
+    """
 
     u: Array
     y: Array
     observed: NDArray[np.bool_]
     hold: Hold
     from_rest: bool = False
-    offset: bool = False
+    offset: int = 0
     quantity: str = "velocity"
     driven: bool = True
 
@@ -132,7 +135,7 @@ class Experiment:
         return float(self.hold.frequency_of(np.array([self.largest_phase]))[0])
 
     def own_unknowns(self, n: int) -> int:
-        """Free motion of every mode, and the offset."""
+        """Free motion of every mode, then the drift per sample, and the constant as the last."""
         return (0 if self.from_rest else 2 * n) + self.offset
 
     def at(self, d: Array) -> TimeEvaluation:
@@ -225,6 +228,8 @@ class TimeEvaluation(Evaluation):
         if not one.from_rest:
             kernel.free(states.free, columns[:n])
             kernel.free(1j * states.free, columns[n : 2 * n])
+        if one.offset > 1:
+            block[own - 2] = np.arange(states.part.start, states.part.start + block.shape[1])
         if one.offset:
             block[own - 1] = 1.0
         block = block[:, : len(y)]
@@ -260,9 +265,9 @@ class TimeEvaluation(Evaluation):
 
     @property
     def _by_gram(self) -> bool:
-        """Whether it pays to go without the columns: there are no gaps, and many more samples than numbers."""
+        """Whether it pays to go without the columns: no gaps, no drift, and many more samples than numbers."""
         one = self._experiment
-        return one.complete and len(one.u) >= max(_LONG, SHORT * self._width // 2)
+        return one.complete and one.offset < 2 and len(one.u) >= max(_LONG, SHORT * self._width // 2)
 
     def _by_groups(self, kappa: Array | None, own: Array) -> Array:
         """Inner products by way of groups of samples, with the derivatives if there are residues."""

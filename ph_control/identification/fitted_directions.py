@@ -55,7 +55,7 @@ def fitted_directions(model: PEMResult, place: int) -> Directions:
         return of_response(one.record, d, kappa, weighted, model.quantity)
     hold = Hold(one.record.dt, model.method, model.intersample)
     moving = weighted if model.representation == "controllable" else np.ones(len(seen), bool)
-    offset = bool(np.isfinite(model.offset_stderr[place]))
+    offset = int(np.isfinite(model.offset_stderr[place])) + (one.drift != 0)
     return of_record(one.record, d, kappa, one.free_amplitudes[seen], weighted, moving, hold, model.quantity, offset)
 
 
@@ -67,7 +67,7 @@ def of_response(record: FrequencyRecord, d: Array, kappa: Array, weighted: Mask,
 
 def of_record(
     record: Record, d: Array, kappa: Array, free: ComplexArray, weighted: Mask, moving: Mask, hold: Hold, quantity: str,
-    offset: bool,
+    offset: int,
 ) -> Directions:  # fmt: skip
     """Of a record in time, with free amplitudes at the output; O(T n), and as much memory.
 
@@ -81,6 +81,5 @@ def of_record(
         shared = np.concatenate([by_d, found.forced[:, weighted]], axis=1)
     if free.any():
         parts += [found.cosine[:, moving], found.sine[:, moving]]
-    if offset:
-        parts.append(np.ones((record.samples, 1)))
+    parts.append(np.arange(float(record.samples))[:, None] ** np.arange(offset))
     return Directions(shared, np.concatenate(parts, axis=1))

@@ -16,6 +16,7 @@ from ..exceptions import IdentificationError, StructureError
 from ..modal import ModalForm
 from ..propagation import INTERSAMPLE, METHODS
 from ..systems import modes
+from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
 from .data import Record
 from .experiment import Experiment
 from .experiments import as_experiments
@@ -25,12 +26,16 @@ from .frequency_rows import FrequencyRows
 from .regressors import QUANTITIES, Hold
 from .response_search import ResponseSearch
 from .search import Report, Search, Step, TimeSearch
-from .solver import Problem
+from .selection import criteria, crowded
+from .solver import Problem, refine
 
 Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
 REPRESENTATIONS = ("observable", "controllable")
+
+_DELAYS = tuple(range(-2, 9))  # samples that are tried
+_EVIDENT = 20.0  # log-likelihood at which a search begins again under other circumstances
 
 
 @dataclass(frozen=True)
@@ -48,32 +53,55 @@ Callback = Callable[[Progress], Any]
 
 @dataclass(frozen=True)
 class Formulation:
-    """The records and the problem that they pose."""
+    """The records and the problem that they pose.
+
+    `open` names what is left to the data: the 'hold' of the input, other instants of its 'arrival', and the
+    'background' of the output; `findings` say what they decided.  Modes are searched for in the problem `searched`,
+    where that is another one.
+    """
 
     records: Records
     problem: Problem
+    open: frozenset[str] = frozenset()
+    findings: tuple[Finding, ...] = ()
+    searched: Problem | None = None
 
     @classmethod
     def of(
-        cls, data: Any, dt: Any = None, weights: Any = None, *, method: str = "exact", intersample: str = "zoh",
-        initial_state: str = "estimate", offset: bool = False, quantity: str = "velocity",
+        cls, data: Any, dt: Any = None, weights: Any = None, *, method: str = "exact", intersample: str = "auto",
+        initial_state: str = "estimate", offset: bool | str = "auto", quantity: str = "velocity",
         representation: str = "observable",
     ) -> Formulation:  # fmt: skip
         """Check data and options, which are those of `pem`."""
         for name, value, allowed in (
             ("method", method, METHODS),
-            ("intersample", intersample, INTERSAMPLE),
+            ("intersample", intersample, (*INTERSAMPLE, "auto")),
             ("initial_state", initial_state, ("estimate", "zero")),
             ("quantity", quantity, QUANTITIES),
             ("representation", representation, REPRESENTATIONS),
         ):
             _checks.choice(name, value, allowed)
-        _checks.flags(offset=offset)
+        if not isinstance(offset, str) or offset != "auto":
+            _checks.flags(offset=offset)
         records = as_experiments(data, dt, weights=weights)
         _refuse_unobserved(records)
         rest = initial_state == "zero"
-        rows = [rows_of(record, method, intersample, quantity, from_rest=rest, offset=offset) for record in records]
-        return cls(records, Problem(tuple(rows), structured=representation == "controllable"))
+        held, terms = "zoh" if intersample == "auto" else intersample, 0 if offset == "auto" else int(offset)
+        rows = [rows_of(record, method, held, quantity, from_rest=rest, offset=terms) for record in records]
+        problem = Problem(tuple(rows), structured=representation == "controllable")
+        asks = problem.driven and method != "euler"
+        open = {"arrival"} if asks else set()
+        if asks and intersample == "auto":
+            open.add("hold")
+        if offset == "auto":
+            open.add("background")
+        return cls(records, problem, frozenset(open) if isinstance(rows[0], Experiment) else frozenset())
+
+    @property
+    def intersample(self) -> str:
+        """Behaviour of the input between samples; of a response, which has none, the default."""
+        first = self.problem.experiments[0]
+        return first.hold.intersample if isinstance(first, Experiment) else "zoh"
 
     @property
     def of_equal_weights(self) -> bool:
@@ -94,7 +122,7 @@ class Formulation:
     @cached_property
     def search(self) -> Search:
         """What adds modes to the problem."""
-        problem = self.problem
+        problem = self.searched or self.problem
         return TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
 
     @property
@@ -105,13 +133,116 @@ class Formulation:
     def path(
         self, guess: Array, largest: int, *, report: Callable[[int], Report | None] = lambda order: None,
         together: bool = False, stop: Callable[[list[Step]], bool] | None = None,
-    ) -> list[Step]:  # fmt: skip
-        """One mode after the other, from the guess on."""
-        first = self.search.step(guess, self.rtol, report(len(guess)))
-        floor = rounding_floor(self.problem)
-        return grow(
-            self.search, first, largest, rtol=self.rtol, floor=floor, report=report, together=together, stop=stop
-        )
+    ) -> tuple[Formulation, list[Step]]:  # fmt: skip
+        """One mode after the other, from the guess on, under the circumstances that the data prefer: these, and all."""
+        search, floor = self.search, rounding_floor(self.problem)
+        steps = [search.step(guess, self.rtol, report(len(guess)))]
+
+        def pauses(more: list[Step]) -> bool:
+            return self._asks(more[-1]) or (stop is not None and stop([*steps[:-1], *more]))
+
+        while True:
+            ended = steps[-1].interrupted or not len(steps[-1].candidates)
+            other = None if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
+            if other is not None:
+                return self._followed(other, guess, largest, report=report, together=together, stop=stop)
+            before = len(steps)
+            steps = [*steps[:-1], *grow(
+                search, steps[-1], largest, rtol=self.rtol, floor=floor, report=report, together=together, stop=pauses
+            )]  # fmt: skip
+            if len(steps) == before or not self._asks(steps[-1]) or (stop is not None and stop(steps)):
+                break
+        if isinstance(search, TimeSearch) and not steps[-1].interrupted:
+            other = self._preferred(search, steps, True)
+            if other is not None and other.searched is self.searched and other.problem is self.problem:
+                return other, steps
+            if other is not None:
+                return self._followed(other, guess, largest, report=report, together=together, stop=stop)
+        return self, steps
+
+    def _followed(self, other: Formulation, guess: Array, largest: int, **how: Any) -> tuple[Formulation, list[Step]]:
+        """The path of another formulation; one with a delay has to explain the record, or nothing is said of it."""
+        found, steps = other.path(guess, largest, **how)
+        delay = other.searched is not None and self.searched is None
+        if delay and not steps[-1].interrupted and all(found.search.unconvinced(step) for step in steps):
+            return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
+        return found, steps
+
+    def _asks(self, step: Step) -> bool:
+        """Whether what joined last, or would join next, may be a circumstance rather than a mode."""
+        search = self.search
+        if not isinstance(search, TimeSearch):
+            return False
+        return crowded(step.d, self.problem.bin) or ("background" in self.open and search.slow(step))
+
+    def _preferred(self, search: TimeSearch, steps: list[Step], final: bool) -> Formulation | None:
+        """The same under circumstances that the data prefer; in the end also how sure the present ones are."""
+        step = steps[-1]
+        if "background" in self.open and search.slow(step):
+            other = self._beside(search, step)
+            if other is not None:
+                return other
+        if not ("arrival" in self.open and len(step.d)):
+            return None
+        return self._meeting(search, steps[0], step, final)
+
+    def _beside(self, search: TimeSearch, step: Step) -> Formulation | None:
+        """With a constant or a drift, where that explains more than a slow mode would."""
+        joined = search.step(np.append(step.d, step.candidates[0]), self.rtol)
+        now = criteria(self.problem, step.loss, len(step.d)).loglik
+        best, chosen = criteria(self.problem, joined.loss, len(joined.d)).bic, None
+        present = max(one.offset for one in self.problem.experiments if isinstance(one, Experiment))
+        for terms in range(present + 1, 3):
+            problem = beside(self.problem, terms)
+            if problem.unknowns(len(step.d)) >= problem.samples:
+                break
+            at = refine(problem, step.d, rtol=self.rtol).projection
+            found = criteria(problem, at.loss, len(step.d))
+            if found.bic < best:
+                best, chosen = found.bic, (terms, problem, found.loglik - now)
+        if chosen is None:
+            return None
+        terms, problem, gain = chosen
+        cause = Cause.CONSTANT if terms == 1 else Cause.DRIFT
+        others = tuple(one for one in self.findings if one.cause is not Cause.CONSTANT)
+        searched = None if self.searched is None else beside(self.searched, terms)
+        return replace(self, problem=problem, searched=searched, findings=(*others, Finding(cause, (), gain)))
+
+    def _meeting(self, search: TimeSearch, first: Step, step: Step, final: bool) -> Formulation | None:
+        """With an input that arrives otherwise."""
+        held = self.intersample
+        other = "foh" if held == "zoh" else "zoh"
+        gains = {}
+        if crowded(step.d, self.problem.bin) or (final and search.unconvinced(step)):
+            base = search.arrival(first, held, 0)
+            for each in (held, other):
+                for delay in _DELAYS if each == held or "hold" in self.open else (0,):
+                    gains[each, delay] = search.arrival(first, each, delay) - base
+        if final and "hold" in self.open and gains.get((other, 0), 0.0) <= _EVIDENT:
+            gains[other, 0] = search.likelihood(step.d, other) - search.likelihood(step.d, held)
+        if not gains:
+            return None
+        (best, delay), gain = max(gains.items(), key=lambda item: item[1])
+        if delay and gain > _EVIDENT:
+            problem = meeting(self.problem, best)
+            return replace(
+                self, problem=problem, searched=delayed(problem, delay), open=self.open - {"hold", "arrival"},
+                findings=(*self.findings, Finding(Cause.DELAY, (float(delay),), gain)),
+            )  # fmt: skip
+        gain = gains.get((other, 0), 0.0)
+        if gain > (SURE if final and "hold" in self.open else _EVIDENT):
+            problem, finding = (
+                meeting(self.problem, other),
+                (*self.findings, Finding(Cause.HOLD, (float(HOLDS.index(other)),), gain)),
+            )
+            if "hold" in self.open:
+                return replace(self, problem=problem, open=self.open - {"hold"}, findings=finding)
+            return replace(self, searched=problem, open=self.open - {"arrival"}, findings=finding)
+        if final and "hold" in self.open:
+            return replace(
+                self, findings=(*self.findings, Finding(Cause.HOLD, (float(HOLDS.index(held)),), max(0.0, -gain)))
+            )
+        return None
 
     def check_signals(self) -> None:
         """Refuse an output of nothing, and an input that no weight could be told from."""
@@ -202,7 +333,7 @@ def _refuse_unobserved(records: Records) -> None:
 
 
 def rows_of(
-    record: Record | FrequencyRecord, method: str, intersample: str, quantity: str, *, from_rest: bool, offset: bool
+    record: Record | FrequencyRecord, method: str, intersample: str, quantity: str, *, from_rest: bool, offset: int
 ) -> Any:
     """What one record offers to the solver; a frequency response has no samples that a method could meet."""
     if isinstance(record, FrequencyRecord):

@@ -63,8 +63,9 @@ def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], par
     largest = min(max(orders), rest.training.carried)
     path: list[Step] = []
     if largest:
-        posed = replace(posed, problem=rest.training)
-        path = posed.path(guess, posed.largest_order(largest, largest, guess))
+        # under the circumstances that all of the data have decided
+        posed = replace(posed, problem=rest.training, open=frozenset(), searched=None)
+        _, path = posed.path(guess, posed.largest_order(largest, largest, guess))
     if path and path[-1].interrupted:
         raise KeyboardInterrupt
     losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}

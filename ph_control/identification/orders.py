@@ -235,7 +235,8 @@ def order_selection(
     posed.check_signals()
     wanted = _wanted(orders, problem)
     largest = posed.largest_order(wanted[-1], wanted[-1], guess)
-    path = posed.path(guess, largest, report=reporter(problem, largest, callback))
+    posed, path = posed.path(guess, largest, report=reporter(problem, largest, callback))
+    problem = posed.problem
     # a path that ends in rounding has no higher orders
     kept = [k for k, step in enumerate(path) if len(step.d) in wanted]
     if not kept:

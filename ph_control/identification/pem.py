@@ -17,7 +17,7 @@ from .holdout import held_out_losses
 from .response_noise import reweighted
 from .result import OrderRow, PEMResult
 from .search import Report, Search, Step
-from .selection import CRITERIA, criteria, significant
+from .selection import CRITERIA, beside_input_noise, criteria, preference, significant
 from .solver import Problem, refine
 
 Array = NDArray[np.float64]
@@ -32,9 +32,9 @@ def pem(
     *,
     dt: Any = None,
     method: str = "exact",
-    intersample: str = "zoh",
+    intersample: str = "auto",
     initial_state: str = "estimate",
-    offset: bool = False,
+    offset: bool | str = "auto",
     quantity: str = "velocity",
     representation: str = "observable",
     initial_guess: Any = None,
@@ -62,12 +62,13 @@ def pem(
         Time between samples; needed with arrays.
     method : {'exact', 'midpoint', 'euler'}
         How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator.
-    intersample : {'zoh', 'foh'}
-        Input between samples: held, or linear.
+    intersample : {'auto', 'zoh', 'foh'}
+        Input between samples: held, or linear; 'auto' takes what the data prefer, and 'zoh' where they cannot tell.
     initial_state : {'estimate', 'zero'}
         Whether the records may start in motion.
-    offset : bool
-        Whether a constant is added to the output of each record, and estimated.
+    offset : bool or 'auto'
+        Whether a constant is added to the output of each record, and estimated; 'auto' adds one, or one that drifts,
+        where that explains more than a slow mode does.
     quantity : {'velocity', 'displacement', 'acceleration'}
         What was measured of the port.
     representation : {'observable', 'controllable'}
@@ -152,12 +153,14 @@ def pem(
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
+    if law is None:
+        posed = found.posed
     fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law)
     try:
-        return conclude(fit, method, intersample, quantity, representation)
+        return conclude(fit, method, posed.intersample, quantity, representation)
     except KeyboardInterrupt:
         fit = replace(fit, found=replace(found, interrupted=True))
-        return conclude(fit, method, intersample, quantity, representation)
+        return conclude(fit, method, posed.intersample, quantity, representation)
 
 
 def _found(
@@ -168,18 +171,21 @@ def _found(
     problem, search, rtol = posed.problem, posed.search, posed.rtol
     floor, report = rounding_floor(problem), reporter(problem, largest, callback)
     automatic = order == "auto"
-    path = posed.path(
+    posed, path = posed.path(
         guess, largest, report=report, together=not automatic and search.affords_batches,
-        stop=stop_of(lambda step: criteria(problem, step.loss, len(step.d)).by_name(criterion)) if automatic else None,
+        stop=stop_of(lambda step: preference(problem, step, criterion)) if automatic else None,
     )  # fmt: skip
+    problem, search = posed.problem, posed.search
     interrupted = path[-1].interrupted
-    values = [criteria(problem, step.loss, len(step.d)).by_name(criterion) for step in path]
+    values = [preference(problem, step, criterion) for step in path]
     if automatic and criterion == "holdout" and not interrupted:
         try:
             values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
         except KeyboardInterrupt:
             interrupted = True
     place = int(np.argmin(values)) if automatic else len(path) - 1
+    if automatic and criterion == "bic" and not interrupted:
+        place = beside_input_noise(problem, path, values, place)
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     if not interrupted:
         path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
@@ -191,11 +197,11 @@ def _found(
     else:
         end = refine(problem, path[place].d, rtol=_POLISH, progress=report(len(path[place].d)))
     all_d = end.projection.d if place else path[-1].d
-    if automatic and not interrupted:
+    if automatic and not interrupted and posed.searched is None:
         end = significant(problem, end, lambda d: refine(problem, d, rtol=_POLISH))
     rows = tuple(_row(problem, step) for step in path)
     iterations = sum(step.iterations for step in path) + end.iterations
-    return Found(end, rows, tuple(starts), iterations, interrupted or end.interrupted, floor, all_d)
+    return Found(end, rows, tuple(starts), iterations, interrupted or end.interrupted, floor, all_d, posed)
 
 
 def _second_thoughts(
@@ -247,6 +253,7 @@ class Found:
     interrupted: bool
     floor: float
     all_d: Array
+    posed: Formulation
 
     @property
     def d(self) -> Array:

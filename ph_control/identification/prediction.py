@@ -42,9 +42,11 @@ class FittedExperiment(Report, Frozen):
         Free motion of each mode at the output, `Re(amplitude * lambda^k)`.  It agrees with `initial_state`, except for
         modes whose weight is held at 0: no state of a port-Hamiltonian system shows them at its output.
     offset : float
-        Constant that is added to the output; 0 if it was not estimated.
+        Constant that is added to the output, of one that drifts its value at the first sample; 0 if not estimated.
     predicted : ndarray, shape (T,)
         Predicted output; complex for a frequency response.
+    drift : float
+        Change of that constant per unit time; 0 if it was not estimated.
     """
 
     record: Record | FrequencyRecord
@@ -52,6 +54,7 @@ class FittedExperiment(Report, Frozen):
     free_amplitudes: ComplexArray
     offset: float
     predicted: NDArray[Any]
+    drift: float = 0.0
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

@@ -13,12 +13,19 @@ from .solver import Problem
 
 def problem_of(result: Any) -> Problem:
     """Problem that a `PEMResult` is the minimum of, its data included."""
-    offset = bool(np.isfinite(result.offset_stderr).any())
+    offset = int(np.isfinite(result.offset_stderr).any())
     rest = starts_from_rest(result)
     rows = []
     for one in result.experiments:
         rows.append(
-            rows_of(one.record, result.method, result.intersample, result.quantity, from_rest=rest, offset=offset)
+            rows_of(
+                one.record,
+                result.method,
+                result.intersample,
+                result.quantity,
+                from_rest=rest,
+                offset=offset + (one.drift != 0),
+            )
         )
     return Problem(tuple(rows), structured=result.representation == "controllable")
 

@@ -21,6 +21,7 @@ from ..modal import ModalForm
 from ..plots import bode_plot
 from ..systems import PortHamiltonian
 from .bootstrap import Resampled
+from .circumstances import Finding
 from .coordinates import InCoordinates
 from .data import Record, as_record
 from .forward import Start
@@ -115,6 +116,9 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         What was measured of the port.
     representation : str
         Whether modes without weight may move: 'observable', or not: 'controllable'.
+    findings : tuple of Finding
+        What the data show beside the modes: a constant or drift, the hold of the input, a delay, noise that is not
+        white or on the input; each with its `cause`, its `values` and its `gain` in log-likelihood.
     """
 
     system: PortHamiltonian
@@ -142,6 +146,7 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     intersample: str
     quantity: str
     representation: str
+    findings: tuple[Finding, ...] = ()
     stderr: Mapping[str, Array] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -417,7 +422,9 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         if name == "zero":
             return np.zeros(2 * self.order), 0.0
         if name == "final":
-            return self._state_after(record.u[0]), float(self.offsets[0])
+            # a drift is not foretold: it stays where it was at the end
+            one = self.experiments[0]
+            return self._state_after(record.u[0]), one.offset + one.drift * one.record.samples * record.dt
         if name == "fitted":
             self._record_in_time("initial state")
             return self.initial_state, float(self.offsets[0])

@@ -7,13 +7,14 @@ that a step costs little more than a look at the transform.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from .circumstances import autoregression, meeting
 from .experiment import Experiment
 from .solver import Problem, Projection, refine
 from .spectrum import Spectrum, Window
@@ -28,6 +29,8 @@ _IN_TIME = 1500  # samples up to which every step is refined in time
 _TOGETHER = 512  # samples from which on several modes may join at one step
 _BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
 _HALF_WIDTH = 12  # bins on either side of a mode
+_ABOUT = np.linspace(-1.0, 1.0, 9)  # bins from a peak
+_SLOW = 1.0  # bins below which a mode is hardly told from a constant and a drift
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,8 @@ class Step:
 
     `candidates` are natural frequencies by how much a mode there would explain, the most first, and `gains` how much;
     `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them;
-    `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet.
+    `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet;
+    `foretold` is the variance of what is left that its own past does not foretell, by the length of that past.
     """
 
     d: Array
@@ -49,6 +53,7 @@ class Step:
     weights: Array
     interrupted: bool = False
     coloured: bool = False
+    foretold: Array = field(default_factory=lambda: np.ones(1))
 
 
 class Search(Protocol):
@@ -76,8 +81,9 @@ class TimeSearch:
         self._spectra = [Spectrum.of(one) for one in self._experiments]
         self._screen = Screen(self._spectra, problem.signed)
         self._windowed = max(len(one.u) for one in self._experiments) > _IN_TIME and all(
-            one.complete for one in self._experiments
+            one.complete and one.offset < 2 for one in self._experiments
         )
+        self._slow = _SLOW * max(one.bin for one in self._experiments)
 
     @property
     def affords_batches(self) -> bool:
@@ -90,7 +96,45 @@ class TimeSearch:
 
     def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
         """Refine modes from a start and look for more."""
-        return (self._in_bins if self._windowed else self._in_time)(d, rtol, report)
+        # the bins about a slow mode are few, and what it has in common with a constant is not among them
+        windowed = self._windowed and not np.any(d < self._slow)
+        return (self._in_bins if windowed else self._in_time)(d, rtol, report)
+
+    def slow(self, step: Step) -> bool:
+        """Whether what would join next is as slow as a constant or a drift, and more than noise."""
+        return bool(len(step.candidates) and step.candidates[0] < self._slow and self.unconvinced(step))
+
+    def arrival(self, first: Step, intersample: str, delay: int) -> float:
+        """Log-likelihood of single modes at the peaks of the output, where the input arrives at other instants.
+
+        Each peak is looked at alone, so that modes which a wrong arrival has misled have no part in it.
+        """
+        peaks: list[float] = []
+        band = self.problem.bin
+        for d in first.candidates.tolist():
+            if all(abs(d - other) > 2 * _HALF_WIDTH * band for other in peaks):
+                peaks.append(d)
+        places = (np.array(peaks)[:, None] + band * _ABOUT).clip(band * _ABOUT[-1], self.problem.ceiling)
+        spectra = []
+        for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
+            turn = np.exp(-2j * np.pi * delay / one.length * np.arange(len(one.U)))
+            spectra.append(Spectrum(cast(Experiment, met), one.U * turn, one.Y))
+        left = [one.beside_offset(one.Y) for one in spectra]
+        gains, total = Screen(spectra, self.problem.signed).at_peaks(places.ravel(), left)
+        unexplained = np.min((total - gains).reshape(places.shape), axis=1)
+        return -float(_HALF_WIDTH * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
+
+    def likelihood(self, d: Array, intersample: str) -> float:
+        """Log-likelihood of modes at these frequencies, but for a constant, with an input held otherwise."""
+        if self._windowed and not np.any(d < self._slow):
+            rows = []
+            for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
+                rows.append(Window.about(replace(one, experiment=cast(Experiment, met)), d, _HALF_WIDTH))
+            problem = Problem(tuple(rows), self.problem.signed)
+        else:
+            problem = meeting(self.problem, intersample)
+        loss = problem.project(d).loss
+        return -0.5 * problem.samples * float(np.log(max(loss / problem.samples, np.finfo(float).tiny)))
 
     def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:
         end = refine(self.problem, d, rtol=rtol, last=False, progress=report)
@@ -100,7 +144,10 @@ class TimeSearch:
             for one, predicted in zip(self._experiments, at.predicted(), strict=True)
         ]
         ranked = self._screen.ranked(left)
-        return Step(at.d, at.loss, end.iterations, end.converged, *ranked, ~at.free, mode_energies(at), end.interrupted)
+        return Step(
+            at.d, at.loss, end.iterations, end.converged, *ranked, ~at.free, mode_energies(at), end.interrupted,
+            foretold=self._foretold(left),
+        )  # fmt: skip
 
     def _in_bins(self, d: Array, rtol: float, report: Report | None) -> Step:
         windows = [Window.about(one, d, _HALF_WIDTH) for one in self._spectra]
@@ -115,7 +162,10 @@ class TimeSearch:
         left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
         loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
         ranked = self._screen.ranked(left)
-        return Step(d, loss, iterations, converged, *ranked, held, weights, interrupted)
+        return Step(d, loss, iterations, converged, *ranked, held, weights, interrupted, foretold=self._foretold(left))
+
+    def _foretold(self, left: list[ComplexArray]) -> Array:
+        return autoregression(left, [len(one.u) for one in self._experiments])[1]
 
 
 def more_than_noise(problem: Problem, step: Step) -> bool:

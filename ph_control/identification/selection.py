@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from .circumstances import input_noise
+from .search import Step
 from .solver import Problem, Projection, Refinement
 
 Array = NDArray[np.float64]
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 
+_CROWDED = 4.0  # bins between modes, below which one may stand for something else
 _BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
 
 
@@ -41,6 +44,41 @@ def criteria(problem: Problem, loss: float, n: int) -> Criteria:
     spare = samples - parameters - 1
     aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
     return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+
+
+def preference(problem: Problem, step: Step, name: str) -> float:
+    """Value of a criterion for a step of a search, with noise as coloured as the criterion prefers.
+
+    A mode too many mends a little of coloured noise, a few coefficients mend most of it.  What no mode explains yet is
+    not taken for noise.
+    """
+    found = criteria(problem, step.loss, len(step.d)).by_name(name)
+    if not len(step.d):
+        return found
+    each = 2.0 if name in ("aic", "aicc") else float(np.log(problem.samples))
+    lags = np.arange(len(step.foretold))
+    return found + float(np.min(problem.samples * np.log(step.foretold) + each * lags))
+
+
+def beside_input_noise(problem: Problem, path: Sequence[Step], values: Sequence[float], place: int) -> int:
+    """Place in a path that BIC prefers where noise on the input may explain the last modes, which crowd about others.
+
+    Such noise comes out of the plant at its resonances, as more modes there would.
+    """
+    best, chosen, each = values[place], place, float(np.log(problem.samples))
+    while place > 0 and crowded(path[place].d, problem.bin):
+        for k in (place, place - 1):
+            if len(d := path[k].d):
+                gain = input_noise(problem.project(d))[1]
+                value = criteria(problem, path[k].loss, len(d)).bic - 2 * gain + each
+                best, chosen = min((best, chosen), (value, k))
+        place -= 1
+    return chosen
+
+
+def crowded(d: Array, band: float) -> bool:
+    """Whether the mode that joined last may only mend what a circumstance does to another."""
+    return len(d) > 1 and bool(np.min(np.abs(d[:-1] - d[-1])) < _CROWDED * band)
 
 
 def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:

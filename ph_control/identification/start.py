@@ -107,6 +107,13 @@ class Screen:
             parts.append((columns, residuals[k][columns.bins]))
         return self._explained(parts)
 
+    def at_peaks(self, d: Array, residuals: list[ComplexArray]) -> tuple[Array, Array]:
+        """Energy that candidates explain in the bins about them, and the energy that is there."""
+        parts = [(_about(one, d), one) for one in self.spectra]
+        found = [(columns, residual[columns.bins]) for (columns, _), residual in zip(parts, residuals, strict=True)]
+        total = sum(columns.scale**2 * np.sum(np.abs(residual) ** 2, axis=1) for columns, residual in found)
+        return self._explained(found), np.asarray(total)
+
     def _over_all(self, d: Array, residuals: list[ComplexArray]) -> Array:
         """Energy that each candidate explains in the bins about all of them.
 

@@ -51,8 +51,8 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     padded = np.pad(covariance, (0, 1), constant_values=np.nan)
     linear = padded[np.ix_(index, index)]
     offsets = [
-        np.sqrt(covariance[start + count - 1, start + count - 1]) if count % 2 else np.nan
-        for start, count in zip(starts, counts, strict=False)
+        np.sqrt(covariance[start + count - 1, start + count - 1]) if getattr(rows, "offset", 0) else np.nan
+        for start, count, rows in zip(starts, counts, at.problem.experiments, strict=False)
     ]
     return Uncertainty(variance, _in_states(linear, at, rank, total, quantity), np.array(offsets))
 

@@ -36,10 +36,17 @@ class Verdict:
     in_time: bool = True
     alike: bool = False
     share: float = 0.0
+    circumstances: tuple[str, ...] = ()
+    explained: bool = False
+    named: bool = False
 
     @property
     def _coloured(self) -> bool:
         return self.whiteness < _WHITE
+
+    @property
+    def _unexplained(self) -> bool:
+        return self._coloured and not self.explained
 
     @property
     def headline(self) -> str:
@@ -53,10 +60,12 @@ class Verdict:
         # weights that leave no trace may come out as 0 and say nothing
         held = not self.blind and 2 * len(self.active) >= self.n
         poor = self.fit_percent < GOOD_FIT or self.at_limit or held
-        if (self._coloured or self.contradiction) and poor:
+        if (self._unexplained or self.contradiction) and poor:
             return "NOT described by a collocated lossless model"
-        if self.active or self._coloured or self.contradiction or self.blind or not self.converged:
+        if self.active or self._unexplained or self.contradiction or self.blind or not self.converged:
             return "doubtful, see below"
+        if self._coloured:
+            return "consistent with the record, noise not white"
         return "too few samples to judge" if self.spare < _FEW and not self.noiseless else "consistent with the record"
 
     def message(self) -> str:
@@ -99,7 +108,7 @@ class Verdict:
             listed = ", ".join(str(l + 1) for l in self.active)
             asked = (
                 "there the record asks for a residue that no lossless model with input and output at the same port has."
-                if self._coloured or self.contradiction
+                if self._unexplained or self.contradiction
                 else "noise hides whether the input reaches it."
             )
             parts.append(f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: {asked}")
@@ -107,10 +116,11 @@ class Verdict:
             parts.append(self.blind or self.remark)
         if self.contradiction:
             parts.append(self.contradiction)
-        if self._coloured:
+        parts += self.circumstances
+        if self._unexplained:
             p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
             parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
-        if self.alike and (self._coloured or self.contradiction):
+        if self.alike and (self._unexplained or self.contradiction):
             parts.append(
                 "All points were taken as equally sure: noise that goes with the gain looks like this too; if yours "
                 "does, pass weights=1/(standard deviation)**2 of each point."
@@ -145,13 +155,12 @@ class Verdict:
             f"With a fit of {self.fit_percent:.1f} % a collocated lossless {self.quantity} model does not describe "
             f"this {'record' if self.in_time else 'response'}"
         )
-        if self.contradiction:
+        if self.contradiction or self.named:
             return found + "."
         others = [one for one in ("velocity", "displacement", "acceleration") if one != self.quantity]
-        held = ", or an input that was not held between samples (intersample='foh')" * self.in_time
         return (
             f"{found}: suspect damping, a sensor away from the actuator, an output that is not the {self.quantity} "
-            f"({', '.join(others)}){held}."
+            f"({', '.join(others)})."
         )
 
 

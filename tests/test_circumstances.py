@@ -1,0 +1,173 @@
+"""What shapes a record beside the modes, and the orders that `pem` finds in spite of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ph_control as phc
+from ph_control.identification.circumstances import Cause
+
+
+def recording(seed, *, n=3, samples=1200, snr=20.0, intersample="zoh"):
+    """Plant, input, and output with white noise of a random lossless plant."""
+    rng = np.random.default_rng([seed, n])
+    d = np.linspace(0.3, 2.6, n) + rng.uniform(-0.2, 0.2, n)
+    plant, u = phc.ph(phc.modes(d, rng.uniform(0.3, 1.0, n) / d)), rng.standard_normal(samples)
+    y = phc.forced_response(plant, np.arange(samples), u, intersample=intersample).outputs
+    size = np.std(y) * 10 ** (-snr / 20)
+    return plant, u, y, y + size * rng.standard_normal(samples), size
+
+
+def causes(result):
+    return {one.cause: one for one in result.findings}
+
+
+def found_all(result, plant, samples):
+    """Whether every mode of the plant is there, and no other."""
+    return result.order == plant.n and bool(np.all(np.abs(result.d - plant.d) < 0.1 * np.pi / samples))
+
+
+# --- constants and drifts --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [400, 1700, 2000, 5000])
+@pytest.mark.parametrize("order", [1, "auto"])
+def test_a_constant_of_the_sensor_is_estimated_and_named(samples, order):
+    rng = np.random.default_rng(0)
+    y = 2 + np.cos(1.3 * np.arange(samples)) + 0.05 * rng.standard_normal(samples)
+    result = phc.pem((None, y), order, dt=1.0)
+    assert result.success
+    np.testing.assert_allclose(result.d, [1.3], atol=1e-3 * 2 * np.pi / samples * 10)
+    np.testing.assert_allclose(result.offsets, [2.0], atol=0.02)
+    np.testing.assert_allclose(causes(result)[Cause.CONSTANT].values, result.offsets)
+
+
+@pytest.mark.parametrize("samples", [600, 3000])
+def test_a_drift_of_the_sensor_is_estimated_and_named(samples):
+    plant, u, _, y, size = recording(1, samples=samples)
+    drift = 50 * size / samples
+    result = phc.pem((u, y + 1.0 + drift * np.arange(samples)), dt=1.0)
+    assert found_all(result, plant, samples)
+    np.testing.assert_allclose(result.experiments[0].drift, drift, rtol=0.05)
+    np.testing.assert_allclose(result.offsets, [1.0], atol=size)
+    assert causes(result)[Cause.DRIFT].gain > 100
+    assert phc.pem((u, y), dt=1.0).experiments[0].drift == 0
+
+
+def test_a_drift_comes_back_from_a_file_and_a_bootstrap_refits_it(tmp_path):
+    plant, u, _, y, size = recording(2, n=1, samples=300)
+    result = phc.pem((u, y + 3 * size * np.arange(300) / 10), dt=1.0)
+    result.save(tmp_path / "fit.json")
+    again = phc.load(tmp_path / "fit.json")
+    assert again.experiments[0].drift == result.experiments[0].drift != 0
+    assert again.findings == result.findings
+    assert result.bootstrap(5, rng=0).d.shape == (5, 1)
+    ahead = result.predict(np.zeros(3), initial_state="final").outputs
+    level = result.offsets[0] + result.experiments[0].drift * 300
+    assert abs(ahead[0] - level) < abs(plant.r[0]) * 50
+
+
+def test_a_motion_slower_than_the_record_stays_a_mode():
+    k = np.arange(2000.0)
+    y = 5 * np.cos(0.5 * np.pi * k / 2000 + 0.3) + np.cos(1.3 * k)
+    result = phc.pem((None, y + 0.05 * np.random.default_rng(0).standard_normal(2000)), dt=1.0)
+    np.testing.assert_allclose(result.d, [0.25 * np.pi / 1000, 1.3], rtol=0.02)
+    assert not causes(result)
+
+
+def test_the_loss_never_rises_along_the_path():
+    rng = np.random.default_rng(0)
+    for slow in (0.0, 0.1, 0.3, 0.6):
+        y = 2 * np.cos(2 * np.pi * slow * np.arange(2000) / 2000) + np.cos(1.3 * np.arange(2000))
+        result = phc.pem((None, y + 0.05 * rng.standard_normal(2000)), dt=1.0)
+        losses = np.array([row.loss for row in result.order_table])
+        assert np.all(np.diff(losses) <= 0.01 * losses[1:])
+
+
+def test_no_constant_is_estimated_where_it_is_forbidden():
+    rng = np.random.default_rng(0)
+    y = 2 + np.cos(1.3 * np.arange(500)) + 0.05 * rng.standard_normal(500)
+    result = phc.pem((None, y), dt=1.0, offset=False)
+    assert np.isnan(result.offset_stderr).all() and not causes(result)
+    with pytest.raises(phc.StructureError, match="offset"):
+        phc.pem((None, y), dt=1.0, offset="yes")
+
+
+# --- when the input arrives ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [800, 2500])
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+@pytest.mark.parametrize("order", [3, "auto"])
+def test_the_hold_is_the_one_that_the_data_prefer(intersample, order, samples):
+    plant, u, _, y, _ = recording(3, samples=samples, intersample=intersample)
+    result = phc.pem((u, y), order, dt=1.0)
+    assert result.intersample == intersample
+    assert causes(result)[Cause.HOLD].gain > 20
+    assert found_all(result, plant, samples)
+    assert result.verdict == phc.pem((u, y), order, dt=1.0, intersample=intersample).verdict
+
+
+def test_where_the_data_cannot_tell_the_input_counts_as_held():
+    plant = phc.ph(phc.modes(0.02, 1.0))
+    rng = np.random.default_rng(0)
+    u = np.sin(0.03 * np.arange(1500))
+    y = phc.forced_response(plant, np.arange(1500), u, intersample="foh").outputs + rng.standard_normal(1500)
+    result = phc.pem((u, y), 1, dt=1.0)
+    assert result.intersample == "zoh"
+    assert causes(result)[Cause.HOLD].gain < 3
+
+
+def test_the_table_of_orders_takes_the_hold_of_the_data_too():
+    _, u, _, y, _ = recording(4, n=2, samples=600, intersample="foh")
+    assert phc.order_selection((u, y), 4, dt=1.0).chosen() == 2
+
+
+@pytest.mark.parametrize("delay", [1, 3, -1])
+@pytest.mark.parametrize("samples", [900, 2500])
+def test_a_delay_is_named_and_the_order_stays(delay, samples):
+    plant, u, _, y, _ = recording(5, samples=samples)
+    late = (u[delay:], y[:-delay]) if delay > 0 else (u[:delay], y[-delay:])
+    result = phc.pem(late, dt=1.0)
+    finding = causes(result)[Cause.DELAY]
+    assert finding.values == (delay,) and finding.gain > 20
+    assert result.order == plant.n
+    assert result.verdict.startswith("NOT")
+
+
+# --- noise -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_coloured_noise_is_named_and_adds_no_modes(seed):
+    plant, u, clean, _, size = recording(6 + seed)
+    rng = np.random.default_rng(seed)
+    noise = np.zeros(1400)
+    for k, white in enumerate(rng.standard_normal(1399), start=1):
+        noise[k] = 0.9 * noise[k - 1] + white
+    result = phc.pem((u, clean + size * noise[200:] / np.std(noise)), dt=1.0)
+    assert found_all(result, plant, 120)
+    np.testing.assert_allclose(causes(result)[Cause.COLOURED_NOISE].values[0], 0.9, atol=0.05)
+    assert result.verdict.startswith("consistent")
+
+
+def test_noise_on_the_input_is_named_and_adds_few_modes():
+    _, u, _, y, _ = recording(11)
+    result = phc.pem((u + 0.1 * np.random.default_rng(0).standard_normal(1200), y), 3, dt=1.0)
+    finding = causes(result)[Cause.INPUT_NOISE]
+    np.testing.assert_allclose(finding.values[0], 0.1, rtol=0.5)
+
+
+def test_white_noise_gives_no_finding_but_the_hold():
+    for seed in range(3):
+        _, u, _, y, _ = recording(seed, samples=600)
+        assert set(causes(phc.pem((u, y), dt=1.0))) == {Cause.HOLD}
+
+
+def test_a_hold_that_was_given_stays_and_the_other_is_named():
+    plant, u, _, y, _ = recording(12, samples=900, intersample="foh")
+    result = phc.pem((u, y), dt=1.0, intersample="zoh")
+    assert result.intersample == "zoh" and result.order == plant.n
+    assert causes(result)[Cause.HOLD].values == (1.0,)
+    assert "intersample='foh'" in result.message
