@@ -1,6 +1,7 @@
 """Seeded Monte-Carlo studies of `pem`: does it find the optimum, is it efficient, does it find the order.
 
-python -m benchmarks.montecarlo convergence|efficiency|order [--seeds N] [--config K ...] [--workers W] [--json FILE]
+python -m benchmarks.montecarlo convergence|efficiency|order|disturbances
+    [--seeds N] [--config K ...] [--workers W] [--json FILE]
 """
 
 from __future__ import annotations
@@ -149,14 +150,25 @@ def _report_order(config: Configuration, done: Trials) -> list[str]:
     return lines
 
 
+def _report_disturbance(config: trials.Disturbed, done: Trials) -> list[str]:
+    near = sum(abs(trial["order"] - config.n) <= 1 for trial in done if trial["order"] is not None)
+    whole = sum(trial.get("modes_found") == config.n for trial in done)
+    named = Counter(cause for trial in done for cause in trial.get("causes", ()))
+    return [
+        *_report_order(config, done),
+        f"    order within 1: {near}/{len(done)}; every mode found: {whole}/{len(done)}; named: {dict(named)}",
+    ]
+
+
 def _times(done: Trials) -> str:
     seconds = [trial["seconds"] for trial in done]
     return f"a fit takes {np.median(seconds):.3g} s (median), {max(seconds):.3g} s (longest)"
 
 
-STUDIES: dict[str, tuple[Callable[[Any], dict[str, Any]], tuple[Configuration, ...], Callable[..., list[str]]]] = {
+STUDIES: dict[str, tuple[Callable[[Any], dict[str, Any]], tuple[Any, ...], Callable[..., list[str]]]] = {
     "convergence": (trials.convergence, trials.CONVERGENCE, _report_convergence),
     "efficiency": (trials.efficiency, trials.EFFICIENCY, _report_efficiency),
+    "disturbances": (trials.disturbance, trials.DISTURBED, _report_disturbance),
     "order": (trials.order, (*trials.ORDER, trials.NOISE), _report_order),
 }
 

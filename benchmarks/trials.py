@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from time import perf_counter
+from dataclasses import dataclass, replace
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,36 @@ CONVERGENCE = tuple(
 EFFICIENCY = CONVERGENCE[:3]
 ORDER = tuple(Configuration(*numbers) for numbers in ((2, 1000, 20, 3), (5, 1000, 20, 3), (10, 4000, 20, 3)))
 NOISE = Configuration(0, 1000, -np.inf, 3)  # nothing but noise
+
+PLAIN = Configuration(3, 2000, 20, 3)
+
+
+@dataclass(frozen=True)
+class Disturbed:
+    """Recordings that show something beside a lossless plant and white noise."""
+
+    kind: str
+    plain: Configuration = PLAIN
+
+    @property
+    def n(self) -> int:
+        """Number of modes of the plant."""
+        return self.plain.n
+
+    @property
+    def samples(self) -> int:
+        """Samples of a recording."""
+        return self.plain.samples
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.plain}"
+
+
+DISTURBED = (
+    *map(Disturbed, ("none", "constant", "drift", "linear input", "delay", "coloured noise", "input noise")),
+    Disturbed("none", Configuration(2, 20_000, 40, 0.2)),
+    Disturbed("none", Configuration(3, 1000, 5, 3)),
+)
 
 FOUND, BAD_LUCK, FALSE_MINIMUM, ERROR = "found", "bad luck", "false minimum", "error"
 
@@ -101,3 +132,47 @@ def order(task: tuple[Configuration, int]) -> dict[str, Any]:
     if result is None:
         return {"seed": seed, "order": None, "error": error, "seconds": seconds}
     return {"seed": seed, "order": result.order, "message": result.verdict, "seconds": seconds}
+
+
+def disturbance(task: tuple[Disturbed, int]) -> dict[str, Any]:
+    """Fit a disturbed recording with the order unknown: the order found, the modes found, and what is said."""
+    config, seed = task
+    recording = disturbed(recording_of(config.plain, seed), config.kind, np.random.default_rng([seed, config.n, 2]))
+    start = process_time()
+    result, _, error = timed_fit(recording, "auto")
+    seconds = process_time() - start
+    if result is None:
+        return {"seed": seed, "order": None, "error": error, "seconds": seconds}
+    bin_width = 2 * np.pi / config.samples
+    near = [bool(result.order) and bool(np.min(np.abs(result.d - d)) < 0.5 * bin_width) for d in recording.d]
+    causes = sorted({one.cause.value for one in getattr(result, "findings", ())})
+    return {
+        "seed": seed, "order": result.order, "message": result.verdict, "seconds": seconds, "modes_found": sum(near),
+        "causes": causes,
+    }  # fmt: skip
+
+
+def disturbed(recording: Recording, kind: str, rng: np.random.Generator) -> Recording:
+    """The recording with a disturbance of a kind."""
+    u, y, size, samples = recording.u, recording.y, float(np.std(recording.clean)), len(recording.u)
+    if kind == "constant":
+        y = y + 2 * size
+    elif kind == "drift":
+        y = y + 2 * size * np.arange(samples) / samples
+    elif kind == "linear input":
+        clean = phc.forced_response(
+            recording.plant, np.arange(float(samples)), u, recording.state, return_states=False, intersample="foh"
+        ).outputs
+        y = np.asarray(clean) + (y - recording.clean)
+    elif kind == "delay":
+        u, y = u[1:], y[:-1]
+    elif kind == "coloured noise":
+        noise = np.zeros(samples + 200)
+        for k, white in enumerate(rng.standard_normal(samples + 199), start=1):
+            noise[k] = 0.9 * noise[k - 1] + white
+        y = recording.clean + recording.deviation * noise[200:] / np.std(noise[200:])
+    elif kind == "input noise":
+        u = u + 0.1 * rng.standard_normal(samples)
+    elif kind != "none":
+        raise ValueError(f"no disturbance is called {kind!r}")
+    return replace(recording, u=u, y=y)
