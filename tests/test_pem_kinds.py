@@ -320,7 +320,7 @@ def test_each_experiment_has_an_offset_of_its_own_with_its_error():
         errors.append((result.offsets - constants) / result.stderr["offset"])
     mean_square = np.mean(np.square(errors), axis=0)
     assert (np.abs(mean_square - 1) <= 4 * np.sqrt(2 / seeds)).all()
-    without = phc.pem(experiments, 3, dt=0.1)
+    without = phc.pem(experiments, 3, dt=0.1, offset=False)
     assert (without.offsets == 0).all() and np.isnan(without.stderr["offset"]).all()
 
 
