@@ -53,11 +53,27 @@ class Draw:
         return name in ROLES or f"{owner}.{name}" in ROLES
 
     def frequencies(self) -> Any:
-        return np.cumsum(self.rng.uniform(0.2, 2.0, self.n)) * float(self.rng.choice([1.0, 1.0, 1e-6, 1e6]))
+        """Mostly apart; now and then equal, nearly equal, or decades apart."""
+        d = np.cumsum(self.rng.uniform(0.2, 2.0, self.n)) * float(self.rng.choice([1.0, 1.0, 1e-6, 1e6]))
+        odd: tuple[Callable[[], Any], ...] = (
+            lambda: np.full(self.n, d[0]), lambda: d[0] * (1 + 1e-14 * self.rng.integers(0, 9, self.n)),
+            lambda: 10.0 ** self.rng.uniform(-40, 40, self.n), lambda: d[::-1].copy(),
+        )  # fmt: skip
+        return pick(self.rng, odd)() if self.rng.random() < 0.2 else d
+
+    def weights(self) -> Any:
+        v = self.rng.standard_normal(2 * self.n)
+        return v * self.rng.integers(0, 2, 2 * self.n) if self.rng.random() < 0.2 else v
 
     def hamiltonian(self) -> Any:
+        """Mostly well conditioned; now and then in units decades apart, or of whole numbers."""
         M = self.rng.standard_normal((2 * self.n, 2 * self.n))
-        return M @ M.T + 0.1 * np.eye(2 * self.n)
+        Q = M @ M.T + 0.1 * np.eye(2 * self.n)
+        odd = self.rng.random()
+        if odd < 0.1:
+            unit = 10.0 ** self.rng.uniform(-20, 20, 2 * self.n)
+            return (Q * unit).T * unit
+        return np.diag(self.rng.integers(1, 4, 2 * self.n).astype(float)) if odd < 0.2 else Q
 
     def semidefinite(self) -> Any:
         return self.rng.choice([self.hamiltonian, lambda: np.diag(self.rng.choice([0.0, 1.0, 4.0], 2 * self.n))])()
@@ -78,7 +94,7 @@ class Draw:
         return M @ M.T
 
     def pair(self) -> tuple[Any, Any]:
-        return self.frequencies(), self.rng.standard_normal(2 * self.n)
+        return self.frequencies(), self.weights()
 
     def system(self) -> Any:
         return pick(self.rng, pool("system"))
@@ -171,9 +187,7 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "A": lambda draw: phc.symplectic_form(draw.n) @ draw.hamiltonian(),
     "S": Draw.symplectic,
     "d": Draw.frequencies, "d1": Draw.frequencies, "d2": Draw.frequencies,
-    "v": lambda draw: draw.rng.standard_normal(2 * draw.n),
-    "v1": lambda draw: draw.rng.standard_normal(2 * draw.n),
-    "v2": lambda draw: draw.rng.standard_normal(2 * draw.n),
+    "v": Draw.weights, "v1": Draw.weights, "v2": Draw.weights,
     "r": lambda draw: draw.rng.uniform(0.0, 2.0, draw.n),
     "nu": lambda draw: draw.rng.standard_normal((draw.n, draw.m)) + 1j * draw.rng.standard_normal((draw.n, draw.m)),
     "rigid": lambda draw: draw.rng.standard_normal((int(draw.rng.integers(0, 2)), draw.m)),
