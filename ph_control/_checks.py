@@ -66,7 +66,8 @@ def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, fresh: b
 
 def _real_numbers(name: str, value: ArrayLike) -> NDArray[Any]:
     """Array of what is not an array of doubles."""
-    if np.ma.is_masked(value):
+    parts = value if isinstance(value, list | tuple) else ()
+    if np.ma.is_masked(value) or any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
         raise StructureError(f"{name} has masked entries; fill them, since a mask would be lost here")
     try:
         raw = np.asarray(value)

@@ -104,3 +104,10 @@ def test_inputs_that_show_no_weight_give_no_number_for_its_error(u, options):
     silent = result.r == 0
     assert np.isnan(result.stderr["r"][silent]).all() and np.isfinite(result.stderr["r"][~silent]).all()
     assert not np.isinf(result.covariance).any() and result.summary()
+
+
+@pytest.mark.parametrize("fit", [phc.pem, phc.order_selection])
+@pytest.mark.parametrize("callback", [1.0, "x", 1j, False])
+def test_a_callback_that_cannot_be_called_is_refused(fit, callback):
+    with pytest.raises(phc.StructureError, match="callback is "):
+        fit((INPUT, answer(INPUT)), 2, dt=0.1, callback=callback)

@@ -344,6 +344,8 @@ def rows_of(
 
 def reporter(problem: Problem, largest: int, callback: Callback | None) -> Callable[[int], Report | None]:
     """What tells a callback of the iterations of each order."""
+    if callback is not None and not callable(callback):
+        raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
 
     def report(order: int) -> Report | None:
         if callback is None:
