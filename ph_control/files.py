@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from ._documents import Fields, as_path, compose, decompose, plain, read_bytes, source_name, write_atomically
+from ._units import checked_unit, with_unit
 from .affine_system import AffineHamiltonian
 from .canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from .exceptions import FileFormatError, StructureError
@@ -55,7 +56,7 @@ def _modes_from_dict(fields: Fields) -> ModalForm:
 
 def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
     """Fields of a system: its names, and its matrices or its modes, whichever it was made of."""
-    names = system._names()
+    names = system._names() | ({"time_unit": system.time_unit} if system.time_unit else {})
     if system._given is None:
         return {**names, "modes": _modes_to_dict(system.modes)}
     return {**names, "Q": system.Q, "B": system.B}
@@ -64,9 +65,10 @@ def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
 def system_from_dict(fields: Fields) -> PortHamiltonian:
     """Restore the system of `system_to_dict`."""
     names = _names_from_dict(fields)
+    unit = checked_unit(fields.text("time_unit")) if "time_unit" in fields else None
     if "modes" in fields:
-        return PortHamiltonian._from_modes(_modes_from_dict(fields.nested("modes")), **names)
-    return PortHamiltonian(fields.array("Q", (None, None)), fields.array("B", (None, None)), **names)
+        return with_unit(PortHamiltonian._from_modes(_modes_from_dict(fields.nested("modes")), **names), unit)
+    return with_unit(PortHamiltonian(fields.array("Q", (None, None)), fields.array("B", (None, None)), **names), unit)
 
 
 def _names_from_dict(fields: Fields) -> dict[str, Any]:

@@ -69,6 +69,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
     """
 
     _factory = "ph(Q, B)"
+    time_unit: str | None = None  # that of the data it was fitted to
     _modes: ModalForm | None
     _given: tuple[Array, Array] | None
 
@@ -349,7 +350,7 @@ class PortHamiltonian(HasForms, LosslessSystem):
 
     def __reduce__(self) -> tuple[Any, ...]:
         kept = self._kept((*_OF_Q, "_seen")) if self._given is not None else {}
-        return _restore, (type(self), self._given, self._modes, self._names(), kept)
+        return _restore, (type(self), self._given, self._modes, self._names(), kept), {"time_unit": self.time_unit}
 
     def _repr_eval_(self) -> str:
         if self._given is not None:

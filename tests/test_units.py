@@ -143,6 +143,17 @@ def test_a_file_keeps_the_unit(in_ms, tmp_path):
     assert pickle.loads(pickle.dumps(in_ms.record)).time_unit == "ms"
 
 
+def test_the_model_of_a_fit_keeps_the_unit_alone_too(in_ms, tmp_path):
+    phc.save(in_ms.system, tmp_path / "model.json")
+    for model in (in_ms.system, phc.load(tmp_path / "model.json"), pickle.loads(pickle.dumps(in_ms.system))):
+        assert model.time_unit == "ms"
+        with pytest.raises(StructureError, match="times are in s here and in ms there"):
+            phc.compare(recording("t [s]"), model)
+    assert phc.bode_plot(in_ms.system).axes[-1, 0].get_xlabel() == "Frequency [rad/ms]"
+    assert phc.frenkel_kontorova().time_unit is None
+    plt.close("all")
+
+
 def test_a_unit_can_be_said_of_any_data():
     t, u, y = signals()
     data = ct.TimeResponseData(t, y, inputs=u)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._frozen import Frozen, ReadOnlyMapping
-from .._units import common_unit, unit_for
+from .._units import common_unit, unit_for, with_unit
 from ..exceptions import StructureError
 from ..files import save
 from ..fit_plots import fit_plot
@@ -160,6 +160,7 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
             "offset": self.offset_stderr,
         }
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
+        with_unit(self.system, self.time_unit)
         super().__post_init__()
 
     @property
