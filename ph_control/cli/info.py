@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from math import pi
 from typing import Any
 
+from .._units import hertz_size, rate
 from .answers import emit_json, fit_of, modes_of
 from .models import Model, read_models
 from .options import Parser, add_json, add_model
@@ -94,6 +94,8 @@ def _fields_of(found: Any) -> dict[str, Any]:
         fields |= {"name": found.name, "inputs": found.input_labels, "outputs": found.output_labels}
     if hasattr(found, "is_canonical"):
         fields["canonical"] = bool(found.is_canonical)
+    unit = getattr(found, "time_unit", None)
+    fields |= {"time_unit": unit, "hertz": form.d / hertz_size(unit) if unit else None}
     return {**fields, **modes_of(form)}
 
 
@@ -109,10 +111,12 @@ def _lines(found: Any) -> list[str]:
         ]
     if hasattr(found, "is_canonical"):
         lines.append(f"  canonical (controllable and observable): {'yes' if found.is_canonical else 'no'}")
-    lines.append("   mode   d [rad/time]         f [1/time]        weight r          residue kappa")
+    unit = getattr(found, "time_unit", None)
+    head = f"d [{rate(unit)}]", f"f [{'Hz' if unit else '1/time'}]"
+    lines.append(f"   mode   {head[0]:18}   {head[1]:15}   weight r          residue kappa")
     for l in range(len(form.d)):
         lines.append(
-            f"  {l + 1:5d}   {form.d[l]:<18.10g}   {form.d[l] / 2 / pi:<15.8g}   "
+            f"  {l + 1:5d}   {form.d[l]:<18.10g}   {form.d[l] / hertz_size(unit):<15.8g}   "
             f"{_number(form.r[l])}   {_number(form.kappa[l])}".rstrip()
         )
     if len(form.rigid):
