@@ -237,7 +237,7 @@ def test_a_sine_does_not_show_the_weights_of_the_chain_with_an_exact_hold(x0):
     assert "add a frequency near 1.6 rad/time" in str(found)
     assert "white or multisine input of the same length over 0.31 .. 2 rad/time" in str(found)
     assert found.driven_zeros == pytest.approx((1.0,))
-    assert "drives a zero" in found.message
+    assert "drives a zero" in found.details
 
 
 def test_the_blind_combination_leaves_the_output_of_the_chain_as_it_is():
@@ -275,7 +275,7 @@ def test_other_inputs_of_the_same_length_show_the_weights_to_the_cramer_rao_boun
         "two sines": np.sin(TIME) + np.sin(1.6 * TIME),
     }[kind]
     found = excitation((u, None), CHAIN, dt=STEP, noise_std=0.01)
-    assert found.rank == 8 and found.sufficient and found.message == "" and found.remedies == ()
+    assert found.rank == 8 and found.sufficient and found.details == "" and found.remedies == ()
     J = dense_sensitivities(*map(np.array, CHAIN), np.zeros(2), u, STEP)
     bounds = dense_bounds(J, 0.01)
     assert np.allclose(found.stderr["d"], bounds[:2], rtol=1e-5)
@@ -314,7 +314,7 @@ def test_a_constant_shows_no_weight_unless_the_plant_was_at_rest(n):
     assert {b.words for b in found.blind} == {f"r_{l + 1} with the initial state of mode {l + 1}" for l in range(n)}
     assert found.band.intervals == () and found.band.order == 1
     assert "none: the input is constant" in found.summary()
-    assert f"add {'a frequency' if n == 1 else 'frequencies'} near 1" in found.message
+    assert f"add {'a frequency' if n == 1 else 'frequencies'} near 1" in found.details
     assert excitation((np.full(500, 2.0), None), (d, r), dt=0.1, initial_state="zero").rank == 2 * n
 
 
@@ -322,7 +322,7 @@ def test_no_input_shows_nothing_but_the_free_motion():
     u = np.zeros(300)
     still = excitation((u, None), ([1.0, 2.0], [1.0, 1.0]), dt=0.1)
     assert still.blind_parameters == ("d_1", "d_2", "r_1", "r_2") and still.rank == 4
-    assert "the input is zero" in still.message
+    assert "the input is zero" in still.details
     y = output_of([1.0, 2.0], [1.0, 1.0], [1.0, 1j], u, 0.1)
     free = excitation((u, y), ([1.0, 2.0], [1.0, 1.0]), dt=0.1)
     assert free.blind_parameters == ("r_1", "r_2") and free.rank == 6
@@ -343,7 +343,7 @@ def test_an_impulse_shows_the_weights_if_it_comes_within_the_record(n):
 def test_a_mode_without_weight_is_told_apart_from_a_poor_input():
     found = excitation((white(300), None), ([1.0, 2.0], [1.0, 0.0]), dt=0.1)
     assert found.blind_parameters == ("d_2",)
-    assert "Of mode 2 r is 0" in found.message
+    assert "Of mode 2 r is 0" in found.details
     assert found.remedies == ()
 
 
@@ -389,7 +389,7 @@ def test_the_band_of_an_input_is_where_its_power_is():
 def test_modes_outside_the_band_are_named():
     found = excitation((sines(1.0, samples=2000, h=0.1), None), ([1.0, 2.0], [1.0, 1.0]), dt=0.1)
     assert 1.0 in found.band and 2.0 not in found.band
-    assert "Outside the excited band: mode 2, at 2 rad/time" in found.message
+    assert "Outside the excited band: mode 2, at 2 rad/time" in found.details
     assert "outside the band" in found.summary()
 
 
@@ -425,11 +425,11 @@ def test_modes_above_the_nyquist_frequency_are_named(ratio):
     d = np.array([1.0, ratio * np.pi / 0.5])
     found = excitation((white(4000), None), (d, [1.0, 1.0]), dt=0.5)
     assert found.above_nyquist == ((1,) if ratio > 1 else ())
-    assert ("above the Nyquist frequency" in found.message) == (ratio > 1)
+    assert ("above the Nyquist frequency" in found.details) == (ratio > 1)
     assert found.sufficient == (ratio < 1)
     if ratio > 1:
         assert found.apparent[1] == pytest.approx(2 * np.pi / 0.5 - d[1])
-        (step,) = re.findall(r"sample with a step below ([\d.]+\d)", found.message)
+        (step,) = re.findall(r"sample with a step below ([\d.]+\d)", found.details)
         assert float(step) == pytest.approx(np.pi / d[1], rel=0.05)
 
 
@@ -452,9 +452,9 @@ def test_modes_closer_than_a_bin_are_named_with_the_record_that_resolves_them(bi
     d = 1.0 + np.array([0.0, bins * one_bin])
     found = excitation((white(samples), None), (d, [1.0, 1.0]), dt=h)
     assert found.unresolved == (((0, 1),) if bins < 1 else ())
-    assert ("less than the" in found.message) == (bins < 1)
+    assert ("less than the" in found.details) == (bins < 1)
     if bins < 1:
-        (needed,) = re.findall(r"\((\d+) samples\)", found.message)
+        (needed,) = re.findall(r"\((\d+) samples\)", found.details)
         assert int(needed) == pytest.approx(samples / bins, abs=2)
         assert excitation((white(int(needed)), None), (d, [1.0, 1.0]), dt=h).unresolved == ()
 
@@ -463,13 +463,13 @@ def test_modes_much_closer_than_a_bin_are_hardly_seen():
     found = excitation((white(1000), None), ([1.0, 1.0001], [1.0, 1.0]), dt=0.1)
     assert found.nearly_blind and found.headline.startswith("hardly shows")
     assert min(found.inflation["r"]) > 100
-    assert "Hardly seen, with errors inflated up to" in found.message
+    assert "Hardly seen, with errors inflated up to" in found.details
 
 
 def test_modes_of_one_frequency_are_to_be_taken_as_one():
     found = excitation((white(400), None), ([1.0, 1.0], [1.0, 2.0]), dt=0.1)
     assert found.rank == 4
-    assert "take modes 1 and 2, of one frequency, as one" in found.message
+    assert "take modes 1 and 2, of one frequency, as one" in found.details
 
 
 @pytest.mark.parametrize("periods", [0.95, 1.05])
@@ -484,8 +484,27 @@ def test_modes_without_a_full_period_are_named(periods):
 def test_few_samples_show_as_many_combinations_at_most(samples):
     found = excitation((white(samples), None), ([0.7, 1.9], [1.0, 1.0]), dt=1.0)
     assert found.rank <= samples and not found.sufficient
-    assert f"It has {samples} observed samples for 8 unknowns." in found.message
+    assert f"It has {samples} observed samples for 8 unknowns." in found.details
     assert "record" in found.remedies[-1]
+
+
+@pytest.mark.parametrize("gap, longer", [(0.03, True), (1e-4, False), (1e-6, False)])
+def test_a_record_more_than_a_hundred_times_as_long_is_not_advised(gap, longer):
+    found = excitation((white(1000), None), ([1.0, 1.0 + gap], [1.0, 1.0]), dt=0.1)
+    assert any("record for at least" in remedy for remedy in found.remedies) == longer
+    assert any("take modes 1 and 2 as one" in remedy for remedy in found.remedies) != longer
+    slow = excitation((white(1000), None), ([2e-5, 1.0], [1.0, 1.0]), dt=0.1, noise_std=1e9)
+    assert slow.slow == (0,) and not any("record for at least" in remedy for remedy in slow.remedies)
+
+
+@pytest.mark.parametrize("n, lines", [(2, 1), (12, 3), (30, 1)])
+def test_in_brief_there_is_one_reason_and_one_remedy(n, lines):
+    d = np.linspace(1.0, 12.0, n)
+    u = sum(np.sin(w * 0.1 * np.arange(2000)) for w in np.linspace(2.0, 5.0, lines))
+    found = excitation((u, None), (d, np.ones(n)), dt=0.1)
+    assert found.blind and len(re.findall(r"\. [A-Z]", found.message)) == 1
+    assert len(found.message) < 400 and len(found.details) > len(found.message)
+    assert found.remedies[0] in found.message and all(remedy in found.details for remedy in found.remedies)
 
 
 # --- remedies --------------------------------------------------------------------------------------------------------
@@ -514,8 +533,8 @@ def test_noise_that_drowns_the_weights_asks_for_a_stronger_input():
     u = white(SAMPLES)
     noisy = excitation((u, None), CHAIN, dt=STEP, noise_std=50.0)
     assert {"r_1", "r_2"} <= set(noisy.uncertain) and noisy.headline.startswith("is too noisy for")
-    assert "50 the standard error is" in noisy.message
-    (factor,) = re.findall(r"at least ([\d.e+]+) times as strong", noisy.message)
+    assert "50 the standard error is" in noisy.details
+    (factor,) = re.findall(r"at least ([\d.e+]+) times as strong", noisy.details)
     stronger = excitation((1.1 * float(factor) * u, None), CHAIN, dt=STEP, noise_std=50.0)
     assert stronger.sufficient
     assert max(stronger.stderr["r"] / CHAIN[1]) < 0.1 and max(stronger.stderr["d"] / CHAIN[0]) < 0.1
@@ -539,7 +558,7 @@ def test_a_sine_shows_two_modes_nowhere_and_one_mode_near_it(n):
     u = sines(1.0, samples=1000, h=0.1)
     blind = excitation((u, None), n, dt=0.1)
     assert (blind.scan.deficiency == n - 1).all() and blind.scan.shown == ()
-    assert not blind.sufficient and "shown nowhere" in blind.message
+    assert not blind.sufficient and "shown nowhere" in blind.details
     one = excitation((u, None), 1, dt=0.1)
     assert (one.scan.deficiency == 0).all()
     assert any(low <= 1.0 <= high for low, high in one.scan.shown)
@@ -554,7 +573,7 @@ def test_a_number_of_modes_is_judged_with_the_band_of_the_input():
     assert all(w in found.band for w in found.d) and found.sufficient
     assert any(low <= 5 <= high for low, high in found.scan.shown)
     assert found.scan.error[np.argmin(abs(found.scan.frequencies - 28))] > 10
-    assert "shown at" in found.summary() and "3 bins apart" in found.message
+    assert "shown at" in found.summary() and "3 bins apart" in found.details
 
 
 def test_a_constant_shows_no_modes_at_all():
@@ -616,18 +635,18 @@ def test_the_summary_is_narrow_and_complete():
         assert found.headline in lines[1]
         assert "standard deviation 0.1" in found.summary()
         assert len([line for line in lines if re.match(r"\s+\d+\s+[\d.e+-]+\s", line)]) == found.n
-        assert " ".join(found.message.split()) in " ".join(found.summary().split())
+        assert " ".join(found.details.split()) in " ".join(found.summary().split())
 
 
 def test_many_modes_are_told_in_few_words():
     n = 30
     crowded = excitation((sines(1.0), None), (0.5 + 0.2 * np.arange(n), np.ones(n)), dt=STEP)
     assert "and 53 more" in crowded.headline
-    assert "use a white or multisine input" in crowded.message or "record for at least" in crowded.message
-    assert len(crowded.message) < 4000
-    assert "The same is true of 26 more." in crowded.message
+    assert "use a white or multisine input" in crowded.details or "record for at least" in crowded.details
+    assert len(crowded.details) < 4000
+    assert "The same is true of 26 more." in crowded.details
     wide = excitation((sines(1.0), None), (1 + 1.3 * np.arange(10), np.ones(10)), dt=STEP)
-    assert "add frequencies" not in wide.message and "white or multisine" in wide.message
+    assert "add frequencies" not in wide.details and "white or multisine" in wide.message
 
 
 def test_the_text_says_what_is_shown_where_nothing_is_amiss():

@@ -22,7 +22,7 @@ from .excitation import examine_fit
 from .experiment import Experiment
 from .fitted_directions import Directions, of_record, of_response
 from .frequency_data import FrequencyRecord
-from .information import Information, information_at
+from .information import Information, information_at, listed
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from .residual_data import without_peaks
 from .response_noise import NoiseLaw, record_law
@@ -263,7 +263,7 @@ def _finding(at: Projection, information: Information, variance: float) -> str:
             return finding.message if finding.blind or finding.artefacts else ""
     if not information.deficiency or not at.problem.driven:
         return ""
-    named = ", ".join(information.blind_parameters)
+    named = listed(list(information.blind_parameters))
     return (
         f"{information.deficiency} combination{'s' * (information.deficiency != 1)} of the parameters {named} "
         "leave no trace in these data, so they are not determined; use an input with more frequencies."

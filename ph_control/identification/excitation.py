@@ -30,6 +30,7 @@ ComplexArray = NDArray[np.complex128]
 
 _ALWAYS = 20  # modes that are judged however short the record, so that it is said how long it has to be
 _MOST = 200  # modes beyond which singular values take minutes
+_LONGEST = 100  # times the record: more is no advice
 _SAME = 1e-9  # relative distance of frequencies that no record of any length tells apart in practice
 _FASTEST = 1e6  # radians per step
 _WANTED = 0.1  # relative standard error that a stronger input is to reach
@@ -350,7 +351,9 @@ def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) 
             lengthen=not span,
         )
         instructions += [remedy] if remedy else []
-    if span:
+    if span > _LONGEST * found.samples * found.dt:
+        instructions.append(_instead_of_time(found, same))
+    elif span:
         instructions.append(f"record for at least {span:.3g} time units ({int(np.ceil(span / found.dt))} samples)")
     elif found.observed < len(found.names) and not instructions:
         instructions.append(f"record at least {len(found.names) + 1} samples")
@@ -361,6 +364,15 @@ def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) 
             f"use an input at least {worst / _WANTED:.2g} times as strong, for errors of a tenth of each parameter"
         )
     return tuple(instructions)
+
+
+def _instead_of_time(found: Excitation, same: list[tuple[int, int]]) -> str:
+    """What helps where no record that anybody would make is long enough."""
+    close = [pair for pair in found.unresolved if pair not in same]
+    if close:
+        j, k = min(close, key=lambda pair: abs(found.apparent[pair[0]] - found.apparent[pair[1]]))
+        return f"take modes {j + 1} and {k + 1} as one: recording longer does not help"
+    return "subtract the mean or the trend in place of a mode that slow: recording longer does not help"
 
 
 def _places(names: tuple[str, ...]) -> list[tuple[str, int]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,14 +179,19 @@ class Excitation(Report, Frozen):
         if self.artefacts:
             return f"shows {what} of {count} by an artefact of the integration rule only"
         if self.nearly_blind:
-            return f"hardly shows {'; '.join(one.words for one in self.nearly_blind[:_TOLD])}"
+            return f"hardly shows {_first(self.nearly_blind)}"
         if self.uncertain:
             return f"is too noisy for {listed(list(self.uncertain))}"
         return f"shows {count} in doubt"
 
     @property
     def message(self) -> str:
-        """What the verdict rests on, and what to do, in sentences; empty if there is nothing to say."""
+        """The gravest reason for the verdict and the first remedy, a sentence each; empty where all is well."""
+        return in_unit(" ".join(_in_brief(self)), self.time_unit)
+
+    @property
+    def details(self) -> str:
+        """All that the verdict rests on, and all that would cure it, in sentences; empty if there is nothing to say."""
         return in_unit(" ".join(_sentences(self)), self.time_unit)
 
     def __str__(self) -> str:
@@ -232,9 +238,9 @@ class Excitation(Report, Frozen):
             "   mode   d [rad/time]         +-              r         +-   errors of d, r inflated   note",
         ]
         lines += [self._row(l) for l in range(self.n)]
-        if self.message:
+        if self.details:
             # a name such as "Re x_1(0)" is not broken
-            text = self.message.replace("Re x", "Re\xa0x").replace("Im x", "Im\xa0x")
+            text = self.details.replace("Re x", "Re\xa0x").replace("Im x", "Im\xa0x")
             wrapped = textwrap.wrap(text, 100, initial_indent="  ", subsequent_indent="  ")
             lines += ["", *(line.replace("\xa0", " ") for line in wrapped)]
         return in_unit("\n".join(lines), self.time_unit)
@@ -255,6 +261,31 @@ class Excitation(Report, Frozen):
 
 def _plural(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def _in_brief(found: Excitation) -> Iterator[str]:
+    """One reason and one remedy."""
+    if found.blind and found.observed >= len(found.names):
+        weights = [name for name in found.blind_parameters if name.startswith("r")]
+        lost = f", so {_of_all(weights, found.n)} cannot be learned from this record" * bool(weights)
+        yield f"Blind: {_first(found.blind)} can change without any change of the output{lost}."
+    elif found.nearly_blind and not found.artefacts:
+        worst = found.nearly_blind[0].inflation
+        yield f"Hardly seen, with errors inflated up to {worst:.2g} times: {_first(found.nearly_blind)}."
+    else:
+        yield from islice(_sentences(found), 1)
+    if found.remedies:
+        yield f"What would cure it: {found.remedies[0]}."
+
+
+def _of_all(weights: list[str], n: int) -> str:
+    return "r" if len(weights) == n else listed(weights)
+
+
+def _first(combinations: tuple[Combination, ...]) -> str:
+    """The first combination in words, and how many others there are."""
+    more = len(combinations) - 1
+    return combinations[0].words + f", and {_plural(more, 'other combination')}" * bool(more)
 
 
 def _sentences(found: Excitation) -> Iterator[str]:
@@ -285,10 +316,8 @@ def _of_blindness(found: Excitation) -> Iterator[str]:
         yield f"Blind: {_some(found.blind)} can change without any change of the output."
     if found.blind:
         weights = [name for name in found.blind_parameters if name.startswith("r")]
-        if len(weights) == found.n:
-            yield "So r cannot be learned from this record, however little noise there is."
-        elif weights:
-            yield f"So {listed(weights)} cannot be learned from this record, however little noise there is."
+        if weights:
+            yield f"So {_of_all(weights, found.n)} cannot be learned from this record, however little noise there is."
     silent = [l + 1 for l in range(found.n) if found.r[l] == 0]
     if silent:
         yield f"Of {named_modes(silent)} r is 0, so that the input says nothing of the frequency."
