@@ -224,7 +224,7 @@ def natural_frequencies(d: ArrayLike) -> Array:
         raise StructureError(f"d has shape {array.shape}; it must be a vector of n natural frequencies")
     if np.count_nonzero(array > 0) < array.size:
         worst = int(array.argmin())
-        raise StructureError(f"d is not positive: d[{worst}] = {array[worst]:.6g}; natural frequencies are > 0 (rad/s)")
+        raise StructureError(f"d is not positive: d[{worst}] = {array[worst]:.6g}; natural frequencies are > 0")
     return array
 
 

@@ -131,7 +131,7 @@ def _padding(d: Array, count: int, padding: ArrayLike | str | None) -> Array:
     if count and added.min() <= 0:
         worst = int(added.argmin())
         raise StructureError(
-            f"padding is not positive: padding[{worst}] = {added[worst]:.6g}; natural frequencies are > 0 (rad/s)"
+            f"padding is not positive: padding[{worst}] = {added[worst]:.6g}; natural frequencies are > 0"
         )
     return added
 

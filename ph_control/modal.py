@@ -320,7 +320,7 @@ class ModalForm(ShownModes):
         a, c = self.scaled_coefficients()
         if not (a.fit_doubles and c.fit_doubles):
             raise StructureError(
-                f"the coefficients of {self.n} modes from {self.d.min():.3g} to {self.d.max():.3g} rad/s exceed the "
+                f"the coefficients of {self.n} modes from {self.d.min():.3g} to {self.d.max():.3g} rad/time exceed the "
                 "range of doubles; scale time, use scaled_coefficients(), or work with d and r"
             )
         return a.to_doubles(), c.to_doubles()

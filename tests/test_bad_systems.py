@@ -194,8 +194,8 @@ def test_an_unknown_keyword_is_refused_as_python_control_does():
 @pytest.mark.parametrize(
     ("d", "r", "message"),
     [
-        ([1.0, -2.0], [1.0, 1.0], "d is not positive: d[1] = -2; natural frequencies are > 0 (rad/s)"),
-        ([0.0, 2.0], [1.0, 1.0], "d is not positive: d[0] = 0; natural frequencies are > 0 (rad/s)"),
+        ([1.0, -2.0], [1.0, 1.0], "d is not positive: d[1] = -2; natural frequencies are > 0"),
+        ([0.0, 2.0], [1.0, 1.0], "d is not positive: d[0] = 0; natural frequencies are > 0"),
         ([1.0, 2.0], [1.0, -0.5], "r is negative: r[1] = -0.5, allowed >= 0; a negative residue is not passive"),
         ([1.0, 2.0], [1.0], "r has shape (1,); with 2 natural frequencies it must be (2,)"),
         ([1.0], [1.0, 2.0], "r has shape (2,); with 1 natural frequencies it must be (1,)"),
