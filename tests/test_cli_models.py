@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from io import BytesIO
 
 import control as ct
@@ -18,6 +19,7 @@ from shell import run
 import ph_control as phc
 from ph_control.cli.coefficients import list_of_numbers
 from ph_control.cli.matlab import read_matlab
+from ph_control.cli.outcome import guarded
 from ph_control.exceptions import FileFormatError
 
 PLANT = phc.frenkel_kontorova(2)
@@ -386,6 +388,19 @@ def test_lost_digits_are_a_warning_of_one_line(tmp_path):
     done = run("convert", path, "-", "--to", "ch", "--format", "mat")
     assert done.status == 0 and done.error.startswith("ph-control: warning: the companion matrix of 60 modes carries")
     assert done.error.count("\n") == 1
+
+
+def test_what_other_packages_warn_of_is_not_shown_to_whoever_runs_a_command(capsys):
+    class PyparsingDeprecationWarning(UserWarning, DeprecationWarning):
+        """As later releases of pyparsing have it."""
+
+    def drawn():
+        warnings.warn("'parseString' deprecated - use 'parse_string'", PyparsingDeprecationWarning, stacklevel=1)
+        warnings.warn("few digits", phc.ConditioningWarning, stacklevel=1)
+        return 0
+
+    assert guarded(drawn) == 0
+    assert capsys.readouterr().err == "ph-control: warning: few digits\n"
 
 
 @settings(max_examples=200, derandomize=True)

@@ -113,8 +113,10 @@ def _encodable_output() -> Iterator[None]:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-    # what the data do not show stands in the summary of the fit
-    if issubclass(category, UserWarning) and not issubclass(category, IdentifiabilityWarning):
+    # what the data do not show stands in the summary of the fit; what others warn of, such as pyparsing of how
+    # matplotlib calls it, is not for whoever runs a command
+    own = category.__module__ == IdentifiabilityWarning.__module__
+    if own and not issubclass(category, IdentifiabilityWarning):
         complain(f"warning: {in_shell_terms(str(message))}")
 
 
