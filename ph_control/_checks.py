@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from .exceptions import StructureError
 
@@ -367,9 +367,19 @@ def time_step(t: Array, *, name: str = "the time vector") -> tuple[float, float]
         off = distance_from_grid(t, step)
     # printed times are often rounded to a few digits: a hundredth of a step does not make a grid unequal
     allowed = 0.01 * step
+    if 0 < allowed < off <= 2.001 * allowed:  # ends that are off by as much can double the distance of the others
+        step, off = _nearest_grid(t, step, allowed)
     if not step > 0 or off > allowed or 1000 * rounding > step:
         _refuse_instants(t, off, allowed, name)
     return step, off
+
+
+def _nearest_grid(t: Array, step: float, allowed: float) -> tuple[float, float]:
+    """Step of the grid of least distance to the instants, and the distance: its first instant may be off it, too."""
+    share = np.linspace(0.0, 1.0, t.size)
+    rest = (t - t[0] - step * np.arange(float(t.size))) / allowed
+    found = minimize_scalar(lambda tilt: 0.5 * np.ptp(rest - tilt * share), bounds=(-2.5, 2.5), method="bounded")
+    return step + float(found.x) * allowed / (t.size - 1), float(found.fun) * allowed
 
 
 def _refuse_instants(t: Array, off: float, allowed: float, name: str) -> None:

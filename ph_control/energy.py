@@ -139,11 +139,10 @@ def energy_balance(
     rule = getattr(response, "rule", None) or Rule(0.0, "exact", "foh")
     method = rule.method if method is None else _checks.choice("method", method, METHODS)
     intersample = rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERSAMPLE)
-    t, _ = _checks.time_vector(response.time)
+    t, h = _checks.time_vector(response.time)
     z = _trace(response.x, "states", sys.nstates, len(t))
     u = _trace(response.u, "inputs", sys.ninputs, len(t))
     stored = np.asarray(sys.hamiltonian(z))
-    h = float((t[-1] - t[0]) / (len(t) - 1)) if len(t) > 1 else 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         supplied = np.concatenate([[0.0], np.cumsum(_work(sys, z, u, h, method, intersample))])
         defect = stored - stored[0] - supplied

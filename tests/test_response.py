@@ -552,3 +552,24 @@ def test_ragged_arguments_are_refused(ragged):
 def test_a_number_of_instants_that_no_memory_holds_is_refused(count):
     with pytest.raises(phc.StructureError, match=r"timepts_num is .*; it must be a whole number of at least 2"):
         phc.step_response(ONE, timepts_num=count)
+
+
+@pytest.mark.parametrize("jitter", [0.0056, 0.0099])
+@pytest.mark.parametrize("worst", [[0], [-1], [0, -1], [1, 5]], ids=str)
+def test_instants_up_to_a_hundredth_of_a_step_off_any_grid_are_taken(jitter, worst):
+    h, rng = 0.1, np.random.default_rng(0)
+    off = jitter * rng.uniform(-1, 1, 400)
+    off[worst], off[200] = jitter, -jitter
+    t = 3.0 + h * (np.arange(400) + off)
+    response = phc.forced_response(phc.ph(phc.modes(1.0, 1.0)), t, 1.0)
+    assert np.array_equal(response.time, t)
+    # a step off by so much in all is off by the same share of one at the end of the record
+    assert abs(response.rule.h - h) < 2.1 * jitter * h / 399
+
+
+def test_instants_further_off_every_grid_are_refused():
+    t = 0.1 * np.arange(400)
+    t[::2] += 0.1 * 0.0101
+    t[1::2] -= 0.1 * 0.0101
+    with pytest.raises(phc.StructureError, match="is not equally spaced"):
+        phc.forced_response(phc.ph(phc.modes(1.0, 1.0)), t, 1.0)
