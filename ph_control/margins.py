@@ -7,6 +7,8 @@ values 1 and -1 once each between two poles, where the phase is +90 and -90 degr
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from typing import Any
 
 import control as ct
@@ -43,7 +45,7 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     Raises
     ------
     ValueError
-        If the arguments are not of this form, as python-control says it.
+        If the arguments are not of this form, as python-control says it, or a coefficient is not finite.
 
     See Also
     --------
@@ -63,7 +65,7 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     """
     loop = _lossless(args[0]) if len(args) == 1 else None
     if loop is None:
-        return ct.margin(*args)
+        return _quietly(ct.margin, *args)
     gm, pm, _, wpc, wgc, _ = _least(*_all_margins(loop, 0.0))
     return gm, pm, wpc, wgc
 
@@ -94,7 +96,7 @@ def stability_margins(
     Raises
     ------
     ValueError
-        If the arguments are not of this form, as python-control says it.
+        If the arguments are not of this form, as python-control says it, or a coefficient is not finite.
 
     See Also
     --------
@@ -122,7 +124,7 @@ def stability_margins(
     _checks.flags(returnall=returnall)
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
-        return ct.stability_margins(sysdata, returnall=returnall, epsw=epsw, method=method)
+        return _quietly(ct.stability_margins, sysdata, returnall=returnall, epsw=epsw, method=method)
     margins = _all_margins(loop, epsw)
     if returnall:
         return margins
@@ -142,6 +144,22 @@ def _lossless(loop: Any) -> ModalForm | None:
     except PHControlError:
         return None
     return system.modes.minimal()
+
+
+def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
+    """Answer of python-control, which prints what it raises, and looks for the roots of infinity without end."""
+    for one in loop:
+        if isinstance(one, ct.StateSpace):
+            numbers = [one.A, one.B, one.C, one.D]
+        elif isinstance(one, ct.TransferFunction):
+            numbers = [array for table in (one.num_list, one.den_list) for row in table for array in row]
+        else:
+            numbers = [one.frdata if isinstance(one, ct.FrequencyResponseData) else one]
+        for array in map(np.asarray, numbers):
+            if array.dtype.kind in "fc":
+                _checks.finite("a number of the loop", array)
+    with redirect_stdout(None):
+        return ask(*loop, **options)
 
 
 def _all_margins(loop: ModalForm, epsw: float) -> tuple[Array, Array, Array, Array, Array, Array]:

@@ -190,3 +190,28 @@ def test_a_method_of_python_control_is_used_where_it_is_asked_for():
 def test_several_ports_have_no_margins():
     with pytest.raises(ct.ControlMIMONotImplemented):
         margin(ct.ss(phc.spring_chain([1.0, 2.0], 1.0, ground=1.0, port=[0, 1])))
+
+
+def infinite(kind):
+    if kind == "state space":
+        loop = ct.ss([[1.0, 2.0], [3.0, 4.0]], [[1.0], [1.0]], [[1.0, 0.0]], 0)
+        loop.A = np.array([[np.inf, 0.0], [0.0, 1.0]])
+    else:
+        loop = ct.tf([1.0], [1.0, 1.0])
+        loop.den_array[0, 0] = np.array([np.inf, 1.0])
+    return loop
+
+
+@pytest.mark.parametrize("call", [margin, stability_margins, lambda loop: stability_margins(loop, method="poly")])
+@pytest.mark.parametrize("kind", ["state space", "transfer function"])
+def test_a_loop_that_is_not_finite_is_refused_instead_of_searched_without_end(call, kind):
+    with pytest.raises(phc.StructureError, match="a number of the loop is not finite"):
+        call(infinite(kind))
+
+
+@pytest.mark.parametrize("call", [margin, stability_margins])
+@pytest.mark.parametrize("loop", ["loop", None, (1, 2, 3)], ids=str)
+def test_what_is_no_loop_is_refused_without_a_print(call, loop, capsys):
+    with pytest.raises(ValueError, match="Margin sysdata must be"):
+        call(loop)
+    assert capsys.readouterr().out == ""
