@@ -436,6 +436,12 @@ def ph(
     >>> sys.d, sys.r
     (array([2.]), array([1.]))
     """
+    sampled = B is None and isinstance(Q, ct.InputOutputSystem) and Q.isdtime(strict=True)
+    if not sampled and (method is not None or intersample != "zoh"):
+        raise StructureError(
+            f"method={method!r} and intersample={intersample!r} say how a discrete-time system was sampled; this one "
+            "is not sampled"
+        )
     if B is not None:
         if J is not None:
             Q, B, _ = normal_form(Q, B, J)
@@ -443,8 +449,6 @@ def ph(
     source = Q
     if J is not None:
         raise StructureError("J is given without B; it belongs to the matrices Q and B of z' = J Q z + B u")
-    if method is not None and not (isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)):
-        raise StructureError(f"method={method!r} says how a discrete-time system was sampled; this one is not sampled")
     if isinstance(source, ModalForm):
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, PortHamiltonian):

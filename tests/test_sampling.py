@@ -175,7 +175,7 @@ BAD = {
     ),
     "method of a continuous system": (
         lambda: phc.ph(ct.tf([1, 0], [1, 0, 1]), method="exact"),
-        "method='exact' says how a discrete-time system was sampled",
+        "say how a discrete-time system was sampled; this one is not sampled",
     ),
     "method": (lambda: phc.ph(sampled_at(0.5), method="rk4"), "method is 'rk4'; it must be one of 'exact'"),
     "method of python-control": (

@@ -856,3 +856,19 @@ def test_a_state_whose_energy_exceeds_the_range_is_refused_with_the_figure(z):
         phc.StructureError, match=r"z is out of range: its largest entry is 1.*e\+[23]0[08], whose energy"
     ):
         phc.ph(np.eye(2), [0.0, 1.0]).hamiltonian(z)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **k: phc.ph(np.eye(2), [0, 1], **k),
+        lambda **k: phc.ph(np.eye(2), [0, 1], J=[[0, 2], [-2, 0]], **k),
+        lambda **k: phc.ph(phc.modes(1.0, 1.0), **k),
+        lambda **k: phc.ph(phc.ch([1.0], [1.0, 0.0]), **k),
+        lambda **k: phc.ph(ct.tf([1, 0], [1, 0, 4]), **k),
+    ],
+)
+@pytest.mark.parametrize("keyword", [{"method": "exact"}, {"intersample": "foh"}], ids=str)
+def test_how_it_was_sampled_is_not_ignored_of_a_system_that_is_not_sampled(make, keyword):
+    with pytest.raises(phc.StructureError, match="this one is not sampled"):
+        make(**keyword)
