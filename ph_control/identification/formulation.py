@@ -26,7 +26,7 @@ from .frequency_rows import FrequencyRows
 from .regressors import QUANTITIES, Hold
 from .response_search import ResponseSearch
 from .search import Report, Search, Step, TimeSearch
-from .selection import criteria, crowded
+from .selection import criteria, crowded, preference
 from .solver import Problem, refine
 
 Array = NDArray[np.float64]
@@ -35,6 +35,7 @@ Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 REPRESENTATIONS = ("observable", "controllable")
 
 _DELAYS = tuple(range(-2, 9))  # samples that are tried
+_BESIDE = 1.5  # bins between a mode and one that may only mend the phase of its response
 _EVIDENT = 20.0  # log-likelihood at which a search begins again under other circumstances
 
 
@@ -153,6 +154,9 @@ class Formulation:
             if len(steps) == before or not self._asks(steps[-1]) or (stop is not None and stop(steps)):
                 break
         if isinstance(search, TimeSearch) and not steps[-1].interrupted:
+            d = np.sort(steps[-1].d)
+            if "hold" in self.open and len(d) > 1 and np.min(np.diff(d)) < self.problem.bin:
+                return self._better_held(steps, guess, largest, report=report, together=together, stop=stop)
             other = self._preferred(search, steps, True)
             if other is not None and other.searched is self.searched and other.problem is self.problem:
                 return other, steps
@@ -168,12 +172,31 @@ class Formulation:
             return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
         return found, steps
 
+    def _better_held(self, steps: list[Step], guess: Array, largest: int, **how: Any) -> tuple[Formulation, list[Step]]:
+        """The better of two paths, where modes closer than the data resolve make the first one doubtful."""
+        other = "foh" if self.intersample == "zoh" else "zoh"
+        closed = replace(self, open=self.open - {"hold"})
+        found, more = replace(closed, problem=meeting(self.problem, other)).path(guess, largest, **how)
+        here = min(preference(self.problem, step, "bic") for step in steps)
+        there = min(preference(found.problem, step, "bic") for step in more)
+        gain = 0.5 * (here - there)
+        if gain > SURE:
+            finding = Finding(Cause.HOLD, (float(HOLDS.index(other)),), gain)
+            return replace(found, findings=(*found.findings, finding)), more
+        finding = Finding(Cause.HOLD, (float(HOLDS.index(self.intersample)),), max(0.0, -gain))
+        return replace(closed, findings=(*self.findings, finding)), steps
+
     def _asks(self, step: Step) -> bool:
         """Whether what joined last, or would join next, may be a circumstance rather than a mode."""
         search = self.search
         if not isinstance(search, TimeSearch):
             return False
-        return crowded(step.d, self.problem.bin) or ("background" in self.open and search.slow(step))
+        return self._doubts(search, step) or ("background" in self.open and search.slow(step))
+
+    def _doubts(self, search: TimeSearch, step: Step) -> bool:
+        """Whether a mode has joined next to another while more is left, as where the input arrives otherwise."""
+        beside = "arrival" in self.open and crowded(step.d, _BESIDE * self.problem.bin)
+        return beside and search.unconvinced(step)
 
     def _preferred(self, search: TimeSearch, steps: list[Step], final: bool) -> Formulation | None:
         """The same under circumstances that the data prefer; in the end also how sure the present ones are."""
@@ -213,7 +236,7 @@ class Formulation:
         held = self.intersample
         other = "foh" if held == "zoh" else "zoh"
         gains = {}
-        if crowded(step.d, self.problem.bin) or (final and search.unconvinced(step)):
+        if self._doubts(search, step) or (final and search.unconvinced(step)):
             base = search.arrival(first, held, 0)
             for each in (held, other):
                 for delay in _DELAYS if each == held or "hold" in self.open else (0,):

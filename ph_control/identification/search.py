@@ -83,6 +83,7 @@ class TimeSearch:
         self._windowed = max(len(one.u) for one in self._experiments) > _IN_TIME and all(
             one.complete and one.offset < 2 for one in self._experiments
         )
+        self._arrivals: dict[tuple[str, int], float] = {}
         self._slow = _SLOW * max(one.bin for one in self._experiments)
 
     @property
@@ -109,6 +110,11 @@ class TimeSearch:
 
         Each peak is looked at alone, so that modes which a wrong arrival has misled have no part in it.
         """
+        if (intersample, delay) not in self._arrivals:
+            self._arrivals[intersample, delay] = self._arrival(first, intersample, delay)
+        return self._arrivals[intersample, delay]
+
+    def _arrival(self, first: Step, intersample: str, delay: int) -> float:
         peaks: list[float] = []
         band = self.problem.bin
         for d in first.candidates.tolist():

@@ -66,7 +66,7 @@ def beside_input_noise(problem: Problem, path: Sequence[Step], values: Sequence[
     Such noise comes out of the plant at its resonances, as more modes there would.
     """
     best, chosen, each = values[place], place, float(np.log(problem.samples))
-    while place > 0 and crowded(path[place].d, problem.bin):
+    while place > 0 and crowded(path[place].d, _CROWDED * problem.bin):
         for k in (place, place - 1):
             if len(d := path[k].d):
                 gain = input_noise(problem.project(d))[1]
@@ -76,9 +76,9 @@ def beside_input_noise(problem: Problem, path: Sequence[Step], values: Sequence[
     return chosen
 
 
-def crowded(d: Array, band: float) -> bool:
+def crowded(d: Array, distance: float) -> bool:
     """Whether the mode that joined last may only mend what a circumstance does to another."""
-    return len(d) > 1 and bool(np.min(np.abs(d[:-1] - d[-1])) < _CROWDED * band)
+    return len(d) > 1 and bool(np.min(np.abs(d[:-1] - d[-1])) < distance)
 
 
 def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:
