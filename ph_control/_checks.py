@@ -162,13 +162,15 @@ def relative_tolerance(rtol: Any) -> float:
     return float(rtol)
 
 
-def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None) -> Array:
-    """Check what O(n^2) steps can of a Hamiltonian matrix: square, even, symmetric."""
+def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None, even: bool = True) -> Array:
+    """Check what O(n^2) steps can of a Hamiltonian matrix: square, symmetric, and `even` unless it is a part of one."""
     array = real_array(name, Q, 2)
     rows, columns = array.shape
     if rows != columns:
-        raise StructureError(f"{name} is not square: its shape is {array.shape}; it must be (2n, 2n)")
-    if rows % 2:
+        raise StructureError(
+            f"{name} is not square: its shape is {array.shape}; it must be ({'2n, 2n' if even else 'n, n'})"
+        )
+    if even and rows % 2:
         raise StructureError(
             f"{name} has odd size {rows}; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)"
         )

@@ -15,9 +15,9 @@ AT_ONCE = 64  # rows of a matrix up to which its eigenvalues cost no more than t
 _NEAR = 10.0  # by how much the smallest eigenvalue is less than its estimate at most
 
 
-def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None) -> Array:
+def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None, even: bool = True) -> Array:
     """Check a Hamiltonian matrix: square, even, symmetric, positive semidefinite.  O(n^3)."""
-    array = symmetric_matrix(Q, name=name, rtol=rtol)
+    array = symmetric_matrix(Q, name=name, rtol=rtol, even=even)
     not_indefinite(array, name=name)
     return array
 
@@ -32,8 +32,15 @@ def built_matrix(Q: ArrayLike) -> Array:
 
 def not_indefinite(Q: Array, *, name: str = "Q") -> None:
     """Refuse a Hamiltonian matrix with a negative eigenvalue.  O(n^3)."""
-    if cholesky_factor(Q) is None:
-        refuse_indefinite(name, *smallest_scaled_eigenvalue(Q))
+    for part in uncoupled_halves(Q):
+        if cholesky_factor(part) is None:
+            refuse_indefinite(name, smallest_scaled_eigenvalue(part)[0], 8 * len(Q) * EPS)
+
+
+def uncoupled_halves(Q: Array) -> tuple[Array, ...]:
+    """The parts of positions and of momenta where a matrix does not couple these; else the whole."""
+    n = len(Q) // 2
+    return (Q,) if len(Q) % 2 or Q[:n, n:].any() or Q[n:, :n].any() else (Q[:n, :n], Q[n:, n:])
 
 
 def refuse_indefinite(name: str, smallest: float, tolerance: float) -> None:

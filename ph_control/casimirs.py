@@ -275,9 +275,7 @@ def _energy_and_ports(Q: ArrayLike, B: ArrayLike, size: int) -> tuple[Array, Arr
     energy = _checks.real_array("Q", Q)
     if energy.shape != (size, size):
         raise StructureError(f"Q has shape {energy.shape}; with J of shape ({size}, {size}) it must be the same")
-    even = np.zeros((size + size % 2,) * 2)
-    even[:size, :size] = energy
-    return _definite.hamiltonian_matrix(even)[:size, :size], _checks.port_matrix(B, size)
+    return _definite.hamiltonian_matrix(energy, even=False), _checks.port_matrix(B, size)
 
 
 def _planes(J: Array) -> _Planes:

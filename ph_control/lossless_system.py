@@ -205,6 +205,11 @@ class LosslessSystem(ct.StateSpace):
         with np.printoptions(threshold=6):
             return f"{text}\n\nd = {self.modes.d}\nr = {self.modes.r}"
 
+    @property
+    def rigid_modes(self) -> int:
+        """Number of rigid-body modes: free momenta, which no spring holds."""
+        return len(self.modes.rigid)
+
     def _modes_at_hand(self) -> bool:
         """Whether modes may be shown: to look at a large system must not cost the spectrum of its Q."""
         return self.n <= _LOOKED_AT or getattr(self, "_modes", self) is not None

@@ -7,13 +7,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, eigh, solve_triangular
+from scipy.linalg.lapack import dpotri, dpstrf
 
 from . import _checks, _definite
 from .exceptions import StructureError
 from .systems import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
+
+_ROUNDED = 1e-9  # part of the energy of a motion that is called rounding of a stiffness where it is negative
+_FAINT = 1e-10  # the same, where it is positive, provided that
+_GAP = 1e3  # times more is the next
+_FEW = 64  # modes that are looked at, in a large structure; more are not rigid
+_MARGIN = 10.0  # between a negative energy and the positive ones that are rounding too
 
 _LARGEST = 10**6  # masses of a chain: its matrices are dense
 
@@ -176,7 +183,7 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
 
 
 def from_second_order(
-    M: ArrayLike, K: ArrayLike, b: ArrayLike, *, condense: bool = False, **names: Any
+    M: ArrayLike, K: ArrayLike, b: ArrayLike, *, condense: bool = False, rtol: float | None = None, **names: Any
 ) -> PortHamiltonian:
     """Undamped structure `M q'' + K q = b u` with the velocity at the force, `y = b^T q'`, as its output.
 
@@ -189,11 +196,16 @@ def from_second_order(
     b : array_like, shape (n,) or (n, m)
         Where the forces act, one column for each port.
     condense : bool
-        Eliminate massless degrees of freedom (zero rows of `M`), on which no force may act.  They follow the others
-        without delay, so nothing is lost: `K` is replaced by its Schur complement.
+        Eliminate motions without kinetic energy (the kernel of `M`: zero rows, or combinations of degrees of freedom),
+        on which no force may act.  They follow the others without delay, so nothing is lost: `K` is replaced by its
+        Schur complement.
+    rtol : float, optional
+        Modes with `w^2` of at most `rtol` times the largest are rigid.  By default those that the rounding of `K` may
+        have made of rigid ones: see Notes.
     **names
         `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default as for `spring_chain`, `q_i, p_i` with
-        the numbers, from 1, of the degrees of freedom that have mass.
+        the numbers, from 1, of the degrees of freedom that have mass; where combinations of them are eliminated, `q_i`
+        stands for the i-th together with what moves the same mass.
 
     Returns
     -------
@@ -211,6 +223,12 @@ def from_second_order(
     `Q = diag(K, M^{-1})`, `B = (0, b)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The natural frequencies
     are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  All is dense: O(n^3).
 
+    Where entries of `K` are rounded, as by an exporter, its rigid-body modes get a small `w^2` of either sign.  By
+    default a mode is rigid if its energy is less than ten times the most negative one (which is refused beyond 1e-9),
+    or less than 1e-10 and a thousand times less than that of the next; all relative to what the entries of `K` would
+    store if nothing cancelled.  `K` is then cleared of them: the number of rigid modes is `rigid_modes` of the system.
+    A suspension as soft as that needs `rtol=0`.
+
     Examples
     --------
     >>> import ph_control as phc
@@ -225,28 +243,27 @@ def from_second_order(
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
     force = _forces(b, len(mass))
-    kept = np.diag(mass) > 0
-    if not kept.all():
-        stiffness, force = _condensed(stiffness, force, kept, condense)
-        mass = mass[np.ix_(kept, kept)]
+    if rtol is not None:
+        _checks.relative_tolerance(rtol)
+    mass, stiffness, force, kept = _with_mass(mass, stiffness, force, condense)
+    stiffness = _with_exact_kernel(mass, stiffness, rtol)
     n, ports = force.shape
     Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
-    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse_mass(mass), force
+    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse(mass), force
     inputs, outputs = (["F"], ["v"]) if ports == 1 else (_numbered("F", ports), _numbered("v", ports))
-    states = [f"{letter}_{k + 1}" for letter in "qp" for k in np.flatnonzero(kept)]
-    return ph(Q, B, **_named(names, inputs, outputs, states))
+    states = [f"{letter}_{k + 1}" for letter in "qp" for k in kept]
+    _checks.in_range("the matrix diag(K, inverse of M)", Q)
+    B = _checks.port_matrix(B, 2 * n, name="b")
+    return PortHamiltonian._from_matrices(Q, B, **_named(names, inputs, outputs, states))
 
 
 def _square(name: str, value: ArrayLike) -> Array:
-    """Check a mass or stiffness matrix: square, symmetric, positive semidefinite."""
+    """Check of a mass or stiffness matrix what O(n^2) steps can: square, symmetric, not surely indefinite."""
     array = _checks.real_array(name, value, 2)
     n = len(array)
     if array.shape != (n, n) or n == 0:
         raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
-    padded = np.zeros((2 * n, 2 * n))
-    padded[:n, :n] = array
-    checked = _definite.hamiltonian_matrix(padded, name=name)[:n, :n]
-    return _symmetric(checked)
+    return _symmetric(_checks.symmetric_matrix(array, name=name, even=False))
 
 
 def _symmetric(A: Array) -> Array:
@@ -262,24 +279,50 @@ def _forces(b: ArrayLike, n: int) -> Array:
     return array.reshape(n, -1)
 
 
-def _condensed(K: Array, b: Array, kept: NDArray[np.bool_], condense: bool) -> tuple[Array, Array]:
-    """Stiffness and forces on the degrees of freedom that have mass."""
-    massless = ~kept
-    where = _listed(np.flatnonzero(massless))
+def _with_mass(M: Array, K: Array, b: Array, condense: bool) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Mass, stiffness, forces and numbers of the degrees of freedom that have mass."""
+    n, without = len(M), np.flatnonzero(np.diag(M) == 0)
+    remedy = "from_second_order(M, K, b, condense=True) eliminates them statically, or give them mass"
+    if len(without) and not condense:
+        raise StructureError(
+            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({_listed(without)}, counted from "
+            f"1); {remedy}"
+        )
+    if _definite.cholesky_factor(M) is not None:
+        return M, K, b, np.arange(n)
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
+    _definite.refuse_indefinite("M", smallest, tolerance)
+    if smallest > tolerance:
+        return M, K, b, np.arange(n)
+    _, pivots, rank, _ = dpstrf(_definite.unit_diagonal(M)[0], tol=2 * tolerance, lower=1)
+    kept, massless = np.sort(pivots[:rank]) - 1, np.sort(pivots[rank:]) - 1
+    if rank == 0:
+        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
     if not condense:
         raise StructureError(
-            f"M is singular: {massless.sum()} of {len(K)} degrees of freedom have no mass ({where}, counted from 1); "
-            "from_second_order(M, K, b, condense=True) eliminates them statically, or give them mass"
+            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
+            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
+            f"{remedy}"
         )
-    if not kept.any():
-        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
-    loaded = np.flatnonzero(massless & np.any(b != 0, axis=1))
-    if len(loaded):
+    return *_condensed(M, K, b, kept, massless), kept
+
+
+def _condensed(
+    M: Array, K: Array, b: Array, kept: NDArray[np.intp], massless: NDArray[np.intp]
+) -> tuple[Array, Array, Array]:
+    """Mass, stiffness and forces on `x = q_kept + X q_massless`, all that moves mass: `M q = M[:, kept] x`."""
+    mass = M[np.ix_(kept, kept)]
+    X = _solve(mass, M[np.ix_(kept, massless)])
+    coupling, inner, moved = (K[np.ix_(*rows)] for rows in ((kept, massless), (massless, massless), (kept, kept)))
+    inner = _symmetric(inner - X.T @ coupling - coupling.T @ X + X.T @ moved @ X)
+    coupling = coupling - moved @ X
+    where = _listed(massless)
+    loaded = np.abs(b[massless] - X.T @ b[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(b[kept]))
+    if loaded.any():
         raise StructureError(
-            f"a force acts on degrees of freedom without mass ({_listed(loaded)}, counted from 1), which would make "
-            "their velocity depend on the rate of the force; move the force, or give them mass"
+            f"a force acts on degrees of freedom without mass ({_listed(massless[loaded.any(axis=1)])}, counted from "
+            "1), which would make their velocity depend on the rate of the force; move the force, or give them mass"
         )
-    inner = K[np.ix_(massless, massless)]
     smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
     if smallest <= tolerance:
         raise StructureError(
@@ -287,21 +330,59 @@ def _condensed(K: Array, b: Array, kept: NDArray[np.bool_], condense: bool) -> t
             f"eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > {tolerance:.1e}; one "
             "of their motions meets no spring"
         )
-    W = _solve_root(inner, K[np.ix_(massless, kept)])
-    return _symmetric(K[np.ix_(kept, kept)] - W.T @ W), b[kept]
+    W = _solve_root(inner, coupling.T)
+    return mass, _symmetric(moved - W.T @ W), b[kept]
 
 
-def _inverse_mass(M: Array) -> Array:
-    """Inverse of a mass matrix, exactly symmetric."""
-    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
-    if smallest <= tolerance:
+def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
+    """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused.
+
+    What rounding of entries `K_ij`, in units of `sqrt(K_ii K_jj)`, can make of `w^2` is that part of
+    `(|shape|^T sqrt(diag K))^2`, the energy of a mode if nothing cancelled: a measure free of units.
+    """
+    found = _definite.definite_factor(K)
+    if rtol is None and found is not None and found[1] < 1 / _FAINT:
+        return K
+    n = len(K)
+    few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
+    squares, shapes = eigh(K, M, subset_by_index=few)
+    part = squares / np.maximum((np.abs(shapes).T @ np.sqrt(np.abs(np.diag(K)))) ** 2, _checks.TINY)
+    allowed = _ROUNDED if rtol is None else max(rtol, 8 * n * _checks.EPS)
+    if part.min() < -allowed:
         raise StructureError(
-            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
-            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy; choose coordinates in "
-            "which it is one of them, or give it mass"
+            f"K is indefinite: the energy of one motion is {part.min():.3g} of what its springs hold one by one, "
+            f"allowed >= {-allowed:.1e} for the rounding of K; a stored energy cannot be negative, so check the signs "
+            "in K, or say with rtol how far it is rounded"
         )
-    root = _solve_root(M, np.eye(len(M)))
-    return _symmetric(root.T @ root)
+    if rtol is not None:
+        rigid = squares <= rtol * float(squares.max())
+    else:
+        rigid = part <= max(_MARGIN * -part.min(), 0.0)
+        order = np.argsort(part)
+        size = np.maximum(np.abs(part[order]), n * _checks.EPS)
+        # rounding leaves a gap above what it makes of rigid modes
+        gap = np.flatnonzero((size[:-1] <= _FAINT) & (size[1:] >= _GAP * size[:-1]))
+        rigid[order[: gap.max(initial=-1) + 1]] = True
+    if np.abs(part[rigid]).max(initial=0.0) <= 2 * _checks.EPS:
+        return K
+    still = shapes[:, rigid]
+    momenta, forces = M @ still, K @ still
+    change = forces @ momenta.T
+    return _symmetric(K - change - change.T + momenta @ (still.T @ forces) @ momenta.T)
+
+
+def _inverse(M: Array) -> Array:
+    """Inverse of a positive definite matrix, exactly symmetric."""
+    scaled, scale = _definite.unit_diagonal(M)
+    lower, _ = dpotri(np.linalg.cholesky(scaled), lower=1, overwrite_c=1)
+    lower = np.tril(lower) / scale / scale[:, None]
+    return lower + np.tril(lower, -1).T
+
+
+def _solve(A: Array, right: Array) -> Array:
+    """`A^{-1} right` for a positive definite `A`."""
+    scaled, scale = _definite.unit_diagonal(A)
+    return cho_solve((np.linalg.cholesky(scaled), True), right / scale[:, None]) / scale[:, None]
 
 
 def _solve_root(A: Array, right: Array) -> Array:

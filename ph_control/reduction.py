@@ -133,10 +133,8 @@ def triangular_factors(Q: Array) -> list[Array]:
 
 def factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
     """`triangular_factors`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
-    n = len(Q) // 2
-    apart = not (Q[:n, n:].any() or Q[n:, :n].any())
     factors, inverse = [], 0.0
-    for part in (Q[:n, :n], Q[n:, n:]) if apart else (Q,):
+    for part in _definite.uncoupled_halves(Q):
         found = _definite.definite_factor(part)
         if found is None:
             return [], np.inf

@@ -295,7 +295,7 @@ STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "b": [1.
         ({"M": [[1.0, 0.1], [0.0, 1.0]]}, "M is not symmetric"),
         ({"K": np.diag([1.0, -1.0])}, "K is indefinite"),
         ({"M": np.ones((2, 2))}, "M is singular: its smallest eigenvalue .* a combination of degrees of freedom"),
-        ({"M": np.ones((2, 2)), "condense": True}, "choose coordinates in which it is one of them"),
+        ({"M": np.ones((2, 2)), "condense": True}, "a force acts on degrees of freedom without mass"),
         ({"M": np.zeros((2, 2)), "condense": True}, "M is zero"),
         ({"M": np.diag([0.0, 1.0]), "condense": True}, r"a force acts on .* without mass \(1, counted from 1\)"),
         (
@@ -420,3 +420,88 @@ def test_a_port_that_is_no_number_of_a_mass_is_refused(port):
 def test_a_chain_that_no_memory_holds_is_refused(n):
     with pytest.raises(StructureError, match="the number of masses"):
         frenkel_kontorova(n)
+
+
+# --- rounded stiffness and singular mass ---
+
+
+def free_truss(rng, n=12):
+    """Point masses in space, each pair tied by a spring: six rigid-body modes."""
+    X, K = rng.normal(size=(n, 3)), np.zeros((3 * n, 3 * n))
+    for i in range(n):
+        for j in range(i):
+            u = (X[i] - X[j]) / np.linalg.norm(X[i] - X[j])
+            along = np.zeros(3 * n)
+            along[3 * i : 3 * i + 3], along[3 * j : 3 * j + 3] = u, -u
+            K += 10 ** rng.uniform(0, 4) * np.outer(along, along)
+    return np.diag(np.repeat(rng.uniform(1, 3, n), 3)), K
+
+
+@pytest.mark.parametrize("rounding", [0.0, 1e-15, 1e-14, 1e-13, 1e-12])
+def test_rigid_modes_of_a_stiffness_that_was_rounded_are_rigid_and_counted(rounding):
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        M, K = free_truss(rng)
+        true = np.sqrt(eigh(K, M, eigvals_only=True)[6:])
+        noise = np.triu(rng.uniform(-1, 1, K.shape)) * rounding * np.linalg.norm(K, 2)
+        sys = from_second_order(M, K + noise + np.triu(noise, 1).T, np.eye(len(M))[0])
+        assert (sys.rigid_modes, len(sys.d)) == (6, len(M) - 6)
+        assert np.max(np.abs(sys.d / true - 1)) < 1e-11 + 1e4 * rounding
+
+
+def test_a_stiffness_of_an_exporter_keeps_its_six_rigid_modes(data_folder):
+    with np.load(data_folder / "structures" / "nas2cam_k0.npz") as file:
+        M, K, squares = file["M"], file["K"], file["lam_ref"]
+    for digits in (13, 11, 9):
+        written = np.array([[float(f"{x:.{digits - 1}e}") for x in row] for row in K])
+        sys = from_second_order(M, written, np.eye(len(M))[0])
+        assert (sys.rigid_modes, len(sys.d)) == (6, 48)
+        assert np.max(np.abs(sys.d**2 / squares[6:] - 1)) < 1e-4
+    sys = from_second_order(M, K.astype(np.float32).astype(float), np.eye(len(M))[0], rtol=1e-8)
+    assert sys.rigid_modes == 6
+
+
+def test_a_soft_suspension_is_kept_and_what_is_rigid_can_be_said():
+    K = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    for soft in (1e-8, 1e-12):
+        held = K + np.diag([soft, soft])
+        sys = from_second_order(np.eye(2), held, [1.0, 0.0], rtol=0)
+        assert sys.rigid_modes == 0 and abs(sys.d[0] / np.sqrt(soft) - 1) < 1e-3
+        assert from_second_order(np.eye(2), held, [1.0, 0.0], rtol=1e-6).rigid_modes == 1
+    assert from_second_order(np.eye(2), K + np.diag([1e-8, 1e-8]), [1.0, 0.0]).rigid_modes == 0
+    # a light mass beside it makes no spring of any size indefinite by rounding
+    with pytest.raises(StructureError, match="K is indefinite"):
+        from_second_order(np.diag([1e-12, 1.0]), np.diag([1.0, -1.0]), [1.0, 0.0])
+
+
+def test_motions_without_mass_are_condensed_in_any_coordinates():
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(2, 9))
+        massless = int(rng.integers(1, n))
+        F, G = rng.normal(size=(n, n - massless)), rng.normal(size=(n, n + 1))
+        M, K = F @ F.T, G @ G.T
+        b = F @ rng.normal(size=(n - massless, 2))
+        with pytest.raises(StructureError, match="condense=True"):
+            from_second_order(M, K, b)
+        sys = from_second_order(M, K, b, condense=True)
+        assert sys.n == n - massless
+        for s in (0.3 + 0.4j, 1 + 3j):
+            truth = dynamic_stiffness(M, K, b, s)
+            assert np.abs(sys.horner(s)[:, :, 0] - truth).max() < 1e-8 * np.abs(truth).max()
+
+
+def test_what_is_refused_is_refused_before_any_factorisation(monkeypatch):
+    def never(*_):
+        raise AssertionError("a factorisation")
+
+    monkeypatch.setattr("ph_control._definite.definite_factor", never)
+    monkeypatch.setattr("ph_control._definite.smallest_scaled_eigenvalue", never)
+    one, massless = np.eye(3), np.diag([1.0, 0.0, 1.0])
+    for M, K, message in (
+        (one, 1j * one, "K is complex"),
+        (1j * one, one, "M is complex"),
+        (massless, one, "singular"),
+    ):
+        with pytest.raises(StructureError, match=message):
+            from_second_order(M, K, [1.0, 0.0, 0.0])
