@@ -445,3 +445,9 @@ def test_systems_with_numbers_of_any_size_are_accepted_and_used_or_refused_but_n
             outcomes.append(accepted(lambda sys=sys: phc.ph(sys)))
     assert len(outcomes) > 200
     assert 10 < sum(outcomes) < len(outcomes)
+
+
+def test_masks_within_a_list_are_not_lost():
+    rows = [np.ma.masked_array([1.0, 0.0], [False, True]), [0.0, 1.0]]
+    assert refusal(lambda: phc.ph(rows, [0.0, 1.0])).startswith("Q has masked entries")
+    assert refusal(lambda: phc.modes([1.0, np.ma.masked], [1.0, 1.0])).startswith("d has masked entries")
