@@ -118,10 +118,10 @@ def to_its_error(value: float, error: float) -> str:
 
 def _aligned(table: list[list[str]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    # an error stands close to its number
+    widths = [width + (head != "+-") for head, width in zip(table[0], widths, strict=True)]
     return [
-        "  "
-        + "  ".join(text.rjust(width) for text, width in zip(row[:-1], widths, strict=False))
-        + f"  {row[-1]}".rstrip()
+        f" {' '.join(text.rjust(width) for text, width in zip(row[:-1], widths, strict=False))}  {row[-1]}".rstrip()
         for row in table
     ]
 
