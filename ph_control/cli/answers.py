@@ -64,11 +64,31 @@ def fit_of(result: Any) -> dict[str, Any]:
         "intersample": result.intersample,
         "quantity": result.quantity,
         "representation": result.representation,
+        "tests": [dict(vars(one)) for one in result.tests],
+        "damped": None if result.damped is None else _damped_of(result.damped),
         "experiments": [_experiment_of(one) for one in result.experiments],
         "order_table": [
             {"order": row.order, "loss": row.loss, "aic": row.aic, "bic": row.bic, "d": row.d}
             for row in result.order_table
         ],
+    }
+
+
+def _damped_of(model: Any) -> dict[str, Any]:
+    return {
+        "order": model.order,
+        "fit_percent": model.fit_percent,
+        "natural_frequencies": model.natural_frequencies,
+        "hertz": None if model.time_unit is None else model.hertz,
+        "damping_ratios": model.damping_ratios,
+        "residues": model.residues,
+        "feedthrough": model.feedthrough,
+        "stderr": dict(model.stderr),
+        "noise_std": math.sqrt(model.noise_variance),
+        "loss": model.loss,
+        "loglik": model.loglik,
+        "damped": model.damped.tolist(),
+        "negative": model.negative.tolist(),
     }
 
 

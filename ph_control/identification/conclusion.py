@@ -11,16 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import EPS
+from .._units import common_unit
 from ..exceptions import IdentifiabilityWarning
 from ..modal import ModalForm
 from ..systems import PortHamiltonian
-from .circumstances import Cause, Finding, is_contrary, sentence_of, worth_telling
-from .contradiction import Contradiction, contradiction, is_crowded
+from .circumstances import HOLDS, SURE, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
+from .contradiction import (
+    REFUSED,
+    beside,
+    contradiction,
+    from_poles,
+    is_crowded,
+    likelihood_ratio,
+    lossless_test,
+    sentence,
+)
+from .damped_model import DampedModel, HypothesisTest
 from .data import Record
 from .diagnosis import NOISE, circumstances_of
 from .excitation import examine_fit
 from .experiment import Experiment
 from .fitted_directions import Directions, of_record, of_response
+from .formulation import Formulation
 from .frequency_data import FrequencyRecord
 from .information import Information, information_at, listed
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
@@ -28,7 +40,7 @@ from .residual_data import without_peaks
 from .response_noise import NoiseLaw, record_law
 from .result import PEMResult
 from .selection import criteria
-from .solver import Problem, Projection, Refinement
+from .solver import LAST, Problem, Projection, refine
 from .uncertainty import uncertainty
 from .verdict import GOOD_FIT, Verdict, is_doubtful
 from .whiteness import ljung_box
@@ -52,7 +64,9 @@ class Fit:
     order_given: bool
     at_limit: bool
     most: int
-    contradiction: Contradiction | None = None
+    damped: DampedModel | None = None
+    tests: tuple[HypothesisTest, ...] = ()
+    examined: bool = False
     law: NoiseLaw | None = None
 
 
@@ -75,12 +89,12 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
     held = ~at.free[rank]
     findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
-    if fit.contradiction is None and not noiseless and not found.interrupted:
+    if not (fit.examined or noiseless or found.interrupted):
         active = bool(held.any()) and problem.driven
         fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at), findings)
         if fit.found is not found:
-            return conclude(fit, method, intersample, quantity, representation)
-    if fit.contradiction is not None:
+            return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
+    if fit.damped is not None and sentence(fit.damped):
         findings = tuple(one for one in findings if one.cause not in NOISE)
     law = record_law(fit.records, estimated.variance, fit.law)
     information = information_at(at, rank)
@@ -107,7 +121,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
         interrupted=found.interrupted,
         driven=problem.driven,
-        contradiction=str(fit.contradiction or ""),
+        contradiction=sentence(fit.damped) if fit.damped else "",
+        refused=next((one for one in fit.tests if one.p < REFUSED), None),
         quantity=quantity,
         in_time=isinstance(problem.experiments[0], Experiment),
         alike=bool(weights) and fit.law is None and all(np.ptp(one) == 0 for one in weights),
@@ -145,38 +160,72 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         quantity=quantity,
         representation=representation,
         findings=findings,
+        tests=fit.tests,
+        damped=fit.damped and replace(fit.damped, time_unit=common_unit(list(fit.records))),
     )
 
 
 def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool, findings: Sequence[Finding]) -> Fit:
-    """The fit with what contradicts it, and where that is grave at the frequencies of the plant.
+    """The fit with what contradicts it, and where that is grave at the minimum next to the frequencies of the plant.
 
-    There lossless modes do not stay where the plant has its own: they mimic its damping, or flee from a residue whose
-    sign they cannot have.
+    From elsewhere lossless modes do not come there: they mimic its damping, or flee from a residue whose sign they
+    cannot have.
     """
-    poor = fitted < GOOD_FIT
+    problem, followed = fit.problem, fit.found.followed
+    test = lossless_test(problem, at)
+    refused, poor = test is not None and test.p < REFUSED, fitted < GOOD_FIT and len(at.d) > 0
+    fit = replace(fit, tests=() if test is None else (test,), examined=True)
     causes = {one.cause: one.gain for one in findings}
     # what an autoregression describes is noise, and no reason to look for damping where no mode asks for it
     doubtful = doubtful and Cause.COLOURED_NOISE not in causes
-    if Cause.DELAY in causes or not (doubtful or (poor and len(at.d))):
+    model = contradiction(
+        problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful or poor, refused=refused,
+        # a plant that loses energy has no more modes than the lossless ones that mimic it
+        most=len(at.d) if Cause.INPUT_NOISE in causes else fit.most, followed=followed,
+    )  # fmt: skip
+    # a delay turns residues, but damps no mode
+    if model is None or (Cause.DELAY in causes and not model.damped.any()):
         return fit
-    # a plant that loses energy has no more modes than the lossless ones that mimic it
-    most = len(at.d) if Cause.INPUT_NOISE in causes else fit.most
-    found = contradiction(fit.problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful, most=most)
-    if found is None:
-        return fit
-    gain = fit.problem.samples * np.log(max(100 - fitted, EPS) / max(100 - found.fit_percent, EPS))
+    gain = problem.samples * np.log(max(100 - fitted, EPS) / max(100 - model.fit_percent, EPS))
     if gain < max((causes[one] for one in NOISE if one in causes), default=-np.inf):
         return fit
-    d = found.natural_frequencies
-    if not (poor or found.negative.any() or len(d) != len(at.d)):
-        return replace(fit, contradiction=found)
-    if fit.order_given and len(d) < fit.order:
-        distance = np.min(np.abs(at.d[:, None] - d), axis=1)
-        d = np.concatenate([d, at.d[np.argsort(-distance)][: fit.order - len(d)]])
-    end = Refinement(fit.problem.project(d), fit.found.end.iterations, True)
+    posed, other = fit.found.posed, None
+    if "hold" in posed.open or Cause.HOLD in causes or Cause.DELAY in causes:
+        other, model = _held_otherwise(posed, model)
+    if other is None and test is not None and refused and model.order == len(at.d):
+        test = likelihood_ratio(problem, at, model)
+    fit = replace(fit, damped=model, tests=() if test is None else (test,))
+    if other is not None:
+        fit = replace(fit, problem=other.problem, found=replace(fit.found, posed=other))
+    elif not (model.damped.any() or model.negative.any()) or followed is not None:
+        return fit
+    elif not (poor or model.negative.any() or model.order != len(at.d)):
+        return fit
+    d = beside(model.natural_frequencies, at.d, fit.order if fit.order_given else None)
+    end = refine(fit.problem, d, rtol=LAST)
+    end = replace(end, iterations=fit.found.end.iterations + end.iterations)
     order = fit.order if fit.order_given else len(d)
-    return replace(fit, found=replace(fit.found, end=end), order=order, at_limit=False, contradiction=found)
+    return replace(fit, found=replace(fit.found, end=end), order=order, at_limit=False)
+
+
+def _held_otherwise(posed: Formulation, model: DampedModel) -> tuple[Formulation | None, DampedModel]:
+    """The formulation with the other hold of the input, where the damped modes prefer it, and these modes."""
+    held = posed.intersample
+    problem = meeting(posed.problem, "foh" if held == "zoh" else "zoh")
+    rival = from_poles(problem, model.poles, model.quantity)
+    gain = 0.5 * problem.samples * float(np.log(model.loss / rival.loss))
+    # residues of any phase make up for half a sample, but not without something that is fed through
+    gain -= 0.5 * np.log(problem.samples) * (bool(rival.feedthrough) - bool(model.feedthrough))
+    if abs(gain) < SURE:
+        gain = SURE if held == "foh" else -SURE
+    known = tuple(one for one in posed.findings if one.cause not in (Cause.HOLD, Cause.DELAY))
+    chosen = problem if gain > 0 else posed.problem
+    values = (float(HOLDS.index(held) != (gain > 0)),)
+    other = replace(
+        posed, problem=chosen, searched=None, open=posed.open - {"hold", "arrival"},
+        findings=(*known, Finding(Cause.HOLD, values, abs(gain))),
+    )  # fmt: skip
+    return (other, rival) if gain > 0 else (other, model)
 
 
 def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:

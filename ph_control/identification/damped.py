@@ -1,9 +1,7 @@
-"""Modes that lose energy and sensors anywhere: what a doubtful record is fitted with to say what contradicts its model.
+"""Damped modes with residues of either sign: how resonances are looked for in frequency responses.
 
-A damped mode of residue `kappa`, of either sign, is `kappa s / (s^2 + 2 sigma s + d^2)`, `d` being its natural
-frequency and `sigma / d` its damping ratio.  The relation of the transforms (see `spectrum`) holds for its multiplier
-`exp((-sigma - i w) h)`, `w^2 = d^2 - sigma^2`, as it does without damping, and with ends of its own; so records and
-frequency responses alike are rows in which all but `d` and `sigma` is linear.
+A damped mode of residue `kappa` is `kappa s / (s^2 + 2 sigma s + d^2)`, `d` being its natural frequency and `sigma / d`
+its damping ratio, for a velocity; so a response is rows in which all but `d` and `sigma` is linear.
 """
 
 from __future__ import annotations
@@ -18,21 +16,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from .._checks import EPS
-from ..propagation import phi_functions
 from .frequency_rows import FrequencyRows
-from .regressors import Hold
-from .spectrum import Bins, Spectrum
 from .triangle import reduced
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _MOST_DAMPED = 0.7  # damping ratio
-_ALL_BINS = 1 << 12  # samples up to which all bins are fitted
-_HALF_WIDTH = 12  # bins on either side of a mode, and as many half-widths of its peak
-_THINNED = 256  # bins about a mode, at most
-_OFF_BIN = 1e-3  # bins: on a bin the columns of a mode without damping become parallel
-_NUDGE = 1e-4  # bins: for derivatives of columns
 _WIDTHS = (0.03, 0.3, 1.0, 3.0, 10.0)  # decay rates tried for a mode of which nothing is known, in bins
 
 
@@ -55,102 +45,6 @@ class DampedRows(Protocol):
 
     def slopes(self, d: Array, sigma: Array, kappa: Array, own: Array) -> ComplexArray:
         """Derivatives of the output by `(d, sigma)`, shape (2n, m)."""
-
-
-@dataclass(frozen=True)
-class DampedTransform:
-    """Some bins of a record's transform."""
-
-    spectrum: Spectrum
-    bins: Bins
-
-    @classmethod
-    def about(cls, spectrum: Spectrum, d: Array, sigma: Array) -> DampedTransform:
-        """The bins about some modes, as far as their peaks reach; all bins of a short record."""
-        if spectrum.length <= _ALL_BINS:
-            return cls(spectrum, np.arange(1, spectrum.last + 1))
-        chosen = [np.zeros(0, np.intp)]
-        for centre, width in zip(spectrum.place(d), np.abs(sigma) / spectrum.experiment.bin, strict=True):
-            reach = int(min(_HALF_WIDTH * (1 + width), spectrum.last))
-            offsets = np.arange(-reach, reach + 1)
-            # every so many bins of a wide peak: fewer data, the same expectation
-            chosen.append(np.rint(centre).astype(int) + offsets[:: max(1, len(offsets) // _THINNED)])
-        bins = np.unique(np.concatenate(chosen))
-        return cls(spectrum, bins[(bins >= 1) & (bins <= spectrum.last)])
-
-    @property
-    def target(self) -> ComplexArray:
-        """Transform of the output."""
-        return self.spectrum.Y[self.bins]
-
-    @property
-    def driven(self) -> bool:
-        """Whether there is an input."""
-        return self.spectrum.experiment.driven
-
-    def own(self, d: Array, sigma: Array) -> ComplexArray:
-        """Columns of the ends of each mode."""
-        plus, minus = self._ends(*self._oscillation(d, sigma))
-        return np.concatenate([plus + minus, 1j * (plus - minus)])
-
-    def shared(self, d: Array, sigma: Array) -> ComplexArray:
-        """Responses of modes of unit residue."""
-        return self._responses(*self._oscillation(d, sigma))
-
-    def slopes(self, d: Array, sigma: Array, kappa: Array, own: Array) -> ComplexArray:
-        """Derivatives of the output by `(d, sigma)`, by central differences of the columns."""
-        n, nudge = len(d), _NUDGE * self.spectrum.experiment.bin
-        tau = own[:n, None] + 1j * own[n : 2 * n, None]
-        w, sigma = self._oscillation(d, sigma)
-
-        def output(w: Array, sigma: Array) -> ComplexArray:
-            plus, minus = self._ends(w, sigma)
-            free = tau * plus + tau.conj() * minus
-            return free + kappa[:, None] * self._responses(w, sigma) if self.driven else free
-
-        by_w = (output(w + nudge, sigma) - output(w - nudge, sigma)) / (2 * nudge)
-        by_sigma = (output(w, sigma + nudge) - output(w, sigma - nudge)) / (2 * nudge)
-        return np.concatenate([(d / w)[:, None] * by_w, by_sigma - (sigma / w)[:, None] * by_w])
-
-    def _oscillation(self, d: Array, sigma: Array) -> tuple[Array, Array]:
-        """Frequency of the motion and decay rate; what would lie on a bin is moved a little off it."""
-        w, one = np.sqrt(d**2 - sigma**2), self.spectrum.experiment
-        place = self.spectrum.place(w)
-        offset = place - np.rint(place)
-        near = np.hypot(offset, sigma / one.bin) < _OFF_BIN
-        return w + np.where(near, np.where(offset < 0, -_OFF_BIN, _OFF_BIN) - offset, 0.0) * one.bin, sigma
-
-    def _responses(self, w: Array, sigma: Array) -> ComplexArray:
-        one = self.spectrum.experiment
-        p = (-sigma - 1j * w)[:, None]
-        weight = {"velocity": p, "displacement": np.ones_like(p), "acceleration": p**2}[one.quantity] * 1j / w[:, None]
-        lam, b0, b1 = _step(p, one.hold)
-        z = self._z
-        modal = weight * (b0 + b1 * z) / (z - lam) + (weight * b0).conj() / (z - lam.conj())
-        modal += (weight * b1).conj() * z / (z - lam.conj())
-        return self.spectrum.U[self.bins] * (0.5 * modal + (one.quantity == "acceleration"))
-
-    def _ends(self, w: Array, sigma: Array) -> tuple[ComplexArray, ComplexArray]:
-        lam = _step((-sigma - 1j * w)[:, None], self.spectrum.experiment.hold)[0]
-        return 0.5 * self._z / (self._z - lam), 0.5 * self._z / (self._z - lam.conj())
-
-    @cached_property
-    def _z(self) -> ComplexArray:
-        return np.asarray(np.exp(2j * np.pi / self.spectrum.length * self.bins))
-
-
-def _step(p: ComplexArray, hold: Hold) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Multiplier and input weights of one step of `x' = p x + u`, as `propagation` makes them for imaginary `p`."""
-    h, z = hold.h, hold.h * p
-    if hold.method == "euler":
-        return 1.0 + z, np.full_like(z, h), np.zeros_like(z)
-    if hold.method == "midpoint":
-        weight = h / (1.0 - 0.5 * z)
-        lam = (1.0 + 0.5 * z) / (1.0 - 0.5 * z)
-        return (lam, weight, 0 * z) if hold.intersample == "zoh" else (lam, 0.5 * weight, 0.5 * weight)
-    phi_1, phi_2 = phi_functions(z)
-    lam = np.exp(z)
-    return (lam, h * phi_1, 0 * z) if hold.intersample == "zoh" else (lam, h * (phi_1 - phi_2), h * phi_2)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The search for damped modes with residues of either sign: what contradicts a lossless model is found by it.
+"""The search for damped modes with residues of either sign in frequency responses.
 
 The same path as for lossless modes, one joining at a time where it explains most of what is left.
 """
@@ -11,21 +11,17 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .damped import Band, DampedProjection, DampedResponse, DampedRows, DampedTransform, refine_damped
-from .experiment import Experiment
+from .damped import Band, DampedProjection, DampedResponse, DampedRows, refine_damped
 from .frequency_rows import FrequencyRows
 from .residual_data import without_peaks
 from .response_candidates import ranked_candidates
 from .search import Report, Step, more_than_noise
 from .solver import Problem
-from .spectrum import Spectrum
-from .start import Screen
 from .whiteness import ljung_box
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_PIECE = 1 << 18  # numbers worked on at a time
 _LAGS = 20
 _WHITE = 1e-3  # p-value
 
@@ -47,51 +43,6 @@ class DampedData(Protocol):
 
     def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
         """Frequencies at which one more mode explains most, and how much."""
-
-
-class Records:
-    """Records in time; `filled` are the outputs that stand for missing ones."""
-
-    def __init__(self, experiments: Sequence[Experiment], filled: Sequence[Array | None]) -> None:
-        self.spectra = [Spectrum.of(one, fill) for one, fill in zip(experiments, filled, strict=True)]
-        self._screen = Screen(self.spectra, signed=True)
-
-    def rows(self, d: Array, sigma: Array) -> list[DampedRows]:
-        """The bins about the modes."""
-        return [DampedTransform.about(one, d, sigma) for one in self.spectra]
-
-    def left(self, at: DampedProjection) -> list[ComplexArray]:
-        """Transforms of what a model leaves."""
-        return [self._left(one, at, own) for one, own in zip(self.spectra, at.own, strict=True)]
-
-    def _left(self, spectrum: Spectrum, at: DampedProjection, own: Array) -> ComplexArray:
-        left = spectrum.Y.copy()
-        size = max(1, _PIECE // max(1, len(at.d)))
-        for first in range(0, len(left), size):
-            bins = np.arange(first, min(first + size, len(left)))
-            piece = DampedTransform(spectrum, bins)
-            left[bins] -= own @ piece.own(at.d, at.sigma)
-            if piece.driven:
-                left[bins] -= at.kappa @ piece.shared(at.d, at.sigma)
-        return spectrum.beside_offset(left)
-
-    def errors(self, left: Sequence[ComplexArray]) -> list[Array]:
-        """What a model leaves of the outputs, at all samples."""
-        return [np.fft.irfft(one, spectrum.length) for one, spectrum in zip(left, self.spectra, strict=True)]
-
-    def loss(self, left: Sequence[ComplexArray]) -> float:
-        """Sum of squares over the observed samples."""
-        parts = zip(self.errors(left), self.spectra, strict=True)
-        return float(sum(np.sum(error[one.experiment.observed] ** 2) for error, one in parts))
-
-    def sequences(self, left: Sequence[ComplexArray]) -> list[Array]:
-        """Residuals in time."""
-        observed = (one.experiment.observed for one in self.spectra)
-        return [np.where(seen, error, np.nan) for seen, error in zip(observed, self.errors(left), strict=True)]
-
-    def ranked(self, left: list[ComplexArray]) -> tuple[Array, Array]:
-        """Candidates of the screen."""
-        return self._screen.ranked(left)
 
 
 class Responses:
@@ -125,11 +76,8 @@ class Responses:
         return ranked_candidates(self.experiments, left)
 
 
-def damped_data(problem: Problem, filled: Sequence[Array | None] | None = None) -> Records | Responses:
-    """The data of a problem, for damped modes."""
-    in_time = [one for one in problem.experiments if isinstance(one, Experiment)]
-    if in_time:
-        return Records(in_time, [None] * len(in_time) if filled is None else filled)
+def damped_data(problem: Problem) -> Responses:
+    """The responses of a problem, for damped modes."""
     return Responses([one for one in problem.experiments if isinstance(one, FrequencyRows)])
 
 

@@ -13,6 +13,7 @@ from ..exceptions import StructureError
 from ..files import Codec, system_from_dict, system_to_dict
 from ..propagation import INTERSAMPLE, METHODS
 from .circumstances import Cause, Finding
+from .damped_model import DampedModel, HypothesisTest
 from .data import Record
 from .formulation import REPRESENTATIONS
 from .forward import Start
@@ -23,6 +24,7 @@ from .regressors import QUANTITIES
 from .response_noise import NoiseKind, NoiseLaw
 from .result import OrderRow, PEMResult
 
+_MODEL_NUMBERS = ("feedthrough", "noise_variance", "loss", "loglik", "fit_percent")
 _NUMBERS = ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "whiteness")
 
 
@@ -69,7 +71,23 @@ def _to_dict(result: PEMResult) -> dict[str, Any]:
             str(k): {"cause": one.cause.value, "values": np.array(one.values), "gain": one.gain}
             for k, one in enumerate(result.findings, start=1)
         },
+        "tests": {str(k): dict(vars(one)) for k, one in enumerate(result.tests, start=1)},
+        **({} if result.damped is None else {"damped": damped_to_dict(result.damped)}),
     }
+
+
+def damped_to_dict(model: DampedModel) -> dict[str, Any]:
+    """Fields of a damped model."""
+    fields = {name: getattr(model, name) for name in (*_MODEL_NUMBERS, "poles", "residues", "covariance", "quantity")}
+    fields |= {name: np.flatnonzero(getattr(model, name)).tolist() for name in ("damped", "negative")}
+    if model.time_unit is not None:
+        fields["time_unit"] = model.time_unit
+    every = range(len(model.predicted))
+    fields["experiments"] = {
+        str(k + 1): {"predicted": model.predicted[k], "offset": offset, "free_amplitudes": free}
+        for k, offset, free in zip(every, model.offsets, model.free_amplitudes, strict=True)
+    }
+    return fields
 
 
 def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
@@ -101,8 +119,14 @@ def _from_dict(fields: Fields) -> PEMResult:
         experiments=experiments,
         covariance=fields.array("covariance", (size, size), finite=False),
         offset_stderr=fields.array("offset_stderr", (len(experiments),), finite=False),
-        **{name: fields.number(name) for name in _NUMBERS},
         noise=_noise(fields),
+        noise_variance=fields.number("noise_variance"),
+        loss=fields.number("loss"),
+        loglik=fields.number("loglik"),
+        aic=fields.number("aic"),
+        bic=fields.number("bic"),
+        fit_percent=fields.number("fit_percent"),
+        whiteness=fields.number("whiteness"),
         active=_modes(fields, "active", n),
         unseen=_modes(fields, "unseen", n),
         identifiability=_information(fields.nested("identifiability")),
@@ -117,6 +141,42 @@ def _from_dict(fields: Fields) -> PEMResult:
         quantity=_one_of(fields, "quantity", QUANTITIES),
         representation=_one_of(fields, "representation", REPRESENTATIONS),
         findings=_findings(fields.nested("findings")) if "findings" in fields else (),
+        tests=_tests(fields.nested("tests")) if "tests" in fields else (),
+        damped=_damped(fields.nested("damped"), experiments) if "damped" in fields else None,
+    )
+
+
+def _tests(fields: Fields) -> tuple[HypothesisTest, ...]:
+    found: list[HypothesisTest] = []
+    while str(len(found) + 1) in fields:
+        one = fields.nested(str(len(found) + 1))
+        numbers = one.number("likelihood_ratio"), one.integer("dof"), one.number("p")
+        found.append(HypothesisTest(one.text("hypothesis"), *numbers))
+    return tuple(found)
+
+
+def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> DampedModel:
+    poles = fields.complex_array("poles", (None,))
+    n, inner = len(poles), fields.nested("experiments")
+    parts = [inner.nested(str(k)) for k in range(1, len(fitted) + 1)]
+    in_time = isinstance(fitted[0].record, Record)
+    return DampedModel(
+        poles=poles,
+        residues=fields.complex_array("residues", (n,)),
+        covariance=fields.array("covariance", (4 * n + 1, 4 * n + 1), finite=False),
+        **{name: fields.number(name) for name in _MODEL_NUMBERS},
+        free_amplitudes=tuple(one.complex_array("free_amplitudes", (n if in_time else 0,)) for one in parts),
+        offsets=tuple(one.number("offset") for one in parts),
+        predicted=tuple(
+            one.array("predicted", (known.record.samples,))
+            if in_time
+            else one.complex_array("predicted", (known.record.samples,), finite=False)
+            for one, known in zip(parts, fitted, strict=True)
+        ),
+        damped=np.isin(np.arange(n), _modes(fields, "damped", n)),
+        negative=np.isin(np.arange(n), _modes(fields, "negative", n)),
+        quantity=_one_of(fields, "quantity", QUANTITIES),
+        time_unit=_one_of(fields, "time_unit", tuple(SECONDS)) if "time_unit" in fields else None,
     )
 
 

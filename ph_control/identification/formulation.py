@@ -153,7 +153,7 @@ class Formulation:
             )]  # fmt: skip
             if len(steps) == before or not self._asks(steps[-1]) or (stop is not None and stop(steps)):
                 break
-        if isinstance(search, TimeSearch) and not steps[-1].interrupted:
+        if isinstance(search, TimeSearch) and not (steps[-1].interrupted or getattr(stop, "followed", False)):
             d = np.sort(steps[-1].d)
             if "hold" in self.open and len(d) > 1 and np.min(np.diff(d)) < self.problem.bin:
                 return self._better_held(steps, guess, largest, report=report, together=together, stop=stop)

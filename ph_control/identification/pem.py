@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .conclusion import Fit, conclude
+from .contradiction import DampingWatch, beside
 from .formulation import Callback, Formulation, check_workers, reporter, rounding_floor
 from .forward import Start, prune, reseat, restart, stop_of
+from .free_path import FreeStep
 from .holdout import held_out_losses
 from .response_noise import reweighted
 from .result import OrderRow, PEMResult
 from .search import Report, Search, Step
 from .selection import CRITERIA, beside_input_noise, criteria, preference, significant
-from .solver import Problem, refine
+from .solver import LAST, Problem, refine
 
 Array = NDArray[np.float64]
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
-_POLISH = 1e-15  # relative decrease of the loss at which the last refinement ends
 
 
 def pem(
@@ -171,11 +172,15 @@ def _found(
     problem, search, rtol = posed.problem, posed.search, posed.rtol
     floor, report = rounding_floor(problem), reporter(problem, largest, callback)
     automatic = order == "auto"
+    watch = DampingWatch(problem, stop_of(lambda step: preference(problem, step, criterion)))
     posed, path = posed.path(
         guess, largest, report=report, together=not automatic and search.affords_batches,
-        stop=stop_of(lambda step: preference(problem, step, criterion)) if automatic else None,
+        stop=watch if automatic else None,
     )  # fmt: skip
+    if posed.problem is not problem:
+        watch = DampingWatch(posed.problem)
     problem, search = posed.problem, posed.search
+    followed = watch.decided(path) if posed.searched is None else None
     interrupted = path[-1].interrupted
     values = [preference(problem, step, criterion) for step in path]
     if automatic and criterion == "holdout" and not interrupted:
@@ -187,21 +192,25 @@ def _found(
     if automatic and criterion == "bic" and not interrupted:
         place = beside_input_noise(problem, path, values, place)
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
-    if not interrupted:
+    start = path[place].d
+    if followed is not None:
+        start = beside(followed.at.d, start, None if automatic else len(start))
+    elif not interrupted:
         path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
         starts += more
-        interrupted = path[place].interrupted
+        interrupted, start = path[place].interrupted, path[place].d
     if interrupted:
         # who interrupts wants an end: one step, unobserved
-        end = replace(refine(problem, path[place].d, rtol=_POLISH, max_iterations=1), converged=False)
+        end = replace(refine(problem, start, rtol=LAST, max_iterations=1), converged=False)
     else:
-        end = refine(problem, path[place].d, rtol=_POLISH, progress=report(len(path[place].d)))
+        end = refine(problem, start, rtol=LAST, progress=report(len(start)))
     all_d = end.projection.d if place else path[-1].d
-    if automatic and not interrupted and posed.searched is None:
-        end = significant(problem, end, lambda d: refine(problem, d, rtol=_POLISH))
+    if automatic and not interrupted and followed is None and posed.searched is None:
+        end = significant(problem, end, lambda d: refine(problem, d, rtol=LAST))
     rows = tuple(_row(problem, step) for step in path)
     iterations = sum(step.iterations for step in path) + end.iterations
-    return Found(end, rows, tuple(starts), iterations, interrupted or end.interrupted, floor, all_d, posed)
+    interrupted = interrupted or end.interrupted
+    return Found(end, rows, tuple(starts), iterations, interrupted, floor, all_d, posed, followed)
 
 
 def _second_thoughts(
@@ -254,6 +263,7 @@ class Found:
     floor: float
     all_d: Array
     posed: Formulation
+    followed: FreeStep | None = None
 
     @property
     def d(self) -> Array:

@@ -84,7 +84,7 @@ class Hold:
         first = -1j * h * h * (phi_1 - phi_2)
         if self.intersample == "zoh":
             return first, np.zeros_like(z)
-        second = -1j * h * h * (phi_2 - 2.0 * _phi_3(z, phi_2))
+        second = -1j * h * h * (phi_2 - 2.0 * phi_3(z, phi_2))
         return first - second, second
 
     def step_and_derivatives(self, d: Array) -> tuple[Step, ComplexArray, ComplexArray]:
@@ -99,7 +99,7 @@ class Hold:
         return Step(growth, phase, now, later, np.ones((1, len(d)), complex)), *self._exact_derivatives(z, phi_1, phi_2)
 
 
-def _phi_3(z: ComplexArray, phi_2: ComplexArray) -> ComplexArray:
+def phi_3(z: ComplexArray, phi_2: ComplexArray) -> ComplexArray:
     """`(phi_2 - 1/2)/z`, by its series near 0."""
     series = np.ones_like(z)
     for k in range(18, 3, -1):

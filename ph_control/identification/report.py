@@ -79,7 +79,37 @@ def summary_of(result: Any) -> str:
         "",
         *_aligned(mode_table(result)),
     ]
+    if result.damped is not None:
+        lines += ["", *damped_lines(result.damped)]
     return shortened("\n".join([*lines, "", *_wrap(in_unit(result.message, result.time_unit))]))
+
+
+def damped_lines(model: Any) -> list[str]:
+    """Damped modes as a table of frequencies, damping ratios and residues, with their standard errors."""
+    through = to_its_error(model.feedthrough, float(model.stderr["feedthrough"]))
+    fed = f", fed through {through}" * bool(model.feedthrough)
+    return [f"  With damping, sensor anywhere: fit {model.fit_percent:.2f} %{fed}", *_aligned(damped_table(model))]
+
+
+def damped_table(model: Any) -> list[list[str]]:
+    """Cells of that table, a head first; the error of a residue is that of its size."""
+    stderr, residues = model.stderr, model.residues
+    turned = np.exp(-1j * np.angle(residues))
+    n = model.order
+    C = model.covariance[2 * n : 4 * n, 2 * n : 4 * n]
+    l = np.arange(n)
+    along = turned.real**2 * C[l, l] + turned.imag**2 * C[n + l, n + l] - 2 * turned.real * turned.imag * C[l, n + l]
+    sizes = np.sqrt(np.maximum(along, 0.0))
+    columns = [(model.hertz, stderr["hertz"]), (100 * model.damping_ratios, 100 * stderr["damping_ratios"])]
+    columns += [(np.abs(residues), sizes)] if residues.any() else []
+    head = ["mode", f"f [{'1/time' if model.time_unit is None else 'Hz'}]", "+-", "damping [%]", "+-"]
+    head += ["|residue|", "+-", "phase [deg]"] if residues.any() else [""]
+    rows = []
+    for k in range(n):
+        pairs = [(values[k], errors[k]) for values, errors in columns]
+        cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
+        rows.append([str(k + 1), *cells, f"{np.degrees(np.angle(residues[k])):.1f}" if residues.any() else ""])
+    return [head, *rows]
 
 
 def mode_table(result: Any) -> list[list[str]]:

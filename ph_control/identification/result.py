@@ -23,6 +23,7 @@ from ..systems import PortHamiltonian
 from .bootstrap import Resampled
 from .circumstances import Finding
 from .coordinates import InCoordinates
+from .damped_model import DampedModel, HypothesisTest
 from .data import Record, as_record
 from .forward import Start
 from .frequency_data import FrequencyRecord
@@ -119,6 +120,11 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     findings : tuple of Finding
         What the data show beside the modes: a constant or drift, the hold of the input, a delay, noise that is not
         white or on the input; each with its `cause`, its `values` and its `gain` in log-likelihood.
+    tests : tuple of HypothesisTest
+        The model against wider ones: hypothesis, likelihood ratio, degrees of freedom, p-value.
+    damped : DampedModel or None
+        Modes with damping and residues of any phase, where the data speak for these: natural frequencies, damping
+        ratios, residues, their standard errors, and a `system`.
     """
 
     system: PortHamiltonian
@@ -147,6 +153,8 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     quantity: str
     representation: str
     findings: tuple[Finding, ...] = ()
+    tests: tuple[HypothesisTest, ...] = ()
+    damped: DampedModel | None = None
     stderr: Mapping[str, Array] = field(init=False)
 
     def __post_init__(self) -> None:

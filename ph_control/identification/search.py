@@ -12,7 +12,7 @@ from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from .circumstances import autoregression, meeting
 from .experiment import Experiment
@@ -180,7 +180,7 @@ def more_than_noise(problem: Problem, step: Step) -> bool:
     if not len(step.gains) or spare <= 0 or step.loss <= 0:
         return False
     statistic = step.gains[0] * spare / step.loss
-    return bool(chi2.sf(statistic, problem.unknowns(1)) * problem.samples < _BY_CHANCE)
+    return bool(chdtrc(problem.unknowns(1), statistic) * problem.samples < _BY_CHANCE)
 
 
 def mode_energies(at: Projection) -> Array:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack, solve_triangular
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls
 
 from .._checks import EPS
 from .experiment import Rows
@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 Progress = Callable[[int, float], None]  # iteration, loss
 
+_FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
+LAST = 1e-15  # relative decrease of the loss at which the last refinement ends
 _WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, above which its rank is looked at
 
 
@@ -377,6 +379,8 @@ def refine(
             _descend(problem, state, rtol, last)
             if progress is not None:
                 progress(state.iterations, state.current.loss)
+        if last and not state.converged:
+            _follow_secants(problem, state)
     except (KeyboardInterrupt, StopIteration):
         return Refinement(state.current, state.iterations, False, interrupted=True)
     return Refinement(state.current, state.iterations, state.converged)
@@ -418,6 +422,27 @@ def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None
     else:
         state.damping, state.growth = state.damping * state.growth, 2 * state.growth
         state.converged = state.converged or state.damping > 1e16
+
+
+def _follow_secants(problem: Problem, state: _Descent) -> None:
+    """The way to the minimum where much is left, so that the curvature is not that of the Jacobian alone (BFGS)."""
+    start, curvature = state.current, np.diag(state.current.gram)
+    unit = np.minimum(problem.bin, np.sqrt(start.loss / np.where(curvature > 0, curvature, np.inf)))
+    if not unit.any() or start.loss == 0:
+        return
+    best = start
+
+    def relative(x: Array) -> tuple[float, Array]:
+        nonlocal best
+        at = problem.project(np.clip(start.d + unit * x, 1e-3 * problem.bin, problem.ceiling))
+        best = at if at.loss < best.loss else best
+        return at.loss / start.loss, 2 * unit * at.gradient / start.loss
+
+    found = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT})
+    state.current, state.iterations = best, state.iterations + int(found.nit)
+    # where the loss rounds, steps end before the slope does
+    slope = np.max(np.abs(unit * best.gradient)) / best.loss
+    state.converged = bool(found.success or slope < np.sqrt(problem.samples * EPS))
 
 
 def _damped_step(gram: Array, scale: Array, damping: float, gradient: Array) -> Array:

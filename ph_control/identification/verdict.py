@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from .damped_model import HypothesisTest
+from .findings import p_value
+
 _WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
 _FEW = 20  # samples to spare below which nothing is said of the quality
@@ -32,6 +35,7 @@ class Verdict:
     interrupted: bool
     driven: bool
     contradiction: str = ""
+    refused: HypothesisTest | None = None
     quantity: str = "velocity"
     in_time: bool = True
     alike: bool = False
@@ -62,7 +66,8 @@ class Verdict:
         poor = self.fit_percent < GOOD_FIT or self.at_limit or held
         if (self._unexplained or self.contradiction) and poor:
             return "NOT described by a collocated lossless model"
-        if self.active or self._unexplained or self.contradiction or self.blind or not self.converged:
+        doubts = self.active or self._unexplained or self.contradiction or self.refused or self.blind
+        if doubts or not self.converged:
             return "doubtful, see below"
         if self._coloured:
             return "consistent with the record, noise not white"
@@ -116,6 +121,12 @@ class Verdict:
             parts.append(self.blind or self.remark)
         if self.contradiction:
             parts.append(self.contradiction)
+        elif self.refused:
+            parts.append(
+                f"Against modes with damping and residues of any phase the lossless model is refused (likelihood ratio "
+                f"{self.refused.likelihood_ratio:.4g} for {self.refused.dof} degrees of freedom, "
+                f"{p_value(self.refused.p)}): its standard errors do not hold."
+            )
         parts += self.circumstances
         if self._unexplained:
             p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
