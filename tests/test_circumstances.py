@@ -171,3 +171,13 @@ def test_a_hold_that_was_given_stays_and_the_other_is_named():
     assert result.intersample == "zoh" and result.order == plant.n
     assert causes(result)[Cause.HOLD].values == (1.0,)
     assert "intersample='foh'" in result.message
+
+
+def test_of_several_arrivals_the_one_that_explains_the_record_is_taken():
+    rng = np.random.default_rng(2)
+    plant = phc.ph(phc.modes([0.36, 0.37, 2.41], [1.0, 1.5, 0.2]))
+    u = rng.standard_normal(2000)
+    y = phc.forced_response(plant, np.arange(2000.0), u, intersample="foh").outputs
+    result = phc.pem((u, y + 0.1 * np.std(y) * rng.standard_normal(2000)), dt=1.0)
+    assert result.intersample == "foh" and found_all(result, plant, 2000)
+    assert set(causes(result)) == {Cause.HOLD}

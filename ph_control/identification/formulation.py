@@ -36,7 +36,8 @@ REPRESENTATIONS = ("observable", "controllable")
 
 _DELAYS = tuple(range(-2, 9))  # samples that are tried
 _BESIDE = 1.5  # bins between a mode and one that may only mend the phase of its response
-_EVIDENT = 20.0  # log-likelihood at which a search begins again under other circumstances
+_EVIDENT = 20.0  # log-likelihood at which one hold is surely better, whatever modes were found under the other
+_LIKELY, _FOLLOWED = 8.0, 3  # log-likelihood at which a search begins again under other circumstances, and how many
 
 
 @dataclass(frozen=True)
@@ -144,9 +145,9 @@ class Formulation:
 
         while True:
             ended = steps[-1].interrupted or not len(steps[-1].candidates)
-            other = None if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
-            if other is not None:
-                return self._followed(other, guess, largest, report=report, together=together, stop=stop)
+            others = [] if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
+            if others:
+                return self._followed(others, guess, largest, report=report, together=together, stop=stop)
             before = len(steps)
             steps = [*steps[:-1], *grow(
                 search, steps[-1], largest, rtol=self.rtol, floor=floor, report=report, together=together, stop=pauses
@@ -157,19 +158,27 @@ class Formulation:
             d = np.sort(steps[-1].d)
             if "hold" in self.open and len(d) > 1 and np.min(np.diff(d)) < self.problem.bin:
                 return self._better_held(steps, guess, largest, report=report, together=together, stop=stop)
-            other = self._preferred(search, steps, True)
-            if other is not None and other.searched is self.searched and other.problem is self.problem:
-                return other, steps
-            if other is not None:
-                return self._followed(other, guess, largest, report=report, together=together, stop=stop)
+            others = self._preferred(search, steps, True)
+            if others and others[0].searched is self.searched and others[0].problem is self.problem:
+                return others[0], steps
+            if others:
+                return self._followed(others, guess, largest, report=report, together=together, stop=stop)
         return self, steps
 
-    def _followed(self, other: Formulation, guess: Array, largest: int, **how: Any) -> tuple[Formulation, list[Step]]:
-        """The path of another formulation; one with a delay has to explain the record, or nothing is said of it."""
-        found, steps = other.path(guess, largest, **how)
-        delay = other.searched is not None and self.searched is None
-        if delay and not steps[-1].interrupted and all(found.search.unconvinced(step) for step in steps):
-            return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
+    def _followed(
+        self, others: list[Formulation], guess: Array, largest: int, **how: Any
+    ) -> tuple[Formulation, list[Step]]:
+        """The best path of others; one with a delay has to explain the record, or nothing is said of it."""
+
+        def value(path: tuple[Formulation, list[Step]]) -> float:
+            return min(preference(path[0].problem, step, "bic") for step in path[1])
+
+        found, steps = min((one.path(guess, largest, **how) for one in others), key=value)
+        late = found.searched is not None and self.searched is None
+        if late and not steps[-1].interrupted:
+            best = min(steps, key=lambda step: preference(found.problem, step, "bic"))
+            if found.search.unconvinced(best):
+                return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
         return found, steps
 
     def _better_held(self, steps: list[Step], guess: Array, largest: int, **how: Any) -> tuple[Formulation, list[Step]]:
@@ -198,15 +207,15 @@ class Formulation:
         beside = "arrival" in self.open and crowded(step.d, _BESIDE * self.problem.bin)
         return beside and search.unconvinced(step)
 
-    def _preferred(self, search: TimeSearch, steps: list[Step], final: bool) -> Formulation | None:
+    def _preferred(self, search: TimeSearch, steps: list[Step], final: bool) -> list[Formulation]:
         """The same under circumstances that the data prefer; in the end also how sure the present ones are."""
         step = steps[-1]
         if "background" in self.open and search.slow(step):
             other = self._beside(search, step)
             if other is not None:
-                return other
+                return [other]
         if not ("arrival" in self.open and len(step.d)):
-            return None
+            return []
         return self._meeting(search, steps[0], step, final)
 
     def _beside(self, search: TimeSearch, step: Step) -> Formulation | None:
@@ -231,8 +240,8 @@ class Formulation:
         searched = None if self.searched is None else beside(self.searched, terms)
         return replace(self, problem=problem, searched=searched, findings=(*others, Finding(cause, (), gain)))
 
-    def _meeting(self, search: TimeSearch, first: Step, step: Step, final: bool) -> Formulation | None:
-        """With an input that arrives otherwise."""
+    def _meeting(self, search: TimeSearch, first: Step, step: Step, final: bool) -> list[Formulation]:
+        """With an input that arrives otherwise, the likeliest first."""
         held = self.intersample
         other = "foh" if held == "zoh" else "zoh"
         gains = {}
@@ -243,29 +252,31 @@ class Formulation:
                     gains[each, delay] = search.arrival(first, each, delay) - base
         if final and "hold" in self.open and gains.get((other, 0), 0.0) <= _EVIDENT:
             gains[other, 0] = search.likelihood(step.d, other) - search.likelihood(step.d, held)
-        if not gains:
-            return None
-        (best, delay), gain = max(gains.items(), key=lambda item: item[1])
-        if delay and gain > _EVIDENT:
-            problem = meeting(self.problem, best)
-            return replace(
-                self, problem=problem, searched=delayed(problem, delay), open=self.open - {"hold", "arrival"},
-                findings=(*self.findings, Finding(Cause.DELAY, (float(delay),), gain)),
-            )  # fmt: skip
-        gain = gains.get((other, 0), 0.0)
-        if gain > (SURE if final and "hold" in self.open else _EVIDENT):
-            problem, finding = (
-                meeting(self.problem, other),
-                (*self.findings, Finding(Cause.HOLD, (float(HOLDS.index(other)),), gain)),
-            )
-            if "hold" in self.open:
-                return replace(self, problem=problem, open=self.open - {"hold"}, findings=finding)
-            return replace(self, searched=problem, open=self.open - {"arrival"}, findings=finding)
-        if final and "hold" in self.open:
-            return replace(
-                self, findings=(*self.findings, Finding(Cause.HOLD, (float(HOLDS.index(held)),), max(0.0, -gain)))
-            )
-        return None
+        likely = sorted((pair for pair in gains.items() if pair[1] > _LIKELY), key=lambda pair: -pair[1])[:_FOLLOWED]
+        if likely and not (final and likely[0][0] == (other, 0)):
+            return [self._arriving(each, delay, gain) for (each, delay), gain in likely]
+        if not (final and "hold" in self.open):
+            return [self._arriving(*pair, gain) for pair, gain in likely]
+        gain = gains[other, 0]
+        if gain > SURE:
+            return [self._arriving(other, 0, gain)]
+        finding = Finding(Cause.HOLD, (float(HOLDS.index(held)),), max(0.0, -gain))
+        return [replace(self, findings=(*self.findings, finding))]
+
+    def _arriving(self, held: str, delay: int, gain: float) -> Formulation:
+        """With an input that arrives as told; its hold belongs to the model if that is left to the data."""
+        problem = meeting(self.problem, held)
+        searched: Problem | None
+        if delay:
+            finding = Finding(Cause.DELAY, (float(delay),), gain)
+            problem, searched = problem if "hold" in self.open else self.problem, delayed(problem, delay)
+        else:
+            finding = Finding(Cause.HOLD, (float(HOLDS.index(held)),), gain)
+            problem, searched = (problem, None) if "hold" in self.open else (self.problem, problem)
+        return replace(
+            self, problem=problem, searched=searched, open=self.open - {"hold", "arrival"},
+            findings=(*self.findings, finding),
+        )  # fmt: skip
 
     def check_signals(self) -> None:
         """Refuse an output of nothing, and an input that no weight could be told from."""
