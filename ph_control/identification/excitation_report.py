@@ -267,7 +267,7 @@ def _in_brief(found: Excitation) -> Iterator[str]:
     """One reason and one remedy."""
     if found.blind and found.observed >= len(found.names):
         weights = [name for name in found.blind_parameters if name.startswith("r")]
-        lost = f", so {_of_all(weights, found.n)} cannot be learned from this record" * bool(weights)
+        lost = f", so {_of_all(weights, found.n)} cannot be learned from this record" if weights else ""
         yield f"Blind: {_first(found.blind)} can change without any change of the output{lost}."
     elif found.nearly_blind and not found.artefacts:
         worst = found.nearly_blind[0].inflation
