@@ -6,7 +6,7 @@ measured, what is allowed and what to do.  All tolerances are relative.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import index
 from typing import Any
 
@@ -46,7 +46,7 @@ def labels(value: Any) -> list[str]:
     """Texts of a label, or of several."""
     if isinstance(value, str):
         return [value]
-    if not isinstance(value, Iterable):
+    if not np.iterable(value):
         raise StructureError(f"label is {shown(value)}; give a text, or a list of them")
     return [str(one) for one in value]
 

@@ -62,6 +62,17 @@ def test_what_is_no_source_of_random_numbers_is_refused(record):
                 call(value)
 
 
+def test_what_is_no_order_no_label_and_no_map_is_refused(record):
+    plant, u, y = record
+    for value in (np.array(["auto"]), np.ones(3), "best", 2.0, None, []):
+        with pytest.raises(phc.StructureError, match="order is"):
+            phc.pem((u, y), value, dt=0.1)
+    with pytest.raises(phc.StructureError, match="label is"):
+        phc.compare((u, y), plant, dt=0.1, labels=np.array(2))
+    with pytest.raises(phc.StructureError, match="workers is"):
+        phc.pem((u, y), 2, dt=0.1).bootstrap(2, rng=1, workers=lambda: None)
+
+
 @pytest.mark.parametrize(
     "workers", [lambda f, items: None, lambda f, items: [f(items[0])], lambda f, items: [None] * len(items)]
 )

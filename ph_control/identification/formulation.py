@@ -328,9 +328,9 @@ class Formulation:
         carried = problem.carried
         for name, value in (("order", order), ("max_order", max_order)):
             whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
-            if not (whole or (name == "order" and value == "auto")):
+            if not (whole or (name == "order" and isinstance(value, str) and value == "auto")):
                 allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
-                raise StructureError(f"{name} is {value!r}; it must be {allowed}")
+                raise StructureError(f"{name} is {_checks.shown(value)}; it must be {allowed}")
         what = (
             "observed output samples" if isinstance(problem.experiments[0], Experiment) else "real and imaginary parts"
         )
@@ -399,4 +399,5 @@ def check_workers(workers: Any) -> None:
     """Check that this is a number of processes, -1 for all, or a map-like callable."""
     whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
     if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
-        raise StructureError(f"workers is {workers!r}; it must be a number of processes, -1 for all, or a map")
+        shown = _checks.shown(workers)
+        raise StructureError(f"workers is {shown}; it must be a number of processes, -1 for all, or a map")

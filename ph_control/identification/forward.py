@@ -188,7 +188,14 @@ def _random_path(
 def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, kind: type) -> Iterable[Any]:
     """Results of a kind in the order of the items, by a number of processes or a map-like callable."""
     if callable(workers):
-        return _one_each(workers(function, items), len(items), kind)
+        try:
+            found = workers(function, items)
+        except TypeError as error:
+            shown = _checks.shown(workers)
+            raise StructureError(
+                f"workers is {shown}, which does not take a function and a list as a map does: {error}"
+            ) from error
+        return _one_each(found, len(items), kind)
     if workers == 1 or len(items) < 2:
         return map(function, items)
     import multiprocessing
