@@ -67,6 +67,10 @@ def test_what_is_no_order_no_label_and_no_map_is_refused(record):
     for value in (np.array(["auto"]), np.ones(3), "best", 2.0, None, []):
         with pytest.raises(phc.StructureError, match="order is"):
             phc.pem((u, y), value, dt=0.1)
+    with pytest.raises(phc.StructureError, match="orders is"):
+        phc.order_selection((u, y), np.array([2])[0:1].reshape(()), dt=0.1)
+    with pytest.raises(phc.StructureError, match="range of doubles"):
+        phc.excitation((u, y), ([1.0], [1e300]), dt=0.1)
     with pytest.raises(phc.StructureError, match="label is"):
         phc.compare((u, y), plant, dt=0.1, labels=np.array(2))
     with pytest.raises(phc.StructureError, match="workers is"):

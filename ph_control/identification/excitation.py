@@ -284,7 +284,9 @@ def _free_motion(problem: Experiment, model: ModalForm) -> tuple[ComplexArray, f
     """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
     n = model.n
     columns = problem.seen(regressors(model.d, problem.u, problem.hold, problem.quantity).columns())
-    left = problem.target - columns[:, :n] @ model.kappa
+    with np.errstate(over="ignore", invalid="ignore"):  # what leaves the range of doubles is refused
+        left = problem.target - columns[:, :n] @ model.kappa
+        _checks.representable("the outputs of the model", left * left)
     found = np.zeros(2 * n)
     if not problem.from_rest:
         found = np.asarray(np.linalg.lstsq(columns[:, n:], left, rcond=None)[0])

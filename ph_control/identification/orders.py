@@ -266,12 +266,14 @@ def order_selection(
 def _wanted(orders: Any, problem: Problem) -> list[int]:
     if orders is None:
         orders = max(1, min(_LARGEST, problem.carried))
-    several = isinstance(orders, Sequence | np.ndarray) and not isinstance(orders, str)
+    several = isinstance(orders, Sequence | np.ndarray) and np.iterable(orders) and not isinstance(orders, str)
     wanted = list(orders) if several else [orders]
     if not wanted or not all(
         isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= (0 if several else 1) for n in wanted
     ):
-        raise StructureError(f"orders is {orders!r}; it must be a whole number >= 1, or a sequence of numbers of modes")
+        raise StructureError(
+            f"orders is {_checks.shown(orders)}; it must be a whole number >= 1, or a sequence of numbers of modes"
+        )
     if max(wanted) == 0:
         raise StructureError("orders asks for no mode only; the largest must be at least 1")
     return sorted({int(n) for n in wanted}) if several else list(range(int(orders) + 1))
