@@ -27,6 +27,7 @@ from .systems import PortHamiltonian, full_port_hamiltonian
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_NEAR = 1e-9  # relative distance of frequencies that a symmetric structure may mean to be one
 _SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however computed, agree to 1e-10
 
 
@@ -102,6 +103,9 @@ class CanonicalMargins:
         Its index in `d`.
     rigid : int
         Degrees of freedom without a frequency: with one, a system is never canonical.
+    near_pairs : int
+        Pairs of frequencies that `minreal` keeps apart although they lie within 1e-9 of each other, as those of a
+        symmetric structure whose matrices are rounded; `minreal(sys, rtol=1e-9)` merges them.
     """
 
     is_canonical: bool
@@ -112,6 +116,7 @@ class CanonicalMargins:
     degeneracy_tolerance: float
     mode: int | None
     rigid: int
+    near_pairs: int = 0
 
     def __str__(self) -> str:
         lines = [f"the system is {'' if self.is_canonical else 'not '}canonical"]
@@ -127,6 +132,11 @@ class CanonicalMargins:
             )
         if self.rigid:
             lines.append(f"  degrees of freedom without a frequency: {self.rigid}, in a canonical system 0")
+        if self.near_pairs:
+            lines.append(
+                f"  pairs of frequencies within {_NEAR:.0e}, kept apart: {self.near_pairs}; if each is one, as in a "
+                f"symmetric structure, minreal(sys, rtol={_NEAR:.0e}) merges them"
+            )
         return "\n".join(lines)
 
 
@@ -164,6 +174,9 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     their total residue.  With m ports a frequency stays up to m times.  A rigid-body mode stays as one
     degree of freedom for each pole at 0, although its position is not observable: no smaller system is
     port-Hamiltonian.
+
+    Symmetric structures have pairs of modes that rounding of `Q`, more than that of doubles, has taken apart:
+    `canonical_margins` says how many lie within 1e-9, and `rtol=1e-9` merges them.
 
     Modes that are known are merged in O(n).  Of a matrix it is O(n^3), and for one port mostly without mode shapes:
     each bound of an error lies between two that need none, and where both lead to the same decision it is made.  `d`
@@ -309,7 +322,9 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
     rigid = system.n - len(system.d)
     resonance, close, pair = _least_distance(system.d, found.errors.d)
     degeneracy, faint, mode = _least_residue(found)
-    return CanonicalMargins(rigid == 0 and found.is_minimal, resonance, close, pair, degeneracy, faint, mode, rigid)
+    near = int(np.count_nonzero(np.diff(found.minimal().d) <= _NEAR * found.minimal().d[1:]))
+    canonical = rigid == 0 and found.is_minimal
+    return CanonicalMargins(canonical, resonance, close, pair, degeneracy, faint, mode, rigid, near)
 
 
 def _with_hidden_modes(sys: Any) -> PortHamiltonian:

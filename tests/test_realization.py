@@ -783,3 +783,12 @@ def test_the_parts_and_the_transformation_of_nearly_equal_frequencies_belong_tog
     expected = np.zeros(2 * n)
     expected[:k], expected[n : n + k] = reachable.B[:k, 0], reachable.B[k:, 0]
     assert np.abs(T @ B - expected).max() < 1e-10 * np.linalg.cond(T) * np.abs(expected).max()
+
+
+def test_pairs_of_a_symmetric_structure_that_rounding_took_apart_are_counted_and_merged_on_request():
+    Q = np.diag([1.0, 1.0 + 4e-11, 4.0, 4.0 + 4e-10, 9.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    sys = phc.ph(Q, np.repeat([0.0, 1.0], 5))
+    margins = phc.canonical_margins(sys)
+    assert margins.near_pairs == 2 and "rtol=1e-09" in str(margins)
+    assert (phc.minreal(sys).n, phc.minreal(sys, rtol=1e-9).n) == (5, 3)
+    assert phc.canonical_margins(phc.minreal(sys, rtol=1e-9)).near_pairs == 0
