@@ -63,6 +63,30 @@ class FrequencyRows:
         """The rows at frequencies `d`."""
         return FrequencyEvaluation(self, d)
 
+    def elsewhere(self, d: Array, kappa: Array) -> list[tuple[int, float]]:
+        """Modes and frequencies at which the loss may have another minimum, close to theirs.
+
+        The loss is infinite at every point that was measured, and where a point stands high on a resonance the minimum
+        beside it is narrow: it is where the mode reproduces the point.  Others lie in the middle of the next intervals.
+        """
+        omega, y = self.omega, self.record.response[self.record.observed]
+        columns, _ = modal_columns(d, omega, self.quantity)
+        found: list[tuple[int, float]] = []
+        for l in np.flatnonzero(kappa > 0).tolist():
+            place = int(np.searchsorted(omega, d[l]))
+            near = np.arange(max(0, place - 2), min(len(omega), place + 2))
+            middle = 0.5 * (omega[near[1:]] + omega[near[:-1]])
+            # what the mode alone has to be at each of these points, and where it is
+            wanted = y[near] - np.delete(kappa, l) @ np.delete(columns[:, near], l, axis=0)
+            gap = (d[l] - omega[near]) * (d[l] + omega[near])
+            own = columns[l, near] * np.where(gap == 0, EPS * np.maximum(d[l], omega[near]) ** 2, gap)
+            size = np.abs(wanted) ** 2
+            squares = omega[near] ** 2 + kappa[l] * (own * wanted.conj()).real / np.where(size > 0, size, np.inf)
+            through = np.sqrt(squares[squares > 0])
+            within = through[np.abs(through - d[l]) < omega[near[-1]] - omega[near[0]]]
+            found += [(l, float(one)) for one in np.concatenate([within, middle])]
+        return found
+
     @cached_property
     def target(self) -> ComplexArray:
         """Response that was measured, in the scale of its weight."""

@@ -21,6 +21,7 @@ from scipy.optimize import minimize, nnls
 
 from .._checks import EPS
 from .experiment import Rows
+from .frequency_rows import FrequencyRows
 from .triangle import reduced, triangle
 
 Array = NDArray[np.float64]
@@ -29,6 +30,7 @@ Progress = Callable[[int, float], None]  # iteration, loss
 
 _FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
 LAST = 1e-15  # relative decrease of the loss at which the last refinement ends
+_BETTER = 1e-3  # relative decrease of the loss for which a mode is moved to another place
 _WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, above which its rank is looked at
 
 
@@ -373,17 +375,20 @@ def refine(
     current = problem.project(d)
     if len(d) == 0:
         return Refinement(current, 0, True)
-    state = _Descent(current)
+    state: _Descent | None = _Descent(current)
     try:
-        while not state.converged and state.iterations < max_iterations:
-            _descend(problem, state, rtol, last)
-            if progress is not None:
-                progress(state.iterations, state.current.loss)
-        if last and not state.converged:
-            _follow_secants(problem, state)
+        while state is not None:
+            end = state
+            while not end.converged and end.iterations < max_iterations:
+                _descend(problem, end, rtol, last)
+                if progress is not None:
+                    progress(end.iterations, end.current.loss)
+            if last and not end.converged:
+                _follow_secants(problem, end)
+            state = _elsewhere(problem, end) if end.converged else None
     except (KeyboardInterrupt, StopIteration):
-        return Refinement(state.current, state.iterations, False, interrupted=True)
-    return Refinement(state.current, state.iterations, state.converged)
+        return Refinement(end.current, end.iterations, False, interrupted=True)
+    return Refinement(end.current, end.iterations, end.converged)
 
 
 @dataclass
@@ -395,6 +400,19 @@ class _Descent:
     growth: float = 2.0
     iterations: int = 0
     converged: bool = False
+
+
+def _elsewhere(problem: Problem, state: _Descent) -> _Descent | None:
+    """A start beside a minimum from which the loss is lower, where the rows know of such places."""
+    at = state.current
+    best = at
+    for rows in problem.experiments:
+        for l, place in rows.elsewhere(at.d, at.kappa) if isinstance(rows, FrequencyRows) else []:
+            moved = at.d.copy()
+            moved[l] = min(max(place, 1e-3 * problem.bin), problem.ceiling)
+            trial = problem.project(moved)
+            best = trial if trial.loss < best.loss else best
+    return _Descent(best, iterations=state.iterations) if best.loss < (1 - _BETTER) * at.loss else None
 
 
 def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None:
