@@ -179,6 +179,19 @@ def test_the_order_is_found_where_noise_and_weights_go_with_the_gain(n):
         assert result.verdict == "consistent with the record"
 
 
+@pytest.mark.parametrize("distance", [0.1, 1e-2, 1e-4])
+def test_a_resonance_close_to_a_point_is_placed_by_that_point(distance):
+    """There the minimum is narrow, and beside it is a wide one that leaves the point unexplained."""
+    for seed in range(4):
+        d, r, exact, data = plant_with_noise(3, seed, relative=0.001)
+        step = data.omega[1] - data.omega[0]
+        d[1] = data.omega[np.argmin(np.abs(data.omega - d[1]))] - distance * step
+        exact = response(d, r, data.omega)
+        data = ct.frd(exact + noise(0.001 * np.abs(exact), seed), data.omega, smooth=False)
+        result = phc.pem(data, 3, weights=1 / np.abs(exact) ** 2)
+        assert is_at_the_optimum(result, d, r) and result.noise.floor == pytest.approx(0.001, rel=0.4)
+
+
 @pytest.mark.parametrize(
     "d, r",
     [
@@ -323,3 +336,27 @@ def test_all_six_modes_of_the_free_beam_are_found(order):
     assert "residues of opposite sign (modes 2, 4 and 6 negative)" in result.message
     assert "the plant loses energy" in result.message
     assert result.active == (1, 3, 5) and "use an input with more frequencies" not in result.message
+
+
+@pytest.mark.parametrize("order", [3, "auto"])
+def test_a_point_far_out_of_the_noise_is_named(order, tmp_path):
+    *_, exact, data = plant_with_noise(3, 1, relative=0.01)
+    size = 0.01 * np.abs(exact)
+    weights = 1 / size**2
+    assert phc.pem(data, order, weights=weights).experiments[0].outliers == ()
+    measured = np.array(data.frdata[0, 0])
+    measured[40] += 200 * size[40]
+    result = phc.pem(ct.frd(measured, data.omega, smooth=False), order, weights=weights)
+    assert result.experiments[0].outliers == (40,) and result.verdict == "doubtful, see below"
+    result.save(tmp_path / "fit.json")
+    assert phc.load(tmp_path / "fit.json").experiments[0].outliers == (40,)
+
+
+def test_a_sample_far_out_of_the_noise_of_a_record_is_named():
+    rng = np.random.default_rng(0)
+    u, plant = rng.standard_normal(400), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    y = phc.forced_response(plant, np.arange(400.0), u, intersample="zoh").outputs + 0.1 * rng.standard_normal(400)
+    assert phc.pem((u, y), 2, dt=1.0).experiments[0].outliers == ()
+    y[123] += 20
+    result = phc.pem((u, y), 2, dt=1.0)
+    assert result.experiments[0].outliers == (123,) and result.verdict == "doubtful, see below"

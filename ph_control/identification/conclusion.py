@@ -35,6 +35,7 @@ from .fitted_directions import Directions, of_record, of_response
 from .formulation import Formulation
 from .frequency_data import FrequencyRecord
 from .information import Information, information_at, listed
+from .outliers import outliers
 from .prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from .residual_data import without_peaks
 from .response_noise import NoiseLaw, record_law
@@ -96,6 +97,11 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
             return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
     if fit.damped is not None and sentence(fit.damped):
         findings = tuple(one for one in findings if one.cause not in NOISE)
+    spare = problem.samples - problem.unknowns(n)
+    if not noiseless:
+        scaled = [one.residuals * np.sqrt(getattr(one.record, "weights", 1.0)) for one in experiments]
+        found_out = outliers(scaled, spare)
+        experiments = tuple(replace(one, outliers=k) for one, k in zip(experiments, found_out, strict=True))
     law = record_law(fit.records, estimated.variance, fit.law)
     information = information_at(at, rank)
     figures = criteria(problem, at.loss, n)
@@ -105,7 +111,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     verdict = Verdict(
         n=n,
         order=fit.order,
-        spare=problem.samples - problem.unknowns(n),
+        spare=spare,
         fit_percent=fitted,
         active=tuple(int(l) for l in np.flatnonzero(held)) if problem.driven else (),
         blind=finding if n and information.deficiency else "",
@@ -130,6 +136,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         circumstances=tuple(sentence_of(one, intersample) for one in findings if worth_telling(one, intersample)),
         explained=any(one.cause in NOISE for one in findings),
         named=any(is_contrary(one, intersample) for one in findings),
+        outliers=tuple(one.outliers for one in experiments),
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)

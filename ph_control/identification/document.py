@@ -106,6 +106,7 @@ def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
         "offset": one.offset,
         "drift": one.drift,
         "predicted": one.predicted,
+        "outliers": list(one.outliers),
     }
 
 
@@ -217,7 +218,15 @@ def _experiment(fields: Fields, n: int) -> FittedExperiment:
         fields.number("offset"),
         take("predicted", (record.samples,)),
         fields.number("drift") if "drift" in fields else 0.0,
+        _samples(fields, record.samples) if "outliers" in fields else (),
     )
+
+
+def _samples(fields: Fields, count: int) -> tuple[int, ...]:
+    found = _whole(fields.array("outliers", (None,)), "outliers")
+    if (found >= count).any():
+        raise StructureError(f"outliers name sample {int(found.max())}; the samples are 0 to {count - 1}")
+    return tuple(found.tolist())
 
 
 def _record(fields: Fields) -> Record:

@@ -47,6 +47,8 @@ class FittedExperiment(Report, Frozen):
         Predicted output; complex for a frequency response.
     drift : float
         Change of that constant per unit time; 0 if it was not estimated.
+    outliers : tuple of int
+        Samples, counted from 0, whose residuals stand out of the noise of all others.
     """
 
     record: Record | FrequencyRecord
@@ -55,6 +57,7 @@ class FittedExperiment(Report, Frozen):
     offset: float
     predicted: NDArray[Any]
     drift: float = 0.0
+    outliers: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

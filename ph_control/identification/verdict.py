@@ -9,6 +9,7 @@ from .findings import p_value
 
 _WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
+_LISTED = 6  # samples named one by one
 _FEW = 20  # samples to spare below which nothing is said of the quality
 
 
@@ -43,6 +44,7 @@ class Verdict:
     circumstances: tuple[str, ...] = ()
     explained: bool = False
     named: bool = False
+    outliers: tuple[tuple[int, ...], ...] = ()
 
     @property
     def _coloured(self) -> bool:
@@ -67,7 +69,7 @@ class Verdict:
         if (self._unexplained or self.contradiction) and poor:
             return "NOT described by a collocated lossless model"
         doubts = self.active or self._unexplained or self.contradiction or self.refused or self.blind
-        if doubts or not self.converged:
+        if doubts or not self.converged or any(self.outliers):
             return "doubtful, see below"
         if self._coloured:
             return "consistent with the record, noise not white"
@@ -147,6 +149,8 @@ class Verdict:
                 f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
                 "its quality cannot be judged."
             )
+        if any(self.outliers) and not (self._coloured or self.contradiction):
+            parts.append(self._standing_out())
         if self.share:
             parts.append(
                 f"The noise grows with the gain, by {100 * self.share:.2g} % of it: this was estimated, and each point "
@@ -159,6 +163,20 @@ class Verdict:
                 else "The residuals are white: the model explains the record."
             )
         return " ".join(parts)
+
+    def _standing_out(self) -> str:
+        """Which samples stand out of the noise."""
+        several = len(self.outliers) > 1
+        named = [
+            f"{k}" + f" of experiment {place}" * several
+            for place, one in enumerate(self.outliers, start=1)
+            for k in one
+        ]
+        listed = ", ".join(named[:_LISTED]) + f" and {len(named) - _LISTED} more" * (len(named) > _LISTED)
+        return (
+            f"{'Samples' if self.in_time else 'Points'} far out of the noise of all others (counted from 0): {listed}. "
+            "If they are errors of measurement, mark them with NaN."
+        )
 
     def _refusal(self) -> str:
         """That no such model describes the data, and what to suspect where nothing was found to contradict it."""
