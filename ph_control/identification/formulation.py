@@ -251,7 +251,7 @@ class Formulation:
                 for delay in _DELAYS if each == held or "hold" in self.open else (0,):
                     gains[each, delay] = search.arrival(first, each, delay) - base
         if final and "hold" in self.open and gains.get((other, 0), 0.0) <= _EVIDENT:
-            gains[other, 0] = search.likelihood(step.d, other) - search.likelihood(step.d, held)
+            gains[other, 0] = search.likelihood(step, other) - search.likelihood(step, held)
         likely = sorted((pair for pair in gains.items() if pair[1] > _LIKELY), key=lambda pair: -pair[1])[:_FOLLOWED]
         if likely and not (final and likely[0][0] == (other, 0)):
             return [self._arriving(each, delay, gain) for (each, delay), gain in likely]

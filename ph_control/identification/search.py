@@ -130,16 +130,18 @@ class TimeSearch:
         unexplained = np.min((total - gains).reshape(places.shape), axis=1)
         return -float(_HALF_WIDTH * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
 
-    def likelihood(self, d: Array, intersample: str) -> float:
-        """Log-likelihood of modes at these frequencies, but for a constant, with an input held otherwise."""
-        if self._windowed and not np.any(d < self._slow):
+    def likelihood(self, step: Step, intersample: str) -> float:
+        """Log-likelihood of the modes of a step, but for a constant, with an input held otherwise."""
+        d, windowed = step.d, self._windowed and not np.any(step.d < self._slow)
+        if windowed:
             rows = []
             for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
                 rows.append(Window.about(replace(one, experiment=cast(Experiment, met)), d, _HALF_WIDTH))
             problem = Problem(tuple(rows), self.problem.signed)
         else:
             problem = meeting(self.problem, intersample)
-        loss = problem.project(d).loss
+        known = not windowed and self._experiments[0].hold.intersample == intersample
+        loss = step.loss if known else problem.project(d).loss
         return -0.5 * problem.samples * float(np.log(max(loss / problem.samples, np.finfo(float).tiny)))
 
     def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 
-_CROWDED = 4.0  # bins between modes, below which one may stand for something else
+_CROWDED = 2.0  # bins between modes, below which one may stand for something else
 _BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
 
 
