@@ -183,8 +183,11 @@ def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool, findings:
     refused, poor = test is not None and test.p < REFUSED, fitted < GOOD_FIT and len(at.d) > 0
     fit = replace(fit, tests=() if test is None else (test,), examined=True)
     causes = {one.cause: one.gain for one in findings}
+    given = Cause.HOLD in causes and fit.found.posed.searched is not None
     # what an autoregression describes is noise, and no reason to look for damping where no mode asks for it
     doubtful = doubtful and Cause.COLOURED_NOISE not in causes
+    if given:
+        return fit
     model = contradiction(
         problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful or poor, refused=refused,
         # a plant that loses energy has no more modes than the lossless ones that mimic it

@@ -25,7 +25,7 @@ from .free_search import FreeSearch, Records, free_data, local_modes
 from .frequency_rows import FrequencyRows
 from .prediction import fit_percent
 from .search import Step, mode_energies, more_than_noise
-from .selection import criteria
+from .selection import criteria, preference
 from .solver import Problem, Projection
 from .spectrum import Spectrum
 from .whiteness import ljung_box
@@ -355,7 +355,13 @@ class DampingWatch:
     def _is_better(self, path: list[Step]) -> bool:
         """Whether damped modes were found that are better than the whole path; they are forgotten if not."""
         problem = self._problem
-        best = min(criterion(problem, step.loss, problem.unknowns(len(step.d))) for step in path)
+        # a few coefficients of coloured noise may explain what many damped modes would
+        best = min(
+            criterion(problem, step.loss, problem.unknowns(n := len(step.d)))
+            + preference(problem, step, "bic")
+            - criteria(problem, step.loss, n).bic
+            for step in path
+        )
         if self._found is not None and free_criterion(problem, self._found) >= best:
             self._found = None
         return self._found is not None
