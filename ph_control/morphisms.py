@@ -291,7 +291,8 @@ def _complement_of_vector(nu: ComplexArray) -> ComplexArray:
     """Unitary matrix, its first column along `nu` if that is not 0."""
     if not nu.any():
         return np.eye(len(nu), dtype=complex)
-    basis, _ = np.linalg.qr(np.column_stack([nu / np.abs(nu).max(), np.eye(len(nu))]))
+    unit = power_of_two(nu)
+    basis, _ = np.linalg.qr(np.column_stack([nu.real / unit + 1j * (nu.imag / unit), np.eye(len(nu))]))
     return basis
 
 

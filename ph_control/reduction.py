@@ -280,6 +280,7 @@ def _lower_times(lower: Array, right: Array) -> Array:
     return np.asarray(dtrmm(1.0, lower, right, lower=1))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # where rounding leaves the form open the steps may diverge
 def back_to_symplectic(weight: Array, S: Pair, slices: Slices = 3, *, modal: bool = True) -> tuple[Pair, Array]:
     """Newton steps on `S J S^T = J`; also by how much `q_l J p_l^T` was more than 1 before them.
 

@@ -291,6 +291,7 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
     for block in blocks:
         half = len(block) // 2
         d, S, still = reduce_block(_part(Q, block))
+        _checks.representable("the rows of the normal form of this Q", d, S[0])
         free = len(still[0])
         cyclic = half - len(d) - free
         if len(blocks) == 1 and len(d) == n:
@@ -353,6 +354,7 @@ def _complete(d: Array, S: Pair, still: Pair) -> Array:
     )
     weight = np.concatenate([d, 0 * size, cyclic, d, size**2, cyclic])
     (full, _), _ = back_to_symplectic(weight, rows, modal=False)
+    _checks.representable("the rows of the normal form of this Q", full)
     one = np.ones_like(d)
     return full * np.concatenate([one, 1 / size, 1 + cyclic, one, size, 1 + cyclic])[:, None] / unit
 

@@ -387,3 +387,8 @@ def test_a_weight_in_small_units_is_not_taken_for_a_dark_mode(d, v):
         assert expressive_power([d, 2 * d], [v, 0.5 * v, 0.0, 0.0], rtol=rtol).is_full
         assert expressive_power([d, 2 * d], [v, 0.0, 0.0, 0.0], rtol=rtol).dark == (1,)
     assert expressive_power([1.0, 2.0], [1e-200, 1.0, 0.0, 0.0]).is_full
+
+
+def test_the_smallest_input_weight_that_is_not_0_is_reached():
+    power = phc.expressive_power([1.0, 2.0], [0.5, 5e-324, 1.0, 0.0])
+    assert power.is_full and power.rank == 4
