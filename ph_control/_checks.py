@@ -46,9 +46,17 @@ def labels(value: Any) -> list[str]:
     """Texts of a label, or of several."""
     if isinstance(value, str):
         return [value]
-    if not np.iterable(value):
-        raise StructureError(f"label is {shown(value)}; give a text, or a list of them")
-    return [str(one) for one in value]
+    try:
+        return [str(one) for one in value]
+    except (TypeError, OSError):  # python-control raises the last on being iterated
+        raise StructureError(f"label is {shown(value)}; give a text, or a list of them") from None
+
+
+def unit_text(unit: Any) -> str:
+    """Check the name of a unit; none is the empty text."""
+    if not isinstance(unit, str | None):
+        raise StructureError(f"the unit {shown(unit)} is no text; give its name, such as 'm/s', or None")
+    return unit or ""
 
 
 def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, fresh: bool = True) -> Array:

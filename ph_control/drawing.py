@@ -115,13 +115,14 @@ class Look:
 
 def _refuse_unknown_look(line: Mapping[str, Any], frame: Mapping[str, Any]) -> None:
     """Refuse what matplotlib would refuse in the middle of a picture."""
+    _checks.flags(**{name: frame[name] for name in ("grid", "show_legend") if name in frame})
     place = frame.get("legend_loc")
     if isinstance(place, str) and place not in Legend.codes:
         raise StructureError(f"legend_loc is {place!r}; it must be one of {', '.join(map(repr, Legend.codes))}")
     try:
         Line2D([], [], **line)
-        RcParams(frame.get("rcParams", {}))
-    except (ValueError, TypeError, KeyError) as error:
+        RcParams(dict(frame.get("rcParams", {})))
+    except (ValueError, TypeError, KeyError, OSError) as error:  # python-control raises the last on being iterated
         raise StructureError(f"matplotlib does not know this style: {error}") from None
 
 
@@ -167,7 +168,8 @@ def stacked(ax: Any, heights: list[float], *, share: str = "first", meaning: str
 
 def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
     """Label of an axis of decibels."""
-    return labelled(quantity, f"dB re 1 {gain_unit}" if gain_unit else "dB")
+    unit = _checks.unit_text(gain_unit)
+    return labelled(quantity, f"dB re 1 {unit}" if unit else "dB")
 
 
 class PlainLogFormatter(LogFormatter):
@@ -180,7 +182,7 @@ class PlainLogFormatter(LogFormatter):
 
 def labelled(quantity: str, unit: str | None) -> str:
     """Label of an axis, with its unit in brackets if it has one."""
-    return plain(f"{quantity} [{unit}]" if unit else quantity)
+    return plain(f"{quantity} [{unit}]" if _checks.unit_text(unit) else quantity)
 
 
 def frequency_axis(Hz: bool, time_unit: str | None) -> tuple[float, str]:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from . import _checks
 from ._units import unit_for
 from .drawing import LineStyle, Look, MarkStyle, frequency_axis, labelled, new_axes, plain
 from .exceptions import StructureError
@@ -120,7 +121,7 @@ def modes_plot(
 def _weight_label(quantity: str, gain_unit: str | None, time_unit: str | None) -> str:
     if quantity == "r":
         return labelled("Weight r", gain_unit)
-    return labelled("Residue κ = r d", f"({gain_unit})/{time_unit or 'time'}" if gain_unit else None)
+    return labelled("Residue κ = r d", f"({gain_unit})/{time_unit or 'time'}" if _checks.unit_text(gain_unit) else None)
 
 
 def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Any]:

@@ -111,3 +111,9 @@ def test_inputs_that_show_no_weight_give_no_number_for_its_error(u, options):
 def test_a_callback_that_cannot_be_called_is_refused(fit, callback):
     with pytest.raises(phc.StructureError, match="callback is "):
         fit((INPUT, answer(INPUT)), 2, dt=0.1, callback=callback)
+
+
+@pytest.mark.parametrize("order", [np.array(["auto", "auto"]), [1], 10**5000], ids=["two", "list", "huge"])
+def test_an_order_that_is_no_number_is_refused(order):
+    with pytest.raises((phc.StructureError, phc.IdentificationError)):
+        phc.pem((INPUT, answer(INPUT)), order, dt=0.1)

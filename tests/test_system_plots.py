@@ -643,6 +643,7 @@ def test_a_balance_that_is_none_says_why():
     [
         {"ax": "a"}, {"ax": []}, {"ax": 3}, {"ax": [1, 2]}, {"legend_loc": "nowhere"}, {"rcParams": 3},
         {"rcParams": {"no.such": 1}}, {"label": 3}, {"color": "nocolour"}, {"linestyle": "zz"}, {"linewidth": "a"},
+        {"grid": 3}, {"show_legend": np.ones(2)}, {"rcParams": phc.frenkel_kontorova()}, {"label": np.array("a")},
     ],
 )  # fmt: skip
 def test_keywords_of_pictures_are_refused_before_anything_is_drawn(keywords):
@@ -656,6 +657,14 @@ def test_keywords_of_pictures_are_refused_before_anything_is_drawn(keywords):
     ours = {"ax", "legend_loc", "rcParams"}
     for draw in pictures[: None if ours & set(keywords) else 3]:
         before = plt.get_fignums()
-        with pytest.raises(StructureError, match=r"ax h|legend_loc is|matplotlib does not know|label is"):
+        with pytest.raises(StructureError, match=r"ax h|legend_loc is|matplotlib does not know|label is|True or False"):
             draw(**keywords)
         assert plt.get_fignums() == before
+
+
+@pytest.mark.parametrize("unit", [3, np.ones(2), b"m"], ids=repr)
+def test_a_unit_that_is_no_text_is_refused(unit):
+    chain = phc.frenkel_kontorova()
+    for draw in (phc.bode_plot, phc.modes_plot):
+        with pytest.raises(StructureError, match="is no text; give its name"):
+            draw(chain, gain_unit=unit)

@@ -348,11 +348,13 @@ class Formulation:
             return int(min(max_order, carried))
         if int(order) > carried:
             raise IdentificationError(
-                f"order {order} has {per_mode * int(order) + own} unknowns, more than the {problem.samples} {what} can "
-                f"carry; the largest order for this record is {carried}"
+                f"order {_checks.shown(int(order))} has {_checks.shown(per_mode * int(order) + own)} unknowns, more "
+                f"than the {problem.samples} {what} can carry; the largest order for this record is {carried}"
             )
         if len(guess) > int(order):
-            raise StructureError(f"initial_guess has {len(guess)} modes, more than the {order} of the order")
+            raise StructureError(
+                f"initial_guess has {len(guess)} modes, more than the {_checks.shown(order)} of the order"
+            )
         return int(order)
 
 

@@ -397,7 +397,8 @@ def _order(record: Record, order: int) -> int:
     observed = int(record.observed.sum())
     if 4 * order >= observed:
         raise IdentificationError(
-            f"order {order} has {4 * order} unknowns, more than the {observed} observed samples can carry; the largest "
+            f"order {_checks.shown(order)} has {_checks.shown(4 * order)} unknowns, more than the {observed} observed "
+            "samples can carry; the largest "
             f"order for this record is {max(0, (observed - 1) // 4)}"
         )
     if not record.y[record.observed].any():
