@@ -269,6 +269,8 @@ def _harmless(name: str, value: Any) -> bool:
             return bool(-1 < float(value) < 50) and (name != "workers" or float(value) <= 1)
         except Exception:
             return True
+    if name == "callback":  # its own errors pass
+        return not callable(value)
     if name == "path":
         return not isinstance(value, str | bytes) or not os.path.isabs(value)
     return True

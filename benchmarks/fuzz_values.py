@@ -79,7 +79,8 @@ class Draw:
         return self.rng.choice([self.hamiltonian, lambda: np.diag(self.rng.choice([0.0, 1.0, 4.0], 2 * self.n))])()
 
     def symplectic(self) -> Any:
-        return phc.williamson(self.hamiltonian())[1]
+        M = self.rng.standard_normal((2 * self.n, 2 * self.n))
+        return phc.williamson(M @ M.T + 0.1 * np.eye(2 * self.n))[1]
 
     def ports(self) -> Any:
         B = self.rng.standard_normal((2 * self.n, self.m))
