@@ -21,7 +21,7 @@ from .isomorphism import Verdict, block_unitary, real_form
 from .lossless import Judged, hamiltonian_form, lossless_modes_with_errors
 from .lossless_system import LosslessSystem
 from .modal import ModalForm
-from .pairs import power_of_two, resonances, squared_weights
+from .pairs import in_unit, power_of_two, resonances, squared_weights
 from .symplectic import apply_form
 from .systems import full_port_hamiltonian
 
@@ -167,8 +167,9 @@ def filter_coefficients(d: ArrayLike, v: ArrayLike) -> Array:
     frequencies, vector = _checks.parameter_pair(d, v)
     n = len(frequencies)
     r = squared_weights(vector)
-    powers = np.vander(frequencies**2, 2 * n, increasing=True).T
-    e = (powers @ (r * frequencies)) * np.where(np.arange(2 * n) % 2, -1.0, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        powers = np.vander(frequencies**2, 2 * n, increasing=True).T
+        e = (powers @ (r * frequencies)) * np.where(np.arange(2 * n) % 2, -1.0, 1.0)
     _checks.representable(f"the filter coefficients of {n} modes", e)
     return e
 
@@ -273,7 +274,7 @@ def _weights_apart(A: Array, nu1: ComplexArray, nu2: ComplexArray, groups: list[
     worst = 0.0
     for group in groups:
         unit = power_of_two(np.concatenate([nu1[group], nu2[group]]))
-        ours, theirs = nu1[group] / unit, nu2[group] / unit
+        ours, theirs = in_unit(nu1[group], unit), in_unit(nu2[group], unit)
         size = max(float(np.linalg.norm(ours)), float(np.linalg.norm(theirs))) or 1.0
         worst = max(worst, float(np.linalg.norm(U[np.ix_(group, group)] @ ours - theirs)) / size)
     return worst

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from . import _checks
 from .affine_system import AffineHamiltonian
-from .exceptions import PHControlError
+from .exceptions import PHControlError, StructureError
 from .modal import ModalForm
 from .systems import PortHamiltonian, ph
 
@@ -122,6 +122,7 @@ def stability_margins(
     (array([], dtype=float64), array([-90.,  90., -90.,  90.]), array([1.]), array([1.]))
     """
     _checks.flags(returnall=returnall)
+    epsw = float(_checks.real_array("epsw", epsw, 0))
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
         return _quietly(ct.stability_margins, sysdata, returnall=returnall, epsw=epsw, method=method)
@@ -148,18 +149,28 @@ def _lossless(loop: Any) -> ModalForm | None:
 
 def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
     """Answer of python-control, which prints what it raises, and looks for the roots of infinity without end."""
-    for one in loop:
-        if isinstance(one, ct.StateSpace):
-            numbers = [one.A, one.B, one.C, one.D]
-        elif isinstance(one, ct.TransferFunction):
-            numbers = [array for table in (one.num_list, one.den_list) for row in table for array in row]
-        else:
-            numbers = [one.frdata if isinstance(one, ct.FrequencyResponseData) else one]
-        for array in map(np.asarray, numbers):
-            if array.dtype.kind in "fc":
-                _checks.finite("a number of the loop", array)
-    with redirect_stdout(None):
-        return ask(*loop, **options)
+    try:
+        for one in loop:
+            _refuse_infinite(one)
+        with redirect_stdout(None):
+            return ask(*loop, **options)
+    except StructureError:
+        raise
+    except (ValueError, TypeError, ArithmeticError, LookupError) as error:
+        raise StructureError(f"python-control has no margins of this loop: {error}") from None
+
+
+def _refuse_infinite(one: Any) -> None:
+    """Refuse a loop, or a response, with numbers that are not finite."""
+    if isinstance(one, ct.StateSpace):
+        numbers = [one.A, one.B, one.C, one.D]
+    elif isinstance(one, ct.TransferFunction):
+        numbers = [array for table in (one.num_list, one.den_list) for row in table for array in row]
+    else:
+        numbers = [one.frdata if isinstance(one, ct.FrequencyResponseData) else one]
+    for array in map(np.asarray, numbers):
+        if array.dtype.kind in "fc":
+            _checks.finite("a number of the loop", array)
 
 
 def _all_margins(loop: ModalForm, epsw: float) -> tuple[Array, Array, Array, Array, Array, Array]:

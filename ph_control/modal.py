@@ -395,6 +395,9 @@ class ModalForm(ShownModes):
         modes([1.0, 2.0], [1.0, 1.0])
         """
         even, odd = _checks.transfer_coefficients(a, c)
+        with np.errstate(over="ignore"):
+            # products are split into halves of their digits
+            _checks.representable("products of these coefficients", 2.0**30 * even, 2.0**30 * odd)
         if len(even) == 0:
             return from_frequencies(np.zeros(0), np.zeros(0))
         found = modes_from_coefficients(even, odd[::-1])

@@ -130,7 +130,10 @@ def _map(sys: Any, label: str) -> PoleZeroMap:
     if isinstance(sys, LosslessSystem) and not sys._integrated:
         # those of the transfer function: the matrices have 0 twice where a mass is free, and show one of them
         return PoleZeroMap(label, sys.modes.poles, sys.modes.zeros, True, False, sys.ninputs)
-    poles, zeros = (np.asarray(points, complex) for points in (sys.poles(), sys.zeros()))
+    try:
+        poles, zeros = (np.asarray(points, complex) for points in (sys.poles(), sys.zeros()))
+    except NotImplementedError as error:
+        raise StructureError(f"{label}: {error} Convert the system with control.ss") from None
     points = np.concatenate([poles, zeros])
     discrete = bool(sys.isdtime(strict=True))
     near = np.abs(points.real) <= _ON_AXIS * np.abs(points).max(initial=0.0)

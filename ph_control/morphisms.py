@@ -20,7 +20,7 @@ from ._frozen import Frozen
 from .coefficients import cofactors
 from .exceptions import StructureError
 from .lifting import lifted_size
-from .pairs import norm_of, power_of_two, resonances
+from .pairs import in_unit, norm_of, power_of_two, resonances
 from .symplectic import symplectic_inverse
 from .systems import PortHamiltonian
 
@@ -291,8 +291,7 @@ def _complement_of_vector(nu: ComplexArray) -> ComplexArray:
     """Unitary matrix, its first column along `nu` if that is not 0."""
     if not nu.any():
         return np.eye(len(nu), dtype=complex)
-    unit = power_of_two(nu)
-    basis, _ = np.linalg.qr(np.column_stack([nu.real / unit + 1j * (nu.imag / unit), np.eye(len(nu))]))
+    basis, _ = np.linalg.qr(np.column_stack([in_unit(nu, power_of_two(nu)), np.eye(len(nu))]))
     return basis
 
 

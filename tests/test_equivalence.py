@@ -449,5 +449,15 @@ def test_nearly_repeated_frequencies_are_canonical_until_rounding():
 
 
 def test_frequencies_any_factor_apart_differ():
-    verdict = phc.star_equivalent([5e-324], [1.0, 0.0], [1e100], [1.0, 0.0])
+    verdict = phc.star_equivalent([1e100, 2e100], [1.0, 0.0, 1.0, 0.0], [5e-324, 2e100], [1.0, 0.0, 1.0, 0.0])
     assert not verdict and verdict.residual == 1.0 and verdict.reason == "the frequencies differ"
+
+
+def test_sizes_at_the_ends_of_the_range_of_doubles_give_no_warning():
+    far = phc.ReducedGroupoid, ([1.0, 2.0], [1.0, 0.0, 0.5, 5e-324], [1.0, 2.0], [0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(phc.StructureError):
+        far[0].between(*far[1])
+    with pytest.raises(phc.StructureError, match="leave the range of doubles"):
+        phc.filter_coefficients([1e150] * 4, [0.0] * 5 + [1.0] * 3)
+    with pytest.raises(phc.StructureError, match="leave the range of doubles"):
+        phc.ModalForm.from_coefficients([6.25, 0.0, 7.25, 0.0], [2e300, 7e300])

@@ -215,3 +215,16 @@ def test_what_is_no_loop_is_refused_without_a_print(call, loop, capsys):
     with pytest.raises(ValueError, match="Margin sysdata must be"):
         call(loop)
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("loop", ["x", np.array([1j]), [[1.0], [1.0, 2.0]], 10**400, None], ids=repr)
+def test_what_is_no_loop_is_refused_by_name(loop):
+    for ask in (phc.margin, phc.stability_margins):
+        with pytest.raises(phc.StructureError, match=r"python-control has no margins|not finite"):
+            ask(loop)
+
+
+@pytest.mark.parametrize("epsw", ["a", np.ones(2), [], np.nan])
+def test_a_least_frequency_that_is_no_number_is_refused(epsw):
+    with pytest.raises(phc.StructureError, match="epsw"):
+        phc.stability_margins(phc.frenkel_kontorova(), epsw=epsw)

@@ -668,3 +668,9 @@ def test_a_unit_that_is_no_text_is_refused(unit):
     for draw in (phc.bode_plot, phc.modes_plot):
         with pytest.raises(StructureError, match="is no text; give its name"):
             draw(chain, gain_unit=unit)
+
+
+def test_a_system_whose_zeros_python_control_does_not_know_is_refused():
+    system = ct.tf([[[1.0]] * 2] * 2, [[[1.0, 1.0]] * 2] * 2)
+    with pytest.raises(StructureError, match=r"Convert the system with control\.ss"):
+        phc.pole_zero_plot(system)
