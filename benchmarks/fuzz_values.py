@@ -59,7 +59,7 @@ class Draw:
             lambda: np.full(self.n, d[0]), lambda: d[0] * (1 + 1e-14 * self.rng.integers(0, 9, self.n)),
             lambda: 10.0 ** self.rng.uniform(-40, 40, self.n), lambda: d[::-1].copy(),
         )  # fmt: skip
-        return pick(self.rng, odd)() if self.rng.random() < 0.2 else d
+        return pick(self.rng, odd)() if self.n and self.rng.random() < 0.2 else d
 
     def weights(self) -> Any:
         v = self.rng.standard_normal(2 * self.n)
