@@ -232,7 +232,7 @@ def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
     rotating: list[ComplexArray] = [np.zeros((0, size), complex)]
     rigid: list[Array] = [np.zeros((0, size))]
     for block in _decoupled(Q):
-        d, S, still = reduce_block(_part(Q, block))
+        d, S, still = _reduced(_part(Q, block))
         x = np.sqrt(d)[:, None] * (S[0][: len(d)] + 1j * S[0][len(d) :])
         frequencies.append(d)
         rotating.append(_embed(x, block, size))
@@ -290,8 +290,7 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
     lower: list[Array] = [np.zeros((0, 2 * n))]
     for block in blocks:
         half = len(block) // 2
-        d, S, still = reduce_block(_part(Q, block))
-        _checks.representable("the rows of the normal form of this Q", d, S[0])
+        d, S, still = _reduced(_part(Q, block))
         free = len(still[0])
         cyclic = half - len(d) - free
         if len(blocks) == 1 and len(d) == n:
@@ -317,6 +316,12 @@ def _decoupled(Q: Array) -> list[NDArray[np.intp]]:
 
 def _part(Q: Array, block: NDArray[np.intp]) -> Array:
     return Q if len(block) == len(Q) else Q[np.ix_(block, block)]
+
+
+def _reduced(Q: Array) -> tuple[Array, Pair, Pair]:
+    d, S, still = reduce_block(Q)
+    _checks.representable("the rows of the normal form of this Q", d, S[0])
+    return d, S, still
 
 
 def _in_order(rows: NDArray, order: NDArray[np.intp]) -> NDArray:

@@ -116,3 +116,13 @@ def test_files_are_damaged_in_many_ways():
     rng = np.random.default_rng(0)
     made = {fuzz_values.damaged(rng, b"t,u,y\n0,1,2\n1,2,3\n") for _ in range(200)}
     assert len(made) > 100
+
+
+def test_thousands_of_calls_are_answered_or_refused(folder):
+    session = fuzz.Session(0)
+    session.run(0, CALLS)
+    assert sum(session.counts.values()) >= CALLS and session.answered > CALLS / 2
+    assert session.findings == [], fuzz.table(session.findings, 0)
+
+
+CALLS = 2500

@@ -420,3 +420,5 @@ def test_a_matrix_whose_normal_form_rounding_leaves_open_is_refused_without_a_wa
     for form in (phc.williamson, phc.williamson_semidefinite):
         with pytest.raises(phc.StructureError):
             form(Q)
+    with pytest.raises(phc.StructureError):
+        phc.ph(Q, [1.0, 2.0, 3.0, 4.0]).observable_form()
