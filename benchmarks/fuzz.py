@@ -74,7 +74,7 @@ COMMAND = 0.05
 INFINITE = re.compile(r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd")
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_.*csv|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
-    r"pem|prediction_error_fit|order_selection|OrderSelection"
+    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection"
 )
 
 REFUSALS = re.compile(

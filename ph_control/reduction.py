@@ -41,6 +41,7 @@ def apply_form(M: Array) -> Array:
 # --- a block with all its modes -------------------------------------------------------------------------------
 
 
+@np.errstate(over="ignore", invalid="ignore")  # who asks holds the rows to be finite
 def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
     """Frequencies, symplectic rows `S` and free momenta `E` of one coupled block.
 

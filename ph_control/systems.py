@@ -437,9 +437,9 @@ def ph(
     (array([2.]), array([1.]))
     """
     sampled = B is None and isinstance(Q, ct.InputOutputSystem) and Q.isdtime(strict=True)
-    if not sampled and (method is not None or intersample != "zoh"):
+    if not sampled and (method is not None or not (isinstance(intersample, str) and intersample == "zoh")):
         raise StructureError(
-            f"method={method!r} and intersample={intersample!r} say how a discrete-time system was sampled; this one "
+            f"method={_checks.shown(method)} and intersample={_checks.shown(intersample)} say how a discrete-time system was sampled; this one "
             "is not sampled"
         )
     if B is not None:

@@ -451,3 +451,8 @@ def test_masks_within_a_list_are_not_lost():
     rows = [np.ma.masked_array([1.0, 0.0], [False, True]), [0.0, 1.0]]
     assert refusal(lambda: phc.ph(rows, [0.0, 1.0])).startswith("Q has masked entries")
     assert refusal(lambda: phc.modes([1.0, np.ma.masked], [1.0, 1.0])).startswith("d has masked entries")
+
+
+@pytest.mark.parametrize("options", [{"intersample": np.ones(2)}, {"intersample": None}, {"method": 1j}])
+def test_a_way_of_sampling_is_refused_for_what_is_not_sampled(options):
+    assert "this one is not sampled" in refusal(lambda: phc.ph(I, [0.0, 1.0], **options))
