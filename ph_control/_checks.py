@@ -271,11 +271,11 @@ def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
 def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Check the parameters of a canonical form: a pair, or `d = (d_1, d_2) >= 0` of as many entries as `v`."""
     given, weights = real_array("d", d), real_array("v", v)
-    if given.size != weights.size or given.size == 0 or given.size % 2:
+    if given.ndim != 1 or given.size != weights.size or given.size == 0 or given.size % 2:
         frequencies, vector = parameter_pair(given, weights)
     else:
-        frequencies = np.atleast_1d(given)
-        if frequencies.ndim == 1 and frequencies.min() < 0:
+        frequencies = given
+        if frequencies.min() < 0:
             worst = int(frequencies.argmin())
             raise StructureError(
                 f"d is negative: d[{worst}] = {frequencies[worst]:.6g}; the entries of (d_1, d_2) are >= 0"

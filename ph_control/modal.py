@@ -400,10 +400,11 @@ class ModalForm(ShownModes):
             _checks.representable("products of these coefficients", 2.0**30 * even, 2.0**30 * odd)
         if len(even) == 0:
             return from_frequencies(np.zeros(0), np.zeros(0))
-        found = modes_from_coefficients(even, odd[::-1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = modes_from_coefficients(even, odd[::-1])
         worst = np.inf if found is None else float((found[2] / found[0]).max())
-        if found is None or worst > COEFFICIENT_LIMIT:
-            told = "no digit" if found is None else f"{-np.log10(worst):.1f} digits"
+        if found is None or not worst <= COEFFICIENT_LIMIT:
+            told = "no digit" if not worst < np.inf else f"{-np.log10(worst):.1f} digits"
             raise StructureError(
                 f"the coefficients carry {told} of the frequencies, needed {-np.log10(COEFFICIENT_LIMIT):.0f}: their "
                 "rounding to doubles moves the roots of the denominator together, or off the imaginary axis; keep "

@@ -439,8 +439,8 @@ def ph(
     sampled = B is None and isinstance(Q, ct.InputOutputSystem) and Q.isdtime(strict=True)
     if not sampled and (method is not None or not (isinstance(intersample, str) and intersample == "zoh")):
         raise StructureError(
-            f"method={_checks.shown(method)} and intersample={_checks.shown(intersample)} say how a discrete-time system was sampled; this one "
-            "is not sampled"
+            f"method={_checks.shown(method)} and intersample={_checks.shown(intersample)} say how a discrete-time "
+            "system was sampled; this one is not sampled"
         )
     if B is not None:
         if J is not None:
