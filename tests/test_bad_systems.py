@@ -460,5 +460,5 @@ def test_a_way_of_sampling_is_refused_for_what_is_not_sampled(options):
 
 def test_frequencies_of_a_form_that_are_no_vector_are_refused():
     for form in (phc.ch, phc.oh, phc.ObservableHamiltonian):
-        refusal(lambda form=form: form(np.matrix([[1.0, 2.0]]), [1.0, 0.5]))
+        refusal(lambda form=form: form(np.array([[1.0, 2.0]]), [1.0, 0.5]))
         refusal(lambda form=form: form(np.zeros((2, 2, 2)), np.ones(8)))

@@ -228,3 +228,9 @@ def test_what_is_no_loop_is_refused_by_name(loop):
 def test_a_least_frequency_that_is_no_number_is_refused(epsw):
     with pytest.raises(phc.StructureError, match="epsw"):
         phc.stability_margins(phc.frenkel_kontorova(), epsw=epsw)
+
+
+@pytest.mark.parametrize("returnall", [np.zeros(0), np.ones(2), "x", None])
+def test_a_flag_that_is_none_is_refused(returnall):
+    with pytest.raises(phc.StructureError, match="returnall is"):
+        phc.stability_margins(phc.frenkel_kontorova(), returnall)
