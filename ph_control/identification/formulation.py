@@ -20,7 +20,7 @@ from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
 from .data import Record
 from .experiment import Experiment
 from .experiments import as_experiments
-from .forward import grow
+from .forward import grow, interrupted
 from .frequency_data import FrequencyRecord
 from .frequency_rows import FrequencyRows
 from .regressors import QUANTITIES, Hold
@@ -141,7 +141,13 @@ class Formulation:
         steps = [search.step(guess, self.rtol, report(len(guess)))]
 
         def pauses(more: list[Step]) -> bool:
-            return self._asks(more[-1]) or (stop is not None and stop([*steps[:-1], *more]))
+            asks = self._asks(more[-1])
+            if asks or stop is None:
+                return asks
+            whole = [*steps[:-1], *more]
+            over = stop(whole)
+            more[-1] = whole[-1]  # a stop that was interrupted marks it
+            return over
 
         while True:
             ended = steps[-1].interrupted or not len(steps[-1].candidates)
@@ -173,9 +179,21 @@ class Formulation:
         def value(path: tuple[Formulation, list[Step]]) -> float:
             return min(preference(path[0].problem, step, "bic") for step in path[1])
 
-        found, steps = min((one.path(guess, largest, **how) for one in others), key=value)
+        paths = []
+        for one in others:
+            try:
+                paths.append(one.path(guess, largest, **how))
+            except (KeyboardInterrupt, StopIteration):
+                if not paths:
+                    raise
+                paths.append((paths[-1][0], interrupted(paths[-1][1])))
+            if paths[-1][1][-1].interrupted:
+                break
+        found, steps = min(paths, key=value)
+        if paths[-1][1][-1].interrupted:
+            return found, interrupted(steps)
         late = found.searched is not None and self.searched is None
-        if late and not steps[-1].interrupted:
+        if late:
             best = min(steps, key=lambda step: preference(found.problem, step, "bic"))
             if found.search.unconvinced(best):
                 return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
@@ -185,7 +203,12 @@ class Formulation:
         """The better of two paths, where modes closer than the data resolve make the first one doubtful."""
         other = "foh" if self.intersample == "zoh" else "zoh"
         closed = replace(self, open=self.open - {"hold"})
-        found, more = replace(closed, problem=meeting(self.problem, other)).path(guess, largest, **how)
+        try:
+            found, more = replace(closed, problem=meeting(self.problem, other)).path(guess, largest, **how)
+        except (KeyboardInterrupt, StopIteration):
+            return closed, interrupted(steps)
+        if more[-1].interrupted:
+            return closed, interrupted(steps)
         here = min(preference(self.problem, step, "bic") for step in steps)
         there = min(preference(found.problem, step, "bic") for step in more)
         gain = 0.5 * (here - there)

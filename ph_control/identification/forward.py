@@ -73,11 +73,17 @@ def grow(
         except (KeyboardInterrupt, StopIteration):
             if not len(step.d):
                 raise
-            return [*path[:-1], replace(step, interrupted=True)]
+            return interrupted(path)
         path.append(step)
         if stop is not None and stop(path):
             break
+        step = path[-1]  # a stop that was interrupted marks it
     return path
+
+
+def interrupted(path: list[Step]) -> list[Step]:
+    """The path, marked as one that was interrupted."""
+    return [*path[:-1], replace(path[-1], interrupted=True)]
 
 
 def _batch(search: Search, step: Step, most: int) -> Array:

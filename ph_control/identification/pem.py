@@ -145,12 +145,14 @@ def pem(
     def again(posed: Formulation, start: Array | None) -> Found:
         return _found(posed, order, largest, guess if start is None else start, criterion, workers, rng, callback)
 
-    found, law = again(posed, None), None
-    if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
-        try:
+    found: Found | None = None
+    law = None
+    try:
+        found = again(posed, None)
+        if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
             posed, found, law = reweighted(posed, found, again)
-        except KeyboardInterrupt:
-            found = replace(found, interrupted=True)
+    except KeyboardInterrupt:
+        found = _cut_short(posed) if found is None else replace(found, interrupted=True)
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
@@ -211,6 +213,17 @@ def _found(
     iterations = sum(step.iterations for step in path) + end.iterations
     interrupted = interrupted or end.interrupted
     return Found(end, rows, tuple(starts), iterations, interrupted, floor, all_d, posed, followed)
+
+
+def _cut_short(posed: Formulation) -> Found:
+    """The modes that a search had come to; the interruption goes on if there are none."""
+    step = posed.search.latest
+    if step is None or not len(step.d):
+        raise KeyboardInterrupt
+    end = replace(refine(posed.problem, step.d, rtol=LAST, max_iterations=1), converged=False)
+    row, start = _row(posed.problem, step), _start("forward", step, posed.problem.samples)
+    floor = rounding_floor(posed.problem)
+    return Found(end, (row,), (start,), step.iterations, True, floor, end.projection.d, posed)
 
 
 def _second_thoughts(

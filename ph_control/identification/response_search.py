@@ -26,6 +26,7 @@ class ResponseSearch:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
+        self.latest: Step | None = None
         self._damped = DampedSearch(problem, damped_data(problem))
         self._responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
         self._power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self._responses)
@@ -56,7 +57,8 @@ class ResponseSearch:
         end = refine(self.problem, free.d, rtol=rtol, progress=report)
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
-        return Step(
+        self.latest = step = Step(
             free.d, at.loss, end.iterations, end.converged, free.candidates, free.gains, ~at.free, mode_energies(at),
             end.interrupted, free.coloured and free.loss > _MUCH * self._power,
         )  # fmt: skip
+        return step

@@ -60,6 +60,7 @@ class Search(Protocol):
     """How modes are added to a problem."""
 
     problem: Problem
+    latest: Step | None  # for who is interrupted where no path is at hand
 
     @property
     def affords_batches(self) -> bool:
@@ -77,6 +78,7 @@ class TimeSearch:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
+        self.latest: Step | None = None
         self._experiments = [one for one in problem.experiments if isinstance(one, Experiment)]
         self._spectra = [Spectrum.of(one) for one in self._experiments]
         self._screen = Screen(self._spectra, problem.signed)
@@ -99,7 +101,8 @@ class TimeSearch:
         """Refine modes from a start and look for more."""
         # the bins about a slow mode are few, and what it has in common with a constant is not among them
         windowed = self._windowed and not np.any(d < self._slow)
-        return (self._in_bins if windowed else self._in_time)(d, rtol, report)
+        self.latest = step = (self._in_bins if windowed else self._in_time)(d, rtol, report)
+        return step
 
     def slow(self, step: Step) -> bool:
         """Whether what would join next is as slow as a constant or a drift, and more than noise."""
