@@ -432,7 +432,8 @@ def test_an_interrupt_from_the_keyboard_keeps_what_there_is(monkeypatch, call):
         return
     result = phc.pem((u, -y), 3, dt=0.1)
     assert not result.success and "interrupted" in result.message
-    assert result.order == min(3, call - 2) and seen == call
+    # the last look is that of another path, whose fewer modes may be better
+    assert 1 <= result.order <= min(3, call - 2) and seen == call
 
 
 @pytest.mark.parametrize("call", range(1, 8))

@@ -153,7 +153,7 @@ class Formulation:
             ended = steps[-1].interrupted or not len(steps[-1].candidates)
             others = [] if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
             if others:
-                return self._followed(others, guess, largest, report=report, together=together, stop=stop)
+                return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
             before = len(steps)
             steps = [*steps[:-1], *grow(
                 search, steps[-1], largest, rtol=self.rtol, floor=floor, report=report, together=together, stop=pauses
@@ -168,30 +168,31 @@ class Formulation:
             if others and others[0].searched is self.searched and others[0].problem is self.problem:
                 return others[0], steps
             if others:
-                return self._followed(others, guess, largest, report=report, together=together, stop=stop)
+                return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
         return self, steps
 
     def _followed(
-        self, others: list[Formulation], guess: Array, largest: int, **how: Any
+        self, others: list[Formulation], before: list[Step], guess: Array, largest: int, **how: Any
     ) -> tuple[Formulation, list[Step]]:
         """The best path of others; one with a delay has to explain the record, or nothing is said of it."""
 
         def value(path: tuple[Formulation, list[Step]]) -> float:
             return min(preference(path[0].problem, step, "bic") for step in path[1])
 
-        paths = []
+        paths, cut = [], False
         for one in others:
             try:
                 paths.append(one.path(guess, largest, **how))
             except (KeyboardInterrupt, StopIteration):
-                if not paths:
-                    raise
-                paths.append((paths[-1][0], interrupted(paths[-1][1])))
-            if paths[-1][1][-1].interrupted:
+                cut = True
+            if cut := cut or paths[-1][1][-1].interrupted:
                 break
-        found, steps = min(paths, key=value)
-        if paths[-1][1][-1].interrupted:
+        if cut:
+            found, steps = min([*paths, (self, before)], key=value)
+            if not len(steps[-1].d):
+                raise KeyboardInterrupt
             return found, interrupted(steps)
+        found, steps = min(paths, key=value)
         late = found.searched is not None and self.searched is None
         if late:
             best = min(steps, key=lambda step: preference(found.problem, step, "bic"))
