@@ -153,7 +153,7 @@ def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
     try:
         for one in loop:
             _refuse_infinite(one)
-        with redirect_stdout(None):
+        with redirect_stdout(None), np.errstate(all="ignore"):
             return ask(*loop, **options)
     except StructureError:
         raise
