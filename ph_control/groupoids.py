@@ -215,6 +215,11 @@ class PortHamiltonianGroupoid:
         bool
             Whether the constructor takes them.
 
+        Raises
+        ------
+        StructureError
+            If an argument is no array of numbers.
+
         Examples
         --------
         See `PortHamiltonianGroupoid`.
@@ -426,6 +431,11 @@ class ReducedGroupoid:
         -------
         bool
             Whether the constructor takes them.
+
+        Raises
+        ------
+        StructureError
+            If an argument is no array of numbers.
 
         Examples
         --------

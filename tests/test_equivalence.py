@@ -449,7 +449,7 @@ def test_nearly_repeated_frequencies_are_canonical_until_rounding():
 
 
 def test_frequencies_any_factor_apart_differ():
-    verdict = phc.star_equivalent([1e100, 2e100], [1.0, 0.0, 1.0, 0.0], [5e-324, 2e100], [1.0, 0.0, 1.0, 0.0])
+    verdict = phc.star_equivalent([1e100, 2e100], [1.0, 0.0, 1.0, 0.0], [1e-299, 2e100], [1.0, 0.0, 1.0, 0.0])
     assert not verdict and verdict.residual == 1.0 and verdict.reason == "the frequencies differ"
 
 

@@ -150,7 +150,8 @@ class Formulation:
             return over
 
         while True:
-            ended = steps[-1].interrupted or not len(steps[-1].candidates)
+            # what is left of a record without noise is rounding, and says nothing of its circumstances
+            ended = steps[-1].interrupted or not len(steps[-1].candidates) or steps[-1].loss <= floor
             others = [] if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
             if others:
                 return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
@@ -160,7 +161,8 @@ class Formulation:
             )]  # fmt: skip
             if len(steps) == before or not self._asks(steps[-1]) or (stop is not None and stop(steps)):
                 break
-        if isinstance(search, TimeSearch) and not (steps[-1].interrupted or getattr(stop, "followed", False)):
+        over = steps[-1].interrupted or steps[-1].loss <= floor or getattr(stop, "followed", False)
+        if isinstance(search, TimeSearch) and not over:
             d = np.sort(steps[-1].d)
             if "hold" in self.open and len(d) > 1 and np.min(np.diff(d)) < self.problem.bin:
                 return self._better_held(steps, guess, largest, report=report, together=together, stop=stop)
