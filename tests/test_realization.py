@@ -262,7 +262,9 @@ def test_a_tolerance_of_the_user_overrides_the_bounds_on_both_sides():
     assert minreal(phc.modes([1.0, 1.1, 3.0], modes.r), rtol=1.1 * residue).n == 2
     Q, B, *_ = any_system(4, "one repeated", 1.0, 0)
     assert minreal(phc.ph(Q, B)).n == 3
-    assert minreal(phc.ph(Q, B), rtol=0).n == 4
+    # frequencies that are equal to the last bit are one in any case
+    nearly = phc.modes([1.0, 1.0 + 4 * np.finfo(float).eps, 2.0], np.ones(3))
+    assert minreal(phc.ph(nearly), rtol=0).n == 3
 
 
 def test_minreal_takes_what_ph_takes_and_keeps_the_names_of_the_ports():

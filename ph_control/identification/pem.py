@@ -182,7 +182,8 @@ def _found(
     if posed.problem is not problem:
         watch = DampingWatch(posed.problem)
     problem, search = posed.problem, posed.search
-    followed = watch.decided(path) if posed.searched is None else None
+    explained = posed.searched is not None or path[-1].loss <= floor
+    followed = None if explained else watch.decided(path)
     interrupted = path[-1].interrupted
     values = [preference(problem, step, criterion) for step in path]
     if automatic and criterion == "holdout" and not interrupted:
