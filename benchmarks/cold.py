@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ph_control import pem
-from ph_control.identification.experiment import Experiment
-from ph_control.identification.regressors import Hold
-from ph_control.identification.solver import Problem
+from ph_control.identification.regression.modal_regressors import Hold
+from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.variable_projection import Problem
 
 from .recordings import Configuration, Recording, random_recording
 

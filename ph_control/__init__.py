@@ -3,31 +3,15 @@
 The public names are those of `__init__.pyi`, one a line; each is imported when it is first asked for.
 """
 
-import re
-from importlib import import_module
-from pkgutil import get_data
 from typing import Any
 
-_LINES = get_data(__name__, "__init__.pyi").decode()
-_MODULES = {name: module for module, name in re.findall(r"^from (\.[\w.]+) import (\w+) as ", _LINES, re.MULTILINE)}
+import lazy_loader
 
-__all__ = list(_MODULES)
+_public_name, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        found = globals()[name] = getattr(import_module(_MODULES[name], __name__), name)
-        return found
-    if name == "__version__":
-        return _version()
-    whole = f"{__name__}.{name}"
-    try:
-        if not name.startswith("_"):
-            return import_module(whole)
-    except ModuleNotFoundError as error:
-        if error.name != whole:
-            raise
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _version() if name == "__version__" else _public_name(name)
 
 
 def _version() -> str:
@@ -38,7 +22,3 @@ def _version() -> str:
         return version(__name__)
     except PackageNotFoundError:
         raise AttributeError(f"{__name__!r} is not installed, and only an installation has a version") from None
-
-
-def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

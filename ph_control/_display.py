@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_DIGITS = 8  # of a number in a table, at most
+
 _ROWS = 12  # of a table, beyond which its middle is left out
 _TERMS = 5  # of a formula
 # what is in such an element is text, dollar signs too, whatever typesets the formulas of the page
@@ -148,3 +150,31 @@ class Report:
 
     def _repr_html_(self) -> str:
         return html_report(str(self))
+
+
+def to_its_error(value: float, error: float) -> str:
+    """Text of a number down to the second digit of its standard error, of few digits where that is not known."""
+    if np.isnan(value) or not value:
+        return "-" if np.isnan(value) else "0"
+    power = int(np.floor(np.log10(abs(value))))
+    fine = int(np.floor(np.log10(error))) if 0 < error < np.inf else power - _DIGITS // 2
+    digits = min(max(power - fine + 2, 1), _DIGITS)
+    return f"{value:.{max(digits - 1 - power, 0)}f}" if -5 < power < _DIGITS - 1 else f"{value:.{digits - 1}e}"
+
+
+def aligned(table: list[list[str]]) -> list[str]:
+    """Lines of a table of texts, the first row a head, right-aligned but for the last column."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    # an error stands close to its number
+    widths = [width + (head != "+-") for head, width in zip(table[0], widths, strict=True)]
+    return [
+        f" {' '.join(text.rjust(width) for text, width in zip(row[:-1], widths, strict=False))}  {row[-1]}".rstrip()
+        for row in table
+    ]
+
+
+def p_value(p: float) -> str:
+    """Text of a p-value; never 0."""
+    if np.isnan(p):
+        return "p unknown"
+    return "p < 1e-300" if p < 1e-300 else f"p = {p:.2g}"

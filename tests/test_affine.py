@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from reference import EPS, dense_transfer_function, random_hamiltonian, symplectic_form
 
 import ph_control as phc
-from ph_control.affine_system import _look
+from ph_control.systems.affine import _look
 
 relaxed = settings(deadline=None, max_examples=30, derandomize=True)
 POINTS = np.array([0.3 + 1j, -2.0 + 0.1j, 5.0])
@@ -238,7 +238,7 @@ def test_the_symmetry_of_a_state_space_is_decided_on_one_triangular_form_of_its_
         calls.append(len(A))
         return scipy.linalg.schur(A, **options)
 
-    monkeypatch.setattr(sys.modules["ph_control.affine_system"], "schur", counted)
+    monkeypatch.setattr(sys.modules["ph_control.systems.affine"], "schur", counted)
     monkeypatch.setattr(np.linalg, "solve", None)
     monkeypatch.setattr(ct.StateSpace, "horner", None)
     assert bool(phc.is_odd(plain)) is (ports == 1)  # the skew part of several ports is even

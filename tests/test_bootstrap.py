@@ -9,9 +9,9 @@ import pytest
 from reference import EPS
 
 import ph_control as phc
-from ph_control.identification import bootstrap as module
-from ph_control.identification.refit import problem_of, starts_from_rest
-from ph_control.identification.solver import refine
+from ph_control.identification.fit import bootstrap as module
+from ph_control.identification.fit.refit import problem_of, starts_from_rest
+from ph_control.identification.regression.variable_projection import refine
 
 STEP = 0.1
 SEED_OF_A_NEGATIVE_WEIGHT = 4  # of the estimate, were it free

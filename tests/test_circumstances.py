@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from ph_control.identification.circumstances import Cause
+from ph_control.identification.search.circumstances import Cause
 
 
 def recording(seed, *, n=3, samples=1200, snr=20.0, intersample="zoh"):

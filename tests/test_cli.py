@@ -18,13 +18,15 @@ import pytest
 from shell import run, streams
 
 import ph_control as phc
-from ph_control import cli, demo, propagation
+from ph_control import cli
+from ph_control.cli import demonstration as demo
 from ph_control.cli import fit as fit_command
 from ph_control.cli import options, outcome
-from ph_control.frequency_tables import FREQUENCY_UNITS
-from ph_control.identification.document import REPRESENTATIONS
-from ph_control.identification.regressors import QUANTITIES
-from ph_control.identification.selection import CRITERIA
+from ph_control.identification.fit.serialization import REPRESENTATIONS
+from ph_control.identification.regression.modal_regressors import QUANTITIES
+from ph_control.identification.search.criteria import CRITERIA
+from ph_control.io.frequency_csv import FREQUENCY_UNITS
+from ph_control.modal import propagation
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -195,7 +197,7 @@ def test_the_options_of_the_fit_reach_it(recording, tmp_path, monkeypatch):
 
     guess = tmp_path / "guess.json"
     phc.save(phc.modes([0.6, 1.6], [1.0, 1.0]), guess)
-    monkeypatch.setattr("ph_control.identification.pem.pem", watched)
+    monkeypatch.setattr("ph_control.identification.fit.pem.pem", watched)
     run(
         "fit", recording, "--order", 2, "--max-order", 7, "--criterion", "aicc", "--method", "midpoint",
         "--intersample", "foh", "--initial-state", "zero", "--offset", "--quantity", "acceleration",
@@ -447,7 +449,7 @@ def test_an_interrupt_elsewhere_writes_nothing(recording, tmp_path, monkeypatch)
     def interrupt(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ph_control.identification.pem.pem", interrupt)
+    monkeypatch.setattr("ph_control.identification.fit.pem.pem", interrupt)
     done = run("fit", recording, "--model", tmp_path / "model.json")
     assert (done.status, done.out) == (130, "") and "no file is written in part" in done.error
     assert not (tmp_path / "model.json").exists()
@@ -473,7 +475,7 @@ def test_an_error_of_the_program_is_one_line_and_status_3_unless_its_traceback_i
     def broken(*arguments, **keywords):
         raise TypeError("no such\nthing")
 
-    monkeypatch.setattr("ph_control.identification.pem.pem", broken)
+    monkeypatch.setattr("ph_control.identification.fit.pem.pem", broken)
     done = run("fit", recording)
     assert done.status == 3 and "TypeError: no such thing" in done.error and done.error.count("\n") == 1
     with pytest.raises(TypeError, match="no such"):
@@ -493,7 +495,7 @@ def test_what_goes_wrong_outside_the_program_is_said_in_one_line(recording, monk
     def failing(*arguments, **keywords):
         raise error
 
-    monkeypatch.setattr("ph_control.recordings.read_csv", failing)
+    monkeypatch.setattr("ph_control.io.time_csv.read_csv", failing)
     done = run("fit", recording)
     assert done.status == status and message in done.error and done.error.count("\n") == 1
 

@@ -18,9 +18,10 @@ from shell import run
 
 import ph_control as phc
 from ph_control.cli.coefficients import list_of_numbers
-from ph_control.cli.matlab import read_matlab
 from ph_control.cli.outcome import guarded
 from ph_control.exceptions import FileFormatError
+from ph_control.io.codecs import restore
+from ph_control.io.matlab import read_matlab
 
 PLANT = phc.frenkel_kontorova(2)
 LOSSY = {"A": [[0, 1], [-1, -0.1]], "B": [[0], [1]], "C": [[0, 1]]}
@@ -317,7 +318,7 @@ def test_the_same_model_gives_the_same_bytes(model):
     for kind in ("json", "mat", "txt", "csv"):
         first, second = (run("convert", model, "-", "--format", kind) for _ in range(2))
         assert first.status == 0 and first.output == second.output
-    assert phc.files.restore(run("convert", model, "-").output, "x").name == "plant"
+    assert restore(run("convert", model, "-").output, "x").name == "plant"
 
 
 def test_names_are_kept_or_given(model, tmp_path):

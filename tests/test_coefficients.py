@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from reference import EPS, coefficients
 
 import ph_control as phc
-from ph_control import coefficients as engine
+from ph_control.numerics import polynomials as engine
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 

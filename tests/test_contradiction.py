@@ -11,15 +11,15 @@ import pytest
 from scipy.linalg import expm
 
 import ph_control as phc
-from ph_control.identification.contradiction import contradiction, sentence
-from ph_control.identification.experiment import Experiment
-from ph_control.identification.free import FreeProjection
-from ph_control.identification.free_rows import FreeRecord, FreeResponse, FreeTransform
-from ph_control.identification.frequency_data import record_of_frequency_response
-from ph_control.identification.frequency_rows import FrequencyRows
-from ph_control.identification.regressors import Hold
-from ph_control.identification.solver import Problem, refine
-from ph_control.identification.spectrum import Spectrum
+from ph_control.identification.data.frequency_record import record_of_frequency_response
+from ph_control.identification.diagnosis.damping import contradiction, sentence
+from ph_control.identification.regression.free import FreeProjection
+from ph_control.identification.regression.free_rows import FreeRecord, FreeResponse, FreeTransform
+from ph_control.identification.regression.frequency_rows import FrequencyRows
+from ph_control.identification.regression.modal_regressors import Hold
+from ph_control.identification.regression.spectral_rows import Spectrum
+from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.variable_projection import Problem, refine
 
 D = np.array([0.5, 1.9, 2.6])
 H = 0.1

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from reference import EPS
 
 import ph_control as phc
-from ph_control.identification.coordinates import controllable_state, observable_state
+from ph_control.identification.uncertainty.state_coordinates import controllable_state, observable_state
 
 STEP = 0.1
 QUANTITIES = ("velocity", "displacement", "acceleration")

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 from ph_control.cli.answers import fit_of, strict
-from ph_control.identification.formulation import Formulation
+from ph_control.identification.search.formulation import Formulation
 
 H = 0.1
 D, RATIOS, WEIGHTS = np.array([0.5, 1.9, 2.6]), np.array([0.01, 0.005, 0.02]), np.array([1.0, -0.5, 0.7])

@@ -11,7 +11,7 @@ from reference import EPS, symplectic_form
 from scipy.linalg import expm
 
 import ph_control as phc
-from ph_control.casimirs import CasimirSplit, darboux, normal_form, split_casimirs
+from ph_control.symplectic.darboux_and_casimirs import CasimirSplit, darboux, normal_form, split_casimirs
 
 quick = settings(deadline=None, max_examples=60, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

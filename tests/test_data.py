@@ -16,9 +16,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.identification.data import Record, as_record
-from ph_control.identification.experiments import as_experiments
-from ph_control.identification.frequency_data import FrequencyRecord
+from ph_control.identification.data.experiments import as_experiments
+from ph_control.identification.data.frequency_record import FrequencyRecord
+from ph_control.identification.data.time_record import Record, as_record
 
 U = np.array([1.0, 0.0, 2.0, 0.0, -1.0, 3.0])
 Y = np.array([0.0, 1.0, np.nan, 2.0, 3.0, 0.5])

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.identification.excitation import examine_fit, excitation
-from ph_control.identification.excited_band import excited_band
-from ph_control.identification.experiment import Experiment
-from ph_control.identification.information import Information, information_at
-from ph_control.identification.regressors import Hold
-from ph_control.identification.remedy import multisine
-from ph_control.identification.solver import Problem
+from ph_control.identification.excitation.excitation import examine_fit, excitation
+from ph_control.identification.excitation.excited_band import excited_band
+from ph_control.identification.excitation.remedy import multisine
+from ph_control.identification.regression.modal_regressors import Hold
+from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.variable_projection import Problem
+from ph_control.identification.uncertainty.fisher import Information, information_at
 
 EPS = np.finfo(float).eps
 GOLDEN = (np.sqrt(5) - 1) / 2

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ph_control._graphs import components, coupled_pairs
+from ph_control.numerics.graphs import components, coupled_pairs
 
 relaxed = settings(deadline=None, max_examples=100, derandomize=True)
 

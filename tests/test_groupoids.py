@@ -12,11 +12,11 @@ from paper_systems import SETTINGS, cases, pair, target
 from reference import EPS, dense_matrices, random_symplectic, symplectic_form
 
 import ph_control as phc
-from ph_control.equivalence import star_equivalent
-from ph_control.groupoids import PortHamiltonianGroupoid, ReducedGroupoid
-from ph_control.isomorphism import are_isomorphic
-from ph_control.morphisms import is_morphism
-from ph_control.pairs import act
+from ph_control.equivalence.groupoids import PortHamiltonianGroupoid, ReducedGroupoid
+from ph_control.equivalence.isomorphism import are_isomorphic
+from ph_control.equivalence.morphisms import is_morphism
+from ph_control.equivalence.parameters import act
+from ph_control.equivalence.relations import star_equivalent
 
 
 def close(first, second, size=1.0):

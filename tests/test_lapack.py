@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import EPS
 
-from ph_control import _lapack
-from ph_control._lapack import bidiagonal_components, components
+from ph_control.numerics import lapack as _lapack
+from ph_control.numerics.lapack import bidiagonal_components, components
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

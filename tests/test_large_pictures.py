@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from ph_control.bode import Curve, bode_data, frequency_grid
+from ph_control.plotting.bode_data import Curve, bode_data, frequency_grid
 
 
 def evenly_spaced(n=2000, step=0.5, kappa=1.0):

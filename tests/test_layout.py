@@ -1,164 +1,148 @@
-"""The modules form one chain: each imports only those before it, at module level and inside functions alike."""
+"""The folders of the package are in one order: a file imports from its own folder, the root and lower folders only."""
 
 from __future__ import annotations
 
 import ast
-import graphlib
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
-# low to high; a package counts as one place
+# low to high; what lies in the package itself is below all folders
 ORDER = (
-    "exceptions", "_checks", "_units", "_frozen", "_definite", "_display", "_twofloat", "_lapack", "_graphs",
-    "_instants", "coefficients", "reduction", "symplectic", "semidefinite", "casimirs", "zeros", "reactance", "modal",
-    "conditioning", "reachability", "propagation", "partial_fractions", "discrete", "lossless", "lossless_system",
-    "_forms", "systems", "canonical_forms", "affine_system", "realization", "lifting", "pairs", "morphisms", "filters",
-    "isomorphism", "equivalence", "groupoids", "companion", "motion", "sampling", "response", "margins", "models",
-    "spectra", "_sysdata", "bode", "drawing", "fit_data", "energy", "fit_plots", "plots", "validation_plots",
-    "transients", "time_plots", "mode_data", "mode_plots", "_documents", "_tables", "recordings", "frequency_tables",
-    "files", "identification", "result_plots", "demo", "cli",
+    "", "numerics", "symplectic", "modal", "systems", "equivalence", "analysis", "reduction", "networks", "plotting",
+    "io", "identification.data", "identification.regression", "identification.uncertainty", "identification.excitation",
+    "identification.search", "identification.diagnosis", "identification.structure", "identification.fit",
+    "identification.validation", "cli",
 )  # fmt: skip
 
-# the package itself collects the public names, and python -m starts the command line: nothing imports these two
-TOP = ("__init__", "__main__")
+FILES = 18  # in a folder, at most
+
+# each shows itself by a function of a folder above, which it imports when it is called
+PICTURES = {"plotting", "identification.validation"}
 
 
-def imported_modules(package: Path) -> dict[str, set[str]]:
-    """Every module of a package, as `a` or `a.b`, with the modules of the same package that it imports anywhere.
-
-    A stub, where there is one, stands for its module: it says what is imported late.
-    """
-    files = {_module_name(file, package): file for file in sorted([*package.rglob("*.py"), *package.rglob("*.pyi")])}
-    return {name: _imports(name, file, package.name, set(files)) for name, file in files.items()}
-
-
-def _module_name(file: Path, package: Path) -> str:
-    parts = file.relative_to(package).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)
-
-
-def _imports(name: str, file: Path, root: str, known: set[str]) -> set[str]:
-    inside = [] if name == "__init__" else name.split(".")
-    if file.stem != "__init__":
-        inside = inside[:-1]
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                path = alias.name.split(".")
-                if path[0] == root:
-                    found.add(".".join(path[1:]) or "__init__")
-        elif isinstance(node, ast.ImportFrom):
-            path = [*inside[: len(inside) - node.level + 1]] if node.level else []
-            path += node.module.split(".") if node.module else []
-            if not node.level:
-                if path[0] != root:
-                    continue
-                path = path[1:]
-            for alias in node.names:
-                target = ".".join([*path, alias.name])
-                found.add(target if target in known else ".".join(path) or "__init__")
-    return found - {name}
-
-
-def violations(imports: dict[str, set[str]], order: tuple[str, ...]) -> list[str]:
-    """One sentence for every module without a place and every import that goes up, or round in a circle."""
-    place = {name: k for k, name in enumerate(order)} | {name: len(order) for name in TOP}
+def imports(package: Path) -> list[tuple[str, str, str]]:
+    """`(module, imported module, function around the import)` of every import inside a package."""
+    known = {_name(file, package) for file in package.rglob("*.py")}
     found = []
-    for module, targets in imports.items():
-        here = module.split(".")[0]
-        if here not in place:
-            found.append(f"{module} has no place in the import order; put {here!r} into ORDER of {Path(__file__).name}")
-            continue
-        for target in sorted(targets):
-            there = target.split(".")[0]
-            if there not in place:
-                continue  # reported as a module of its own
-            if here != there and place[there] >= place[here]:
-                found.append(f"{module} imports {target}, which is not below it; a module may import only lower ones")
-    try:
-        graphlib.TopologicalSorter(imports).prepare()
-    except graphlib.CycleError as error:
-        found.append("imports go round in a circle: " + " <- ".join(error.args[1]))
+    for file in sorted(package.rglob("*.py")):
+        name = _name(file, package)
+        inside = name.split(".") if file.stem == "__init__" and name else name.split(".")[:-1]
+        for node, around in _imports(ast.parse(file.read_text(encoding="utf-8"))):
+            found += [(name, target, around) for target in _targets(node, inside, package.name, known)]
     return found
 
 
-def test_every_module_imports_only_lower_ones():
-    assert violations(imported_modules(PACKAGE), ORDER) == []
+def _name(file: Path, package: Path) -> str:
+    parts = file.relative_to(package).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def test_modules_are_imported_by_name_in_three_places_only():
-    """The public names, the codecs of files, and the canonical forms as methods: all when they are asked for."""
+def _imports(tree: ast.AST, around: str = "") -> list[tuple[ast.Import | ast.ImportFrom, str]]:
+    found: list[tuple[ast.Import | ast.ImportFrom, str]] = []
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append((node, around))
+        found += _imports(node, node.name if isinstance(node, ast.FunctionDef) else around)
+    return found
+
+
+def _targets(node: ast.Import | ast.ImportFrom, inside: list[str], root: str, known: set[str]) -> list[str]:
+    if isinstance(node, ast.Import):
+        paths = [alias.name.split(".") for alias in node.names]
+        return [".".join(path[1:]) for path in paths if path[0] == root]
+    path = inside[: len(inside) - node.level + 1] if node.level else []
+    path = path + (node.module.split(".") if node.module else [])
+    if not node.level:
+        if path[0] != root:
+            return []
+        path = path[1:]
+    whole = [".".join([*path, alias.name]) for alias in node.names]
+    return [target if target in known else ".".join(path) for target in whole]
+
+
+def folder(module: str) -> str:
+    """Folder of a module: two names deep in `identification`, one elsewhere, '' for what lies in the package itself."""
+    parts = module.split(".")
+    if parts[0] == "identification":
+        return ".".join(parts[:2])
+    return parts[0] if parts[0] in ORDER else ""
+
+
+def violations(found: list[tuple[str, str, str]]) -> list[str]:
+    """One sentence for every import of a folder above, but for those with which a `plot` method draws itself."""
+    wrong = []
+    for module, target, around in found:
+        here, there = folder(module), folder(target)
+        if not module or module == "__main__":
+            continue  # the first collects the public names, the second starts the command line
+        if not target:
+            wrong.append(f"{module} imports the package itself")
+        elif here not in ORDER or there not in ORDER:
+            wrong.append(f"{module} imports {target}: a folder that is not in ORDER")
+        elif ORDER.index(there) > ORDER.index(here) and not (around.endswith("plot") and there in PICTURES):
+            wrong.append(f"{module} imports {target}, from a folder above")
+    return wrong
+
+
+def test_every_folder_imports_only_from_lower_ones():
+    assert violations(imports(PACKAGE)) == []
+
+
+def test_a_folder_has_few_files():
+    folders = {file.parent for file in PACKAGE.rglob("*.py")}
+    counts = {str(one.relative_to(PACKAGE)): len({*one.glob("*.py")} - {one / "__init__.py"}) for one in folders}
+    assert {name: count for name, count in counts.items() if count > FILES} == {}
+
+
+def test_every_folder_is_in_the_order_and_says_what_is_inside():
+    for file in PACKAGE.rglob("__init__.py"):
+        name = _name(file, PACKAGE)
+        assert name == "identification" or (folder(name) in ORDER and (not name or folder(name))), name
+        assert ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))), name
+
+
+def test_modules_are_imported_by_name_in_two_places_only():
+    """The codec of a fit in a file, and the commands of the command line."""
     found = {file.stem for file in PACKAGE.rglob("*.py") if "import_module" in file.read_text(encoding="utf-8")}
-    assert found == {"__init__", "files", "_forms"}
+    assert found == {"codecs", "__init__"}
 
 
 def test_the_known_imports_of_the_package_are_seen():
-    """Guards the reader of the imports: were it blind, the test above would pass on anything."""
-    imports = imported_modules(PACKAGE)
-    assert {"exceptions", "_checks"} <= set(imports)
-    assert imports["_checks"] == {"exceptions"}
-    assert imports["modal"] == {"_checks", "_display", "coefficients", "exceptions", "reactance", "zeros"}
-    assert {"modal", "systems", "response"} <= imports["__init__"]
-
-
-def _package(folder: Path, **modules: str) -> Path:
-    package = folder / "pkg"
-    for name, source in modules.items():
-        file = package.joinpath(*name.split("__in__")).with_suffix(".py")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(source, encoding="utf-8")
-    return package
+    """Guards the reader of the imports: were it blind, the tests above would pass on anything."""
+    found = imports(PACKAGE)
+    assert ("_checks", "exceptions", "") in found
+    assert ("modal.modal_form", "modal.zeros", "") in found
+    assert ("analysis.energy", "plotting.energy_plot", "plot") in found
 
 
 @pytest.mark.parametrize(
     "statement",
     [
-        "from . import high",
-        "from .high import thing",
-        "from pkg.high import thing",
-        "import pkg.high",
-        "def f():\n    from .high import thing",
-        "class A:\n    def f(self):\n        import pkg.high as h",
-        "try:\n    from .high import thing\nexcept ImportError:\n    pass",
-        "if TYPE_CHECKING:\n    from .high import thing",
+        "from ..plotting import style",
+        "from ..plotting.style import thing",
+        "from pkg.plotting.style import thing",
+        "import pkg.plotting.style",
+        "def f():\n    from ..plotting.style import thing",
+        "class A:\n    def f(self):\n        import pkg.plotting.style as h",
+        "try:\n    from ..plotting.style import thing\nexcept ImportError:\n    pass",
+        "if TYPE_CHECKING:\n    from ..plotting.style import thing",
     ],
 )
 def test_an_import_that_goes_up_is_reported_wherever_it_stands(tmp_path, statement):
-    package = _package(tmp_path, __init__="", low=statement, high="thing = 1")
-    (found,) = violations(imported_modules(package), ("low", "high"))
-    assert found.startswith("low imports high, ")
-    assert violations(imported_modules(package), ("high", "low")) == []
+    package = tmp_path / "pkg"
+    sources = {
+        "__init__": "", "modal/__init__": "", "modal/a": statement, "plotting/__init__": "", "plotting/style": "thing=1"
+    }  # fmt: skip
+    for name, source in sources.items():
+        file = package / f"{name}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(source, encoding="utf-8")
+    assert violations(imports(package)) == ["modal.a imports plotting.style, from a folder above"]
 
 
-@pytest.mark.parametrize("statement", ["from . import thing", "from pkg import thing", "def f():\n    import pkg"])
-def test_no_module_imports_the_names_that_the_package_collects(tmp_path, statement):
-    package = _package(tmp_path, __init__="thing = 1", low=statement)
-    (found,) = violations(imported_modules(package), ("low",))
-    assert found.startswith("low imports __init__, ")
-
-
-def test_an_import_that_goes_down_is_allowed(tmp_path):
-    package = _package(tmp_path, __init__="from .high import f", low="import os", high="from . import low\nf = 1")
-    assert violations(imported_modules(package), ("low", "high")) == []
-
-
-def test_the_modules_of_a_package_count_as_one_place_but_must_not_go_round(tmp_path):
-    sources = {"low": "x = 1", "part__in__a": "from .b import y\nfrom ..low import x", "part__in____init__": ""}
-    straight = _package(tmp_path / "straight", **sources, part__in__b="y = 1")
-    assert imported_modules(straight)["part.a"] == {"part.b", "low"}
-    assert violations(imported_modules(straight), ("low", "part")) == []
-    assert len(violations(imported_modules(straight), ("part", "low"))) == 1
-
-    circle = _package(tmp_path / "circle", **sources, part__in__b="def f():\n    from . import a")
-    (found,) = violations(imported_modules(circle), ("low", "part"))
-    assert "circle" in found and "part.a" in found and "part.b" in found
-
-
-def test_a_new_module_must_be_given_a_place(tmp_path):
-    package = _package(tmp_path, low="x = 1", novelty="from .low import x")
-    (found,) = violations(imported_modules(package), ("low",))
-    assert found == "novelty has no place in the import order; put 'novelty' into ORDER of test_layout.py"
+def test_only_a_plot_method_may_draw_with_what_is_above():
+    assert violations([("modal.a", "plotting.style", "plot"), ("plotting.b", "modal.a", "")]) == []
+    assert len(violations([("modal.a", "cli.fit", "plot"), ("modal.a", "", ""), ("new.a", "modal.a", "")])) == 3

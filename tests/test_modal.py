@@ -19,7 +19,7 @@ from reference import (
 from scipy.linalg import eigvals
 
 import ph_control as phc
-from ph_control.modal import ModalForm
+from ph_control.modal.modal_form import ModalForm
 
 relaxed = settings(deadline=None, max_examples=25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -176,8 +176,8 @@ def test_long_vectors_of_points_are_cut_into_parts_that_fit_together(monkeypatch
     modes = phc.modes(np.linspace(1, 2, 7), np.ones(7))
     w = np.linspace(0.1, 4, 101)
     on_axis, off_axis = modes.freqresp(w), modes.evaluate(1j * w + 0.1)
-    monkeypatch.setattr("ph_control.modal._CHUNK", 70)
-    monkeypatch.setattr("ph_control.reactance._BLOCK", 70)
+    monkeypatch.setattr("ph_control.modal.modal_form._CHUNK", 70)
+    monkeypatch.setattr("ph_control.modal.reactance._BLOCK", 70)
     # products of matrices of another shape may add up in another order
     assert np.max(np.abs(modes.freqresp(w) / on_axis - 1)) < 64 * EPS
     assert np.max(np.abs(modes.evaluate(1j * w + 0.1) / off_axis - 1)) < 64 * EPS

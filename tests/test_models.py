@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from ph_control import PortHamiltonian, StructureError
-from ph_control.models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
+from ph_control.systems.models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
 
 EPS = np.finfo(float).eps
 BENCHMARK = Path(__file__).resolve().parents[2] / "shared" / "data" / "models" / "phbench_params_and_refs.json"
@@ -495,8 +495,8 @@ def test_what_is_refused_is_refused_before_any_factorisation(monkeypatch):
     def never(*_):
         raise AssertionError("a factorisation")
 
-    monkeypatch.setattr("ph_control._definite.definite_factor", never)
-    monkeypatch.setattr("ph_control._definite.smallest_scaled_eigenvalue", never)
+    monkeypatch.setattr("ph_control.numerics.definiteness.definite_factor", never)
+    monkeypatch.setattr("ph_control.numerics.definiteness.smallest_scaled_eigenvalue", never)
     one, massless = np.eye(3), np.diag([1.0, 0.0, 1.0])
     for M, K, message in (
         (one, 1j * one, "K is complex"),

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from reference import EPS, dense_step, long_double_recursion
 
 import ph_control as phc
-from ph_control import propagation
-from ph_control.modal import ModalForm
-from ph_control.propagation import discretize, phi_functions, simulate, step_factors
+from ph_control.modal import propagation
+from ph_control.modal.modal_form import ModalForm
+from ph_control.modal.propagation import discretize, phi_functions, simulate, step_factors
 
 relaxed = settings(deadline=None, max_examples=30, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from reference import DIGITS, EPS, largest_error, on_axis
 
 import ph_control as phc
-from ph_control import zeros as zeros_module
-from ph_control.modal import ModalForm
-from ph_control.reactance import Reactance
-from ph_control.zeros import zeros_in_gaps
+from ph_control.modal import zeros as zeros_module
+from ph_control.modal.modal_form import ModalForm
+from ph_control.modal.reactance import Reactance
+from ph_control.modal.zeros import zeros_in_gaps
 
 relaxed = settings(deadline=None, max_examples=60, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -9,9 +9,10 @@ from reference import EPS, random_hamiltonian, symplectic_form
 from scipy.linalg import block_diag
 
 import ph_control as phc
-from ph_control import _definite, reduction
-from ph_control.reduction import block_spectrum, reduce_block, triangular_factors
-from ph_control.symplectic import energy_coordinates, port_spectrum
+from ph_control.numerics import definiteness as _definite
+from ph_control.symplectic import skew_tridiagonal as reduction
+from ph_control.symplectic.forms_and_williamson import energy_coordinates, port_spectrum
+from ph_control.symplectic.skew_tridiagonal import block_spectrum, reduce_block, triangular_factors
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from reference import EPS, dense_simulation
 
 import ph_control as phc
-from ph_control.identification import experiment
-from ph_control.identification.experiment import Experiment, TimeEvaluation
-from ph_control.identification.grouped import Modal, Shared, gram
-from ph_control.identification.regressors import Hold, regressors
-from ph_control.identification.solver import Problem
+from ph_control.identification.regression import time_rows as experiment
+from ph_control.identification.regression.grouped import Modal, Shared, gram
+from ph_control.identification.regression.modal_regressors import Hold, regressors
+from ph_control.identification.regression.time_rows import Experiment, TimeEvaluation
+from ph_control.identification.regression.variable_projection import Problem
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 BLOCKS = ["forced", "cosine", "sine"]

@@ -14,8 +14,8 @@ from reference import DIGITS, EPS, foster_zeros, largest_error, on_axis
 from scipy.stats import kstest, norm, truncnorm
 
 import ph_control as phc
-from ph_control.identification import samples as module
-from ph_control.identification.samples import ModeSamples, draw, normal_interval
+from ph_control.identification.uncertainty import draws as module
+from ph_control.identification.uncertainty.draws import ModeSamples, draw, normal_interval
 
 relaxed = settings(deadline=None, max_examples=25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

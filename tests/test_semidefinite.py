@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from reference import EPS, dense_matrices, dense_transfer_function, random_symplectic, symplectic_form
 
 import ph_control as phc
-from ph_control.semidefinite import semidefinite_coefficients, williamson_semidefinite
-from ph_control.symplectic import energy_coordinates
+from ph_control.symplectic.forms_and_williamson import energy_coordinates
+from ph_control.symplectic.semidefinite import semidefinite_coefficients, williamson_semidefinite
 
 quick = settings(deadline=None, max_examples=80, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from reference import EPS
 
-from ph_control.identification.experiment import Experiment
-from ph_control.identification.regressors import QUANTITIES, Hold, output_weight, regressors
-from ph_control.identification.solver import Problem
-from ph_control.identification.spectrum import SmoothColumns, Spectrum, Window
+from ph_control.identification.regression.modal_regressors import QUANTITIES, Hold, output_weight, regressors
+from ph_control.identification.regression.spectral_rows import SmoothColumns, Spectrum, Window
+from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.variable_projection import Problem
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 D, KAPPA = np.array([0.31, 0.9, 1.7]), np.array([1.0, 0.4, 0.7])

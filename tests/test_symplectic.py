@@ -9,7 +9,7 @@ from scipy.io import mmread
 from scipy.linalg import eigh
 
 import ph_control as phc
-from ph_control.symplectic import apply_form, energy_coordinates, skew_normal_form
+from ph_control.symplectic.forms_and_williamson import apply_form, energy_coordinates, skew_normal_form
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 import ph_control as phc
-from ph_control import NotLosslessError, StructureError, transients
-from ph_control.energy import energy_plot
-from ph_control.identification.samples import ModeSamples
-from ph_control.mode_data import PoleZeroMap, kappa_intervals, pole_zero_maps, strips
-from ph_control.mode_plots import modes_plot, pole_zero_plot
-from ph_control.time_plots import impulse_plot, step_plot
-from ph_control.transients import response_of, transient_data
+from ph_control import NotLosslessError, StructureError
+from ph_control.analysis.energy import energy_plot
+from ph_control.identification.uncertainty.draws import ModeSamples
+from ph_control.plotting import time_data as transients
+from ph_control.plotting.mode_data import PoleZeroMap, kappa_intervals, pole_zero_maps, strips
+from ph_control.plotting.mode_plot import modes_plot, pole_zero_plot
+from ph_control.plotting.time_data import response_of, transient_data
+from ph_control.plotting.time_plot import impulse_plot, step_plot
 
 EPS = np.finfo(float).eps
 quick = settings(deadline=None, max_examples=20, derandomize=True)

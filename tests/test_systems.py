@@ -505,10 +505,11 @@ def no_cubic_work(monkeypatch):
         raise AssertionError("this takes O(n^3) steps")
 
     for place, name in [
-        (phc._definite, "definite_factor"), (phc._definite, "smallest_scaled_eigenvalue"), (phc.systems, "williamson"),
-        (phc.systems, "energy_coordinates"), (phc.systems, "port_spectrum"),
+        ("numerics.definiteness", "definite_factor"), ("numerics.definiteness", "smallest_scaled_eigenvalue"),
+        ("systems.port_hamiltonian", "williamson"), ("systems.port_hamiltonian", "energy_coordinates"),
+        ("systems.port_hamiltonian", "port_spectrum"),
     ]:  # fmt: skip
-        monkeypatch.setattr(place, name, refused)
+        monkeypatch.setattr(f"ph_control.{place}.{name}", refused)
 
 
 @pytest.mark.parametrize("make", [phc.ph, phc.affine])
@@ -617,7 +618,7 @@ def test_copies_share_what_has_been_computed(duplicate, monkeypatch):
     modes, S, d = sys.modes, sys.S, alone.d
     twin, other = duplicate(sys), duplicate(alone)
     for name in ("energy_coordinates", "williamson", "port_spectrum"):
-        monkeypatch.setattr(phc.systems, name, None)
+        monkeypatch.setattr(f"ph_control.systems.port_hamiltonian.{name}", None)
     assert np.array_equal(twin.modes.nu, modes.nu) and np.array_equal(twin.S, S) and np.array_equal(other.d, d)
     assert twin.hamiltonian(np.ones(80)) == sys.hamiltonian(np.ones(80))
     assert not twin.S.flags.writeable and not twin.Q.flags.writeable

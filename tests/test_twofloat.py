@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import EPS
 
-from ph_control import _twofloat as tf
+from ph_control.numerics import double_double as tf
 
 numbers = st.floats(-1e60, 1e60).map(lambda x: x if abs(x) > 1e-60 else 1.0)
 relaxed = settings(deadline=None, max_examples=100, derandomize=True)

@@ -13,10 +13,15 @@ from scipy.stats import binom, chi2, kstest
 
 import ph_control as phc
 from ph_control import StructureError
-from ph_control.identification.orders import order_selection
-from ph_control.identification.residual_tests import ResidualData, autocorrelation, cross_correlation, influence
-from ph_control.identification.residuals import p_value, residual_analysis
-from ph_control.identification.validation import compare
+from ph_control.identification.search.order_selection import order_selection
+from ph_control.identification.uncertainty.residual_tests import (
+    ResidualData,
+    autocorrelation,
+    cross_correlation,
+    influence,
+)
+from ph_control.identification.validation.comparison import compare
+from ph_control.identification.validation.residual_analysis import p_value, residual_analysis
 
 EPS = np.finfo(float).eps
 STEP = 0.1
@@ -534,8 +539,8 @@ def test_the_table_is_the_path_of_the_fit_and_BIC_finds_the_order():
 
 
 def test_a_mode_that_moved_or_is_new_is_not_stable():
-    from ph_control.identification.orders import _stable
-    from ph_control.identification.result import OrderRow
+    from ph_control.identification.fit.result import OrderRow
+    from ph_control.identification.search.order_selection import _stable
 
     path = [OrderRow(len(d), 0.0, 0.0, 0.0, np.array(d)) for d in ([], [1.0], [1.05, 3.0], [1.055, 1.06, 3.1])]
     marks = _stable(path, 0.001)

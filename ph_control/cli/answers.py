@@ -11,7 +11,7 @@ from .outcome import emit
 
 def strict(value: Any, indent: int | None = 2) -> str:
     """JSON of arrays, tuples and complex numbers (`[re, im]`); null where a number is not finite."""
-    from .._documents import plain
+    from ..io.json_format import plain
 
     return json.dumps(plain(value, lambda number: None), indent=indent, allow_nan=False) + "\n"
 
@@ -34,7 +34,7 @@ def modes_of(form: Any) -> dict[str, Any]:
 
 def fit_of(result: Any) -> dict[str, Any]:
     """Fields of the result of a fit."""
-    from ..identification.report import residue_errors
+    from ..identification.fit.report import residue_errors
 
     return {
         "verdict": result.verdict,

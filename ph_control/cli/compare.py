@@ -72,7 +72,7 @@ def run(options: Namespace) -> int:
 
 
 def _compared(names: list[str], models: list[Model], options: Namespace) -> Any:
-    from ..identification.validation import compare
+    from ..identification.validation.comparison import compare
 
     data = measurements(names, options)
     labels = options.label or [model.label for model in models]

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ..exceptions import StructureError
+from ..io.matlab import matlab_of
 from .answers import emit_json, strict
 from .coefficients import columns_of, rows_of
-from .matlab import matlab_of
 from .matrices import arrays_of, modes_of, polynomials_of
 from .models import Model, read_models
 from .options import Parser, add_json, add_model, add_overwrite, system_name
@@ -99,10 +99,10 @@ def _form_of(made: Any) -> str:
 
 def _converted(model: Model, form: str | None, name: str | None) -> Any:
     """Object of the wanted form, or of its own."""
-    from .. import canonical_forms
-    from ..affine_system import AffineHamiltonian
-    from ..modal import ModalForm
-    from ..systems import modes, ph
+    from ..modal.modal_form import ModalForm
+    from ..systems import canonical_forms
+    from ..systems.affine import AffineHamiltonian
+    from ..systems.port_hamiltonian import modes, ph
 
     if isinstance(model.content, AffineHamiltonian) and form in (None, "ss"):
         return _renamed(model.content, name)
@@ -123,7 +123,7 @@ def _renamed(system: Any, name: str | None) -> Any:
 
 def _encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     """Content of the file."""
-    from ..files import document_of
+    from ..io.codecs import document_of
 
     found = _form_of(made)
     if found == "tf":

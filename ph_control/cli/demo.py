@@ -32,7 +32,7 @@ def add_options(parser: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Make the folder, and run."""
-    from .. import demo
+    from . import demonstration as demo
 
     folder = options.folder or _new_folder(Path("ph_control_demo"))
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

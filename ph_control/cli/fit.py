@@ -117,7 +117,7 @@ def run(options: Namespace) -> int:
 
 
 def _fitted(found: Measurements, options: Namespace) -> Any:
-    from ..identification.pem import pem
+    from ..identification.fit.pem import pem
 
     guess = None
     if options.guess is not None:
@@ -169,7 +169,7 @@ def _progress_line(progress: Any) -> None:
 
 def _write(result: Any, options: Namespace) -> list[str]:
     """Write what was asked for; names of the files."""
-    from ..files import document_of
+    from ..io.codecs import document_of
 
     for name, thing in ((options.model, result.system), (options.result, result)):
         if name is not None:
@@ -182,7 +182,7 @@ def _write(result: Any, options: Namespace) -> list[str]:
 
 
 def _bode(result: Any, experiment: int) -> Any:
-    from ..plots import bode_plot
+    from ..plotting.bode_plot import bode_plot
 
     record = result.experiments[experiment].record
     data = record.as_response() if getattr(record, "driven", True) else None

@@ -78,7 +78,7 @@ def _degree(system: Any) -> int:
 
 def _seen(model: Model) -> Any:
     """Object with modes; an affine system is what it is."""
-    from ..affine_system import AffineHamiltonian
+    from ..systems.affine import AffineHamiltonian
 
     return model.content if isinstance(model.content, AffineHamiltonian) else model.lossless()
 

@@ -21,7 +21,7 @@ def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
     """
     import control as ct
 
-    from ..systems import PortHamiltonian, modes
+    from ..systems.port_hamiltonian import PortHamiltonian, modes
 
     known = _Lookup(fields, source)
     _refuse_sampled(known)

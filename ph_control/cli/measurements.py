@@ -62,8 +62,8 @@ def _layout(options: Namespace) -> dict[str, Any]:
 
 def _is_response(source: Source, options: Namespace) -> bool:
     """Whether the labels of a table are those of a frequency response."""
-    from .._tables import read_table
-    from ..frequency_tables import is_frequency_table
+    from ..io.frequency_csv import is_frequency_table
+    from ..io.text_table import read_table
 
     head = source.getvalue()[:_HEAD]
     if len(head) == _HEAD:
@@ -76,7 +76,7 @@ def _is_response(source: Source, options: Namespace) -> bool:
 
 
 def _recording(source: Source, options: Namespace) -> Any:
-    from ..recordings import read_csv
+    from ..io.time_csv import read_csv
 
     for role in ("input", "time"):
         if getattr(options, f"no_{role}") and getattr(options, role) is not None:
@@ -93,8 +93,8 @@ def _recording(source: Source, options: Namespace) -> Any:
 
 
 def _responses(sources: list[Source], options: Namespace) -> Measurements:
-    from .._tables import read_table
-    from ..frequency_tables import Layout, response_in
+    from ..io.frequency_csv import Layout, response_in
+    from ..io.text_table import read_table
 
     layout = Layout(*(getattr(options, option) for option in _IN_FREQUENCY[:-1]))
     found = [response_in(read_table(source, **_layout(options)), layout, options.weights) for source in sources]

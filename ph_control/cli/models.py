@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..exceptions import FileFormatError, NotLosslessError, StructureError
+from ..io.matlab import is_matlab, read_matlab
 from .coefficients import table_of_coefficients
-from .matlab import is_matlab, read_matlab
 from .matrices import system_of
 from .options import system_name_of
 from .outcome import NoError
@@ -37,10 +37,10 @@ class Model:
 
     def lossless(self) -> Any:
         """Object of this package that has the same transfer function; `NoError` if none has."""
-        from ..affine_system import AffineHamiltonian
-        from ..lossless_system import LosslessSystem
-        from ..modal import ModalForm
-        from ..systems import ph
+        from ..modal.modal_form import ModalForm
+        from ..systems.affine import AffineHamiltonian
+        from ..systems.base import LosslessSystem
+        from ..systems.port_hamiltonian import ph
 
         if self.is_result:
             return self.content.system
@@ -98,7 +98,7 @@ def _content(source: Source, content: bytes) -> Any:
 
 
 def _of_json(content: bytes, source: str, name: str) -> Any:
-    from ..files import restore
+    from ..io.codecs import restore
 
     try:
         fields = json.loads(content)

@@ -136,7 +136,7 @@ def _drawn(models: Sequence[Model]) -> list[Any]:
 
 
 def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    from ..plots import bode_plot
+    from ..plotting.bode_plot import bode_plot
 
     data = measurements([options.recording], options).data[0] if options.recording else None
     return bode_plot(
@@ -146,7 +146,7 @@ def _bode(models: list[Model], labels: list[str], options: Namespace) -> Any:
 
 
 def _transient(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    from .. import time_plots
+    from ..plotting import time_plot as time_plots
 
     draw = time_plots.step_plot if options.kind == "step" else time_plots.impulse_plot
     return draw(
@@ -156,7 +156,7 @@ def _transient(models: list[Model], labels: list[str], options: Namespace) -> An
 
 
 def _modes(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    from ..mode_plots import modes_plot
+    from ..plotting.mode_plot import modes_plot
 
     given = [model.content if model.is_result else model.lossless() for model in models]
     return modes_plot(
@@ -165,15 +165,16 @@ def _modes(models: list[Model], labels: list[str], options: Namespace) -> Any:
 
 
 def _poles(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    from ..mode_plots import pole_zero_plot
+    from ..plotting.mode_plot import pole_zero_plot
 
     given = _drawn(models)
     return pole_zero_plot(given, Hz=options.hz, label=labels, title=options.title, time_unit=options.time_unit)
 
 
 def _energy(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    from ..energy import energy_balance, energy_plot
-    from ..systems import full_port_hamiltonian
+    from ..analysis.energy import energy_balance
+    from ..plotting.energy_plot import energy_plot
+    from ..systems.port_hamiltonian import full_port_hamiltonian
 
     systems = [full_port_hamiltonian(model.lossless()) for model in models]
     for model, system in zip(models, systems, strict=True):
@@ -192,7 +193,7 @@ def _driven(system: Any, options: Namespace) -> Any:
     """Response from rest, with states, to the recorded input or to a unit step."""
     import numpy as np
 
-    from ..response import forced_response, step_response
+    from ..analysis.time_response import forced_response, step_response
 
     if options.recording is None:
         time = step_response(system, options.until).time

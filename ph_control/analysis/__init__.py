@@ -1,0 +1,1 @@
+"""Time responses, sampling, energy balance, margins and spectral estimates."""

@@ -1,0 +1,139 @@
+"""Sampled systems: one step of an integrator as a discrete-time state space."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from ..exceptions import ResolutionWarning, StructureError
+from ..modal.discrete import check_method
+from ..modal.propagation import INTERSAMPLE
+from ..systems.base import LosslessSystem, inherited_names
+from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
+from .time_grid import listed
+from .trajectories import Rule, check_finite, companion_step, trajectory
+
+Array = NDArray[np.float64]
+
+
+def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh", **names: Any) -> ct.StateSpace:
+    """Sample a lossless system: one step of an integrator as a discrete-time state space.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian or AffineHamiltonian
+        System to sample.
+    h : float
+        Sampling step, in the unit of time of the system.
+    method : {'exact', 'midpoint', 'euler'}
+        Exact solution, implicit midpoint rule (by the discrete Lagrange-d'Alembert principle, the input acting at the
+        middle of the step), or explicit Euler.
+    intersample : {'zoh', 'foh'}
+        Input between samples: held, or interpolated linearly.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; those of the system are kept.
+
+    Returns
+    -------
+    control.StateSpace
+        `s_{k+1} = F s_k + G u_k`, `y_k = C s_k + D u_k` with `dt = h`, in the coordinates of the system.  With 'foh'
+        the state is `z_k - G_1 u_k`, where `G_1` is what a step makes of the input at its end.
+
+    Raises
+    ------
+    StructureError
+        If the system is not one of these, or `h` is not positive.
+
+    Warns
+    -----
+    ResolutionWarning
+        If `method` is 'exact' and modes turn by half a period or more in a step: beyond the frequency of Nyquist they
+        cannot be told from slower ones, and after whole half periods the input may not reach them.
+    ConditioningWarning
+        If the rounding of the matrix of a canonical form to doubles leaves fewer than six digits of the frequencies.
+
+    See Also
+    --------
+    ph : with `method`, the way back.
+    forced_response : the same steps, without matrices.
+
+    Notes
+    -----
+    `F` is symplectic for 'exact' and 'midpoint', and conserves the energy; for 'euler' it does neither.  With
+    'midpoint' and 'foh' the transfer function is that of the bilinear (Tustin) transformation.  Every entry of
+    that of a canonical form is right to the last place.  O(n^3).
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> oscillator = phc.ph(np.eye(2), [0.0, 1.0])
+    >>> phc.sample(oscillator, np.pi / 2).A.round(12) + 0.0
+    array([[ 0.,  1.],
+           [-1.,  0.]])
+    """
+    if not isinstance(sys, LosslessSystem):
+        raise StructureError(
+            f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or use "
+            "control.sample_system"
+        )
+    rule = Rule(
+        _checks.sampling_step(h, name="h"),
+        check_method(method),
+        _checks.choice("intersample", intersample, INTERSAMPLE),
+    )
+    if rule.method == "exact":
+        _warn_of_aliases(sys.modes.d, rule.h)
+    _checks.signal_names(names, inputs=sys.ninputs, outputs=sys.noutputs, states=sys.nstates)
+    matrices = _companion if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian) else _matrices
+    with np.errstate(over="ignore", invalid="ignore"):
+        F, G, D = matrices(sys, rule)
+    check_finite(F, G, 1.0, rule)
+    return ct.ss(F, G, sys.C, D, rule.h, **inherited_names(sys, names, "inputs", "outputs", "states"))
+
+
+def _companion(sys: Any, rule: Rule) -> tuple[Array, Array, Array]:
+    """`F`, `G` and `D` of a canonical form, each entry right to the last place."""
+    step = companion_step(sys, rule)
+    warn_of_lost_digits(sys.n, step.digits(), "sampled matrix", stacklevel=4)
+    ahead, _ = trajectory(sys, _pulse(1, 0, 1), np.zeros(sys.nstates), rule, states=False)
+    return step.matrices()[0], step.shifted()[:, None], ahead[:, 1:]
+
+
+def _matrices(sys: LosslessSystem, rule: Rule) -> tuple[Array, Array, Array]:
+    """`F`, `G` and `D` of any other system."""
+    size, ports = sys.nstates, sys.ninputs
+    rest = np.zeros(size)
+    F = np.array([_one_step(sys, np.zeros((ports, 2)), z, rule) for z in np.eye(size)]).T.reshape(size, size)
+    now, then = (
+        np.array([_one_step(sys, _pulse(ports, port, k), rest, rule) for port in range(ports)]).T.reshape(size, ports)
+        for k in (0, 1)
+    )
+    return F, now + F @ then, sys.C @ then
+
+
+def _warn_of_aliases(d: Array, h: float) -> None:
+    beyond = d[d * h >= np.pi * (1 - 4 * _checks.EPS)]
+    if len(beyond):
+        warnings.warn(
+            f"the step {h:.4g} is half a period or more of {listed(beyond)}: sampled, they cannot be told from slower "
+            f"ones, or are not reached; take a step below {np.pi / d.max():.4g}",
+            ResolutionWarning,
+            stacklevel=3,
+        )
+
+
+def _pulse(ports: int, port: int, k: int) -> Array:
+    u = np.zeros((ports, 2))
+    u[port, k] = 1.0
+    return u
+
+
+def _one_step(sys: LosslessSystem, u: Array, z: Array, rule: Rule) -> Array:
+    _, states = trajectory(sys, u, z, rule, states=True)
+    assert states is not None
+    return states[:, 1]

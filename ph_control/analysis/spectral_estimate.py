@@ -1,0 +1,246 @@
+"""Frequency responses estimated from records."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+from .. import _checks
+from .._units import common_unit, with_unit
+from ..exceptions import StructureError
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+INTERSAMPLE = ("zoh", "foh", "bandlimited")
+
+_INPUT_FLOOR = 1e-6  # of the largest input power: 60 dB below it a bin holds the leakage of its neighbours
+_SHORTEST = 8  # samples in a segment
+
+
+class SpectralEstimate(ct.FrequencyResponseData):
+    """Frequency response estimated from a record; made by `spectral_estimate`.
+
+    A `control.FrequencyResponseData` of continuous time that remembers how far to trust it.
+
+    Parameters
+    ----------
+    response : ndarray of complex, shape (N,)
+        Estimated response.
+    omega : ndarray, shape (N,)
+        Angular frequencies, rad per unit time.
+    coherence : ndarray, shape (N,)
+        Part of the output power that is linear in the input, 0 to 1.
+    segments : int
+        Number of segments averaged.
+    step : float
+        Time between samples.
+    **names
+        `name`, `inputs`, `outputs` as for `control.frd`.
+
+    Examples
+    --------
+    >>> import numpy as np, control as ct, ph_control as phc
+    >>> u = np.random.default_rng(0).standard_normal(1000)
+    >>> estimate = phc.spectral_estimate(ct.TimeResponseData(0.1 * np.arange(1000), 3 * u, inputs=u, issiso=True))
+    >>> estimate.segments, bool(np.allclose(estimate.coherence, 1))
+    (8, True)
+    """
+
+    def __init__(
+        self, response: ComplexArray, omega: Array, coherence: Array, segments: int, step: float, **names: Any
+    ) -> None:
+        super().__init__(response, omega, dt=0, **names)
+        self._coherence = _checks.readonly(coherence)
+        self._segments = segments
+        self._step = step
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        _checks.readonly(self._coherence)
+
+    @property
+    def coherence(self) -> Array:
+        """Part of the output power that is linear in the input, shape (N,); 1 throughout for one segment."""
+        return self._coherence
+
+    @property
+    def segments(self) -> int:
+        """Number of segments averaged."""
+        return self._segments
+
+    @property
+    def step(self) -> float:
+        """Time between samples."""
+        return self._step
+
+    @property
+    def nyquist(self) -> float:
+        """Highest frequency that the record can show, `pi / step`, rad per unit time."""
+        return float(np.pi / self._step)
+
+    @property
+    def relative_error(self) -> Array:
+        """Standard deviation of the response relative to its size, shape (N,), by the coherence.
+
+        That of the noise only: `sqrt((1 - c) / (2 c segments))`.  NaN for one segment, which tells nothing of it.
+        """
+        if self._segments < 2:
+            return np.full(self._coherence.shape, np.nan)
+        c = np.clip(self._coherence, np.finfo(float).tiny, 1.0)
+        return np.sqrt((1.0 - c) / (2.0 * c * self._segments))
+
+
+def spectral_estimate(
+    data: ct.TimeResponseData, *, segments: int = 8, intersample: str = "zoh", **names: Any
+) -> SpectralEstimate:
+    """Estimate a frequency response from a record of one input and one output.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData
+        Record of T equally spaced samples.  NaN outputs are missing samples.
+    segments : int
+        Number of segments, each overlapping the next by half, to average over.  More segments: less noise and
+        less frequency resolution.
+    intersample : {'zoh', 'foh', 'bandlimited'}
+        What the input did between samples: held, linear, or without any content beyond the Nyquist frequency.
+    **names
+        `name`, `inputs`, `outputs` as for `control.frd`; by default those of the record.
+
+    Returns
+    -------
+    SpectralEstimate
+        A `control.FrequencyResponseData` at the bins `2 pi k / (segment length * step)`, `k >= 2` and below the
+        Nyquist frequency, that hold input power, with `coherence`, `relative_error`, `nyquist`.
+
+    Raises
+    ------
+    StructureError
+        If the record is not one of one input and one output, is not equally spaced, has NaN in its input, a constant
+        input, or too few samples for the segments.
+
+    Notes
+    -----
+    H1 estimator: cross spectrum over input spectrum, Hann window, mean of each segment removed.  Segments do not reach
+    across missing samples.  Bins with less than 1e-6 of the largest input power are left out: leakage fills them.
+
+    The response of a held ('zoh') or interpolated ('foh') input is divided by that of the hold, so that the phase of
+    a lossless system is ±90 degrees up to the Nyquist frequency.  What folds back from beyond it remains in the
+    magnitude: near the Nyquist frequency the estimate lies off the continuous-time response even without noise, mostly
+    above it.
+
+    A lossless mode never forgets, so a segment also shows the motion it began with: near a resonance the estimate is
+    blunt, to about two bins on each side, and the coherence drops.  It is for looking, not for fitting.
+
+    O(T log T).
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> mode = phc.ph(phc.modes(1.0, 1.0))
+    >>> u = np.random.default_rng(1).standard_normal(4096)
+    >>> estimate = phc.spectral_estimate(phc.forced_response(mode, 0.2 * np.arange(4096), u, intersample="zoh"))
+    >>> G = estimate.complex[np.argmin(np.abs(estimate.omega - 3.0))]
+    >>> bool(abs(G / mode(3j) - 1) < 0.05)
+    True
+    """
+    u, y, step = _record(data)
+    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.signal_names(names, inputs=1, outputs=1)
+    length = _segment_length(len(u), segments)
+    Puu, Pyy, Puy, count = _averaged_spectra(u, y, length)
+    omega = 2.0 * np.pi * np.arange(len(Puu)) / (length * step)
+    kept = Puu > _INPUT_FLOOR * Puu[1:].max()
+    # the window spreads the mean that each segment lost over the first two bins; the last is real by construction
+    kept[[0, 1, -1]] = False
+    omega, Puu, Pyy, Puy = omega[kept], Puu[kept], Pyy[kept], Puy[kept]
+    coherence = np.abs(Puy) ** 2 / np.where(Pyy > 0, Puu * Pyy, 1.0)
+    inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
+    names = {key: value for key, value in inherited.items() if value} | names
+    response = Puy / Puu / _hold_response(omega * step, intersample)
+    found = SpectralEstimate(response, omega, np.minimum(coherence, 1.0), count, step, **names)
+    return with_unit(found, common_unit(data))
+
+
+def _record(data: Any) -> tuple[Array, Array, float]:
+    """Input, output (NaN where missing) and step of a record."""
+    if not isinstance(data, ct.TimeResponseData):
+        raise StructureError(
+            f"data is a {type(data).__name__}; pass a record as control.TimeResponseData(time, outputs, inputs=inputs)"
+        )
+    if data.u is None or data.ninputs != 1 or data.noutputs != 1 or data.ntraces > 1:
+        raise StructureError(
+            f"the record has {data.ninputs} inputs, {data.noutputs} outputs and {max(1, data.ntraces)} traces; needed "
+            "one of each: select them first"
+        )
+    time, step = _checks.time_vector(data.t, name="the time of the record")
+    u = _checks.real_array("the input of the record", data.u.reshape(-1))
+    if len(time) < _SHORTEST:
+        raise StructureError(f"the record has {len(time)} samples; a spectral estimate needs at least {_SHORTEST}")
+    if np.ptp(u) <= len(u) * _checks.EPS * np.max(np.abs(u)):
+        raise StructureError(f"the input of the record is constant ({u[0]:.6g}); it excites no frequency but 0")
+    y = gapped_array("the output of the record", data.y.reshape(-1))
+    _checks.in_range("the input of the record", u, _checks.SMALLEST_SQUARED)
+    _checks.in_range("the output of the record", y[~np.isnan(y)], _checks.SMALLEST_SQUARED)
+    return u, y, step
+
+
+def gapped_array(name: str, value: ArrayLike) -> Array:
+    """Convert to a fresh vector of doubles in which NaN marks missing samples."""
+    raw = np.asarray(value)
+    if raw.dtype.kind != "f" or np.ma.is_masked(value):
+        return _checks.real_array(name, value, 1)
+    missing = np.isnan(raw)
+    array = _checks.real_array(name, np.where(missing, 0.0, raw), 1)
+    array[missing] = np.nan
+    return array
+
+
+def _segment_length(samples: int, segments: Any) -> int:
+    """Longest even length with which `segments` half-overlapping segments fit."""
+    if isinstance(segments, bool) or not isinstance(segments, int | np.integer) or segments < 1:
+        raise StructureError(f"segments is {segments!r}; it must be a whole number, at least 1")
+    half = samples // (int(segments) + 1)
+    if 2 * half < _SHORTEST:
+        raise StructureError(
+            f"{segments} segments of a record of {samples} samples have {2 * half} samples each, needed {_SHORTEST}; "
+            f"use at most {2 * samples // _SHORTEST - 1} segments"
+        )
+    return 2 * half
+
+
+def _averaged_spectra(u: Array, y: Array, length: int) -> tuple[Array, Array, ComplexArray, int]:
+    """Spectra of input and output, and the cross spectrum, averaged over all segments without missing samples."""
+    edges = np.flatnonzero(np.diff(np.isfinite(y), prepend=False, append=False))
+    runs = list(zip(edges[0::2], edges[1::2], strict=True))
+    longest = max((stop - start for start, stop in runs), default=0)
+    if longest < length:
+        raise StructureError(
+            f"the longest stretch of the output without missing samples has {longest} samples, a segment {length}; "
+            "use more segments, or fill the gaps"
+        )
+    options = {"window": "hann", "nperseg": length, "noverlap": length // 2, "detrend": "constant"}
+    sums: list[Any] = [0.0, 0.0, 0.0]
+    count = 0
+    for start, stop in runs:
+        pieces = int(stop - start) // (length // 2) - 1
+        if pieces < 1:
+            continue
+        x, z = u[start:stop], y[start:stop]
+        for k, (a, b) in enumerate(((x, x), (z, z), (x, z))):
+            sums[k] = sums[k] + pieces * signal.csd(a, b, **options)[1]
+        count += pieces
+    return sums[0].real / count, sums[1].real / count, sums[2] / count, count
+
+
+def _hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
+    """Response of the hold at `theta = omega * step`, without what folds back from beyond the Nyquist frequency."""
+    if intersample == "bandlimited":
+        return np.ones_like(theta)
+    half = np.sinc(theta / (2.0 * np.pi))
+    return half * np.exp(-0.5j * theta) if intersample == "zoh" else half**2

@@ -1,0 +1,100 @@
+"""Instants of a time response: the default ones, and the step of given ones."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from ..exceptions import ResolutionWarning
+
+Array = NDArray[np.float64]
+
+_PER_PERIOD = 20  # samples in the shortest period of a default time vector
+_PERIODS = 3  # of the slowest mode in it
+_LONGEST = 20_000  # samples of a default time vector
+_COARSEST = 8  # samples in the shortest period before a mode is given up
+
+
+@dataclass(frozen=True)
+class Instants:
+    """Equally spaced instants: first, step and number, and the instants themselves where these do not tell them."""
+
+    start: float
+    h: float
+    size: int
+    given: Array | None = None
+
+    @classmethod
+    def of(cls, t: Array) -> Instants:
+        """Check instants and take down what they are, all of them only if they are off the grid."""
+        h, off = _checks.time_step(t)
+        return cls(float(t[0]), h or 1.0, t.size, None if off == 0 else t.copy())
+
+    def times(self) -> Array:
+        """The instants, shape (T,)."""
+        if self.given is not None:
+            return self.given
+        # as they are compared
+        t = np.arange(float(self.size))
+        t *= self.h
+        t += self.start
+        return t
+
+
+def default_time_vector(d: Array, tfinal: float | None = None, samples: int | None = None) -> Array:
+    """Instants that resolve the fastest of the modes `d` and show the slowest, or a warning about those they do not."""
+    if d.size == 0:
+        return np.linspace(0.0, 10.0 if tfinal is None else tfinal, samples or 101)
+    shortest, longest = 2 * np.pi / float(d.max()), 2 * np.pi / float(d.min())
+    # fewer periods of the slowest mode before none, but never an unresolved fast one
+    affordable = (samples or _LONGEST) * shortest / _COARSEST
+    end = min(_PERIODS * longest, affordable) if tfinal is None else tfinal
+    count = samples or int(np.clip(np.ceil(end / shortest * _PER_PERIOD) + 1, 101, _LONGEST))
+    t = np.linspace(0.0, end, count)
+    # what the caller chose is no surprise to the caller
+    fast = d[d * (t[1] - t[0]) > 2 * np.pi / 3] if samples is None else d[:0]
+    slow = d[d * end < 2 * np.pi * (1 - 1e-9)] if tfinal is None else d[:0]
+    _warn_unresolved(t, fast, slow)
+    return t
+
+
+def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
+    parts = []
+    if len(fast):
+        parts.append(f"too coarse for {listed(fast)} (fewer than 3 samples a period)")
+    if len(slow):
+        parts.append(f"too short for {listed(slow)} (less than one period)")
+    if parts:
+        warnings.warn(
+            f"the default time vector ({len(t)} samples to t = {t[-1]:.4g}) is {' and '.join(parts)}; "
+            "pass the instants you need as timepts",
+            ResolutionWarning,
+            stacklevel=6,
+        )
+
+
+def listed(d: Array) -> str:
+    """Text that names modes in a warning."""
+    shown = ", ".join(f"{value:.4g}" for value in d[:3])
+    return f"{len(d)} mode{'s' if len(d) > 1 else ''} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
+
+
+def printed_step(t: Array) -> float:
+    """Step of instants on a line: the shortest decimal step or rate within the uncertainty of the slope."""
+    k = np.arange(len(t)) - 0.5 * (len(t) - 1)
+    spread = float(k @ k)
+    centred = t - t.mean()
+    slope = float(k @ centred) / spread
+    residual = centred - slope * k
+    deviation = np.sqrt(float(residual @ residual) / max(1, len(t) - 2) / spread)
+    # the instants are doubles: each is wrong by half an eps of its size
+    rounding = 8 * _checks.EPS * float(np.abs(t).max()) / (len(t) - 1)
+    for digits in range(1, 17):
+        for candidate in (float(f"{slope:.{digits}g}"), 1.0 / float(f"{1.0 / slope:.{digits}g}")):
+            if abs(candidate - slope) <= 3 * deviation + rounding:
+                return candidate
+    return slope

@@ -1,0 +1,213 @@
+"""Trajectories: from an input and an initial state in the coordinates of a system to its outputs and states.
+
+Outputs run on modal coordinates for every class.  Port-Hamiltonian states are brought back from there; those of a
+canonical form too, as long as doubles have the digits for it.  Where frequencies are many or close, its companion
+matrix is near to one with Jordan blocks, or has them, and is stepped in whole numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from ..exceptions import StructureError
+from ..modal.propagation import Step, discretize, simulate
+from ..numerics.polynomials import cofactors
+from ..symplectic.forms_and_williamson import apply_form, symplectic_inverse
+from ..systems.affine import AffineHamiltonian
+from ..systems.base import LosslessSystem
+from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
+from ..systems.port_hamiltonian import PortHamiltonian
+from .companion_step import CompanionStep
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_DIGITS = 10.0  # of the largest value of a state that modes must leave, so that they give those of a canonical form
+
+
+class Rule(NamedTuple):
+    """How to step through time: step, method and what the input does between samples."""
+
+    h: float
+    method: str
+    intersample: str
+
+
+def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Rule, *, states: bool) -> tuple[Array, Array | None]:
+    """Outputs (m, T) and, on request, states (2n, T) of a system for input samples (m, T) and an initial state."""
+    if isinstance(sys, PortHamiltonian):
+        return _port_hamiltonian(sys, u, z0, rule, states)
+    if isinstance(sys, AffineHamiltonian):
+        # the same states as those of the derivative, another output
+        _, z = _port_hamiltonian(sys.derivative(), u, z0, rule, True)
+        assert z is not None
+        return sys.C @ z, z if states else None
+    if isinstance(sys, ControllableHamiltonian):
+        return _controllable(sys, u, z0, rule, states)
+    assert isinstance(sys, ObservableHamiltonian)
+    return _observable(sys, u, z0, rule, states)
+
+
+# --- port-Hamiltonian --------------------------------------------------------------------------------------------
+
+
+def _port_hamiltonian(
+    sys: PortHamiltonian, u: Array, z0: Array, rule: Rule, states: bool
+) -> tuple[Array, Array | None]:
+    d, E, E0 = sys._energy
+    x0 = np.zeros(len(d) + len(E0), complex)
+    if z0.any():
+        x0 = np.concatenate([(E @ z0) / np.sqrt(d), E0 @ z0])
+    modes = sys.modes
+    y, x = simulate(discretize(modes, *rule), u, x0, states=states)
+    return y, None if x is None else _phase_space_states(sys, x[: len(d)], x0[: len(d)], z0, u, rule)
+
+
+def _phase_space_states(
+    sys: PortHamiltonian, x: ComplexArray, x0: ComplexArray, z0: Array, u: Array, rule: Rule
+) -> Array:
+    """Phase-space trajectory (2n, T) from that of the oscillating modes; rigid-body motion is integrated."""
+    d, E, E0 = sys._energy
+    root = np.sqrt(d)[:, None]
+    if 2 * len(d) == sys.nstates:
+        rows = E / root
+        return symplectic_inverse(np.concatenate([rows.real, rows.imag])) @ np.concatenate([x.real, x.imag])
+    U, W = _input_integrals(u, rule)
+    X = ((E @ sys.B) @ U - root * (x - x0[:, None])) / (1j * d[:, None])
+    X0 = np.outer(E0 @ z0, rule.h * np.arange(u.shape[1])) + (E0 @ sys.B) @ W
+    return z0[:, None] + apply_form((E.conj().T @ X).real + E0.T @ X0) + sys.B @ U
+
+
+def _input_integrals(u: Array, rule: Rule) -> tuple[Array, Array]:
+    """First and second integral of the input over time, by the rule of the method; shape (m, T) each."""
+    h = rule.h
+    now, then = u[:, :-1], u[:, 1:]
+    mean = now if rule.intersample == "zoh" else 0.5 * (now + then)
+    zero = np.zeros((len(u), 1))
+    U = np.concatenate([zero, h * np.cumsum(mean, axis=1)], axis=1)
+    if rule.method == "euler":
+        gain = h * U[:, :-1]
+    elif rule.method == "midpoint":
+        gain = 0.5 * h * (U[:, :-1] + U[:, 1:])
+    elif rule.intersample == "zoh":
+        gain = h * U[:, :-1] + 0.5 * h * h * now
+    else:
+        gain = h * U[:, :-1] + h * h * (now / 3 + then / 6)
+    return U, np.concatenate([zero, np.cumsum(gain, axis=1)], axis=1)
+
+
+# --- canonical forms ---------------------------------------------------------------------------------------------
+
+
+class _Poles(NamedTuple):
+    """Pole `-i d` and residue of each mode of a canonical form, those at 0 first."""
+
+    d: Array
+    kappa: Array
+
+
+def _poles(sys: Any) -> _Poles:
+    modes = sys.modes
+    return _Poles(
+        np.concatenate([np.zeros(len(modes.rigid)), modes.d]),
+        np.concatenate([modes.rigid[:, 0] ** 2, modes.kappa]),
+    )
+
+
+def companion_step(sys: Any, rule: Rule) -> CompanionStep:
+    """One step of a canonical form in its own coordinates."""
+    d, kappa = _poles(sys)
+    return CompanionStep(
+        d, kappa, rule.h, rule.method, rule.intersample, transposed=isinstance(sys, ObservableHamiltonian)
+    )
+
+
+def _controllable(
+    sys: ControllableHamiltonian, u: Array, s0: Array, rule: Rule, states: bool
+) -> tuple[Array, Array | None]:
+    """In modal coordinates `w' = -i d w + u`, `y = sum kappa Re w`: defined for every `d`, repeated ones included."""
+    d, kappa = _poles(sys)
+    step = Step.of(d, np.ones((sys.n, 1), complex), kappa[None, :].astype(complex), *rule)
+    W = _cofactor_map(d)
+    y, w = simulate(step, u, W @ s0, states=states)
+    if w is None:
+        return y, None
+    error = np.abs(W) @ np.abs(s0) + np.abs(w).max(axis=1)
+    L = _lagrange_map(d)
+    return y, _with_digits(sys, (L.T @ w).real, np.abs(L).T @ error, lambda: companion_step(sys, rule).states(u[0], s0))
+
+
+def _observable(
+    sys: ObservableHamiltonian, u: Array, s0: Array, rule: Rule, states: bool
+) -> tuple[Array, Array | None]:
+    """In modal coordinates `w' = -i d w + kappa u`, `y = sum Re w`, where the frequencies are apart."""
+    d, kappa = _poles(sys)
+    # after an impulse every mode starts from its residue, which need not be taken out of the state
+    struck, L = bool(s0.any()) and np.array_equal(s0, sys.B[:, 0]), _lagrange_map(d)
+    start = kappa.astype(complex) if struck else L @ s0 if s0.any() else np.zeros(sys.n, complex)
+    error = np.abs(start) if struck or not s0.any() else np.abs(L) @ np.abs(s0)
+    step = Step.of(d, kappa[:, None].astype(complex), np.ones((1, sys.n), complex), *rule)
+    y, w = simulate(step, u, start, states=states)
+    exact = cache(lambda: companion_step(sys, rule).states(u[0], None if struck else s0))
+    if s0.any() and not struck:
+        y = _with_digits(sys, y, error.sum()[None], lambda: exact()[-1:])
+    if w is None:
+        return y, None
+    W = _cofactor_map(d)
+    return y, _with_digits(sys, (W.T @ w).real, np.abs(W).T @ (error + np.abs(w).max(axis=1)), exact)
+
+
+def _with_digits(sys: Any, rows: Array, error: Array, exact: Callable[[], Array]) -> Array:
+    """Rows computed in modal coordinates, with an error of so many roundings, if they have digits, else exact ones.
+
+    Where these would take too long, a warning says how many digits there are; without any the error is raised.
+    """
+    size = np.abs(rows).max(axis=1)
+    with np.errstate(all="ignore"):
+        worst = np.nan_to_num(np.where(size == 0, 0.0, error / size), nan=np.inf).max()
+        left = -float(np.log10(_checks.EPS * worst))
+    if left >= _DIGITS:
+        return rows
+    try:
+        return exact()
+    except StructureError:
+        if left <= 0:
+            raise
+    warn_of_lost_digits(sys.n, left, "modal form, in which so many samples of states are computed,", stacklevel=2)
+    return rows
+
+
+def _cofactor_map(d: Array) -> ComplexArray:
+    """Rows `sum_k b_k (lambda s_{2k+1} + s_{2k+2})` with the coefficients of the other modes' polynomial."""
+    b = cofactors(d)
+    W = np.empty((len(d), 2 * len(d)), complex)
+    W[:, 0::2], W[:, 1::2] = -1j * d[:, None] * b, b
+    return W
+
+
+def _lagrange_map(d: Array) -> ComplexArray:
+    """Rows `lambda^{k-1} / (lambda prod_{j != l} (d_j^2 - d_l^2))`: residues of `s^{k-1}/P(s)`, twice."""
+    n = len(d)
+    gaps = (d - d[:, None]) * (d + d[:, None])
+    np.fill_diagonal(gaps, 1.0)
+    # interleaved, so that powers and products do not leave the range of doubles one after the other
+    with np.errstate(all="ignore"):
+        ratio = (d[:, None] ** 2 / np.where(np.eye(n, dtype=bool), d**2, gaps)).prod(axis=1)
+        return ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1)) * (-1j) ** (np.arange(2 * n) - 1)
+
+
+def check_finite(y: Array, z: Array | None, growth: float, rule: Rule) -> None:
+    """Refuse a response that left the range of doubles."""
+    if np.isfinite(y).all() and (z is None or np.isfinite(z).all()):
+        return
+    cure = "use method='exact' or a smaller step" if growth > 1 else "scale the input, the state or time"
+    raise StructureError(
+        f"the response exceeds the range of doubles: with method={rule.method!r} and step {rule.h:.4g} the fastest "
+        f"mode grows by {growth:.4g} a step; {cure}"
+    )

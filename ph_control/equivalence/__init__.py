@@ -1,0 +1,1 @@
+"""Unique coordinates, morphisms, isomorphisms and equivalence relations of systems."""

@@ -1,0 +1,1 @@
+"""Recordings and frequency responses as the fit takes them."""

@@ -1,0 +1,96 @@
+"""Records from anything that quacks like a data frame: it has `columns`, and gives a column by its label."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ... import _checks
+from ...exceptions import StructureError
+from ...io.text_table import is_time_label, unit_of_time
+from .time_record import Record, checked_record, instants, refuse_short, signal, uniform_time
+
+_SHOWN = 30  # labels of columns listed in a message
+
+
+def is_data_frame(data: Any) -> bool:
+    """Whether an object has the two things that are used of a data frame."""
+    return hasattr(data, "columns") and hasattr(type(data), "__getitem__")
+
+
+def record_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -> Record:
+    """Record of a data frame whose columns are the time (or none, with `dt`), the input and the output, in that order.
+
+    The time is recognised by its label, as `phc.read_csv` does; of the two that remain the first is the input.
+    """
+    columns = list(frame.columns)
+    labels = [str(column) for column in columns]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise StructureError(f"the data frame has {labels.count(label)} columns called {label!r}; rename them")
+    clock = _time_column(labels, dt)
+    rest = [k for k in range(len(columns)) if k != clock]
+    if len(rest) != 2 and (output_needed or len(rest) != 1):
+        raise StructureError(_which(labels, rest))
+    u = signal(_named("input", labels[rest[0]]), _column(frame, columns[rest[0]]))
+    y = None
+    if len(rest) == 2:
+        y = signal(_named("output", labels[rest[1]]), _column(frame, columns[rest[1]]), missing=True)
+    names = dict(zip(("input_label", "output_label"), (labels[k] for k in rest), strict=False))
+    if clock is None:
+        step = _checks.sampling_step(dt)
+        return checked_record(instants(len(u), step), step, u, y, **names)
+    name = f"the time (column {labels[clock]!r})"
+    recorded = signal(name, _column(frame, columns[clock]))
+    refuse_short(len(recorded))
+    time, step = uniform_time(name, recorded, dt)
+    # the grid that instants in print stand for, as in a recording that was read from a file
+    unit = unit_of_time(labels[clock])
+    return checked_record(instants(len(time), step, float(time[0])), step, u, y, time_unit=unit, **names)
+
+
+def _time_column(labels: list[str], dt: Any) -> int | None:
+    found = [k for k, label in enumerate(labels) if is_time_label(label)]
+    if len(found) > 1:
+        names = " and ".join(repr(labels[k]) for k in found)
+        raise StructureError(f"the columns {names} of the data frame may both be the time; drop the one that is not")
+    if not found and dt is None:
+        raise StructureError(
+            f"no column of the data frame is called time or t; rename the one that is (an index is no column: "
+            f"reset_index() makes it one), or give the time between samples with dt ({_listing(labels)})"
+        )
+    return found[0] if found else None
+
+
+def _which(labels: list[str], rest: list[int]) -> str:
+    if len(rest) == 1:
+        return (
+            f"the data frame has one column beside the time, {labels[rest[0]]!r}, so no input or no output; if nothing "
+            "drove the record, pass (None, y) with dt"
+        )
+    if not rest:
+        return f"the data frame has neither input nor output ({_listing(labels)})"
+    return (
+        f"which column is the input and which the output? {len(rest)} columns are left to choose from; keep one of "
+        f"each, the input first, or pass (u, y) with dt ({_listing(labels)})"
+    )
+
+
+def _listing(labels: list[str]) -> str:
+    if not labels:
+        return "it has no columns"
+    more = f" and {len(labels) - _SHOWN} more" if len(labels) > _SHOWN else ""
+    return "the columns are " + ", ".join(map(repr, labels[:_SHOWN])) + more
+
+
+def _named(role: str, label: str) -> str:
+    return f"the {role} (column {label!r})"
+
+
+def _column(frame: Any, label: Any) -> Any:
+    try:
+        return frame[label]
+    except (KeyError, IndexError, TypeError) as error:
+        raise StructureError(
+            f"column {str(label)!r} of the {type(frame).__name__} cannot be read: {error}; pass a data frame in "
+            "memory, or (u, y) with dt"
+        ) from None

@@ -1,0 +1,200 @@
+"""The one door for data: every kind that can be fitted becomes a tuple of checked experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from control import FrequencyResponseData, TimeResponseData
+
+from ..._units import common_unit
+from ...exceptions import IdentificationError, StructureError
+from .data_frames import is_data_frame, record_of_frame
+from .frequency_record import FrequencyRecord, checked_weights, record_of_frequency_response
+from .time_record import Record, record_of_pair, records_of_response, refuse_contradiction
+
+_KINDS = (
+    "a control.TimeResponseData, a control.FrequencyResponseData, a data frame with columns t, u and y, or a tuple "
+    "(u, y) of signals together with dt"
+)
+
+
+def as_experiments(
+    data: Any, dt: Any = None, *, weights: Any = None, output_needed: bool = True
+) -> tuple[Record, ...] | tuple[FrequencyRecord, ...]:
+    """Make checked experiments of data of any kind, all in time or all in frequency.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
+        One experiment or several.  A response of several traces gives one experiment for each.  A pair is a tuple or
+        list of two signals, array_like of shape (T,) each; `(None, y)` is an autonomous record, and with
+        `output_needed=False` also `(u, None)` is one.  A data frame has `columns` and gives a column by its label; its
+        time is found as in `phc.read_csv`, and the first column beside it is the input, the second the output.
+        Experiments in a list may differ in length, step and start; pairs in it are tuples.  A tuple of several
+        experiments is taken as well.
+    dt : float, or sequence of float or None, one for each experiment, optional
+        Time between samples.  Needed with arrays; where the data have a time of their own, the two must agree.
+    weights : array_like of float, shape (K,), or list of these (or None), one for each experiment, optional
+        What the squared error at each frequency counts; positive.  For frequency responses only.
+    output_needed : bool, optional
+        Whether a record without output is refused.
+
+    Returns
+    -------
+    tuple of Record, or tuple of FrequencyRecord
+        At least one experiment.
+
+    Raises
+    ------
+    StructureError
+        If the data are of another kind, or not finite, or do not fit together.  The message names the sample, and
+        in a list the experiment, counted from 1.
+    IdentificationError
+        If a record has fewer than 2 samples, or a frequency response no frequencies.
+
+    Notes
+    -----
+    Nothing is modified.  Signals are copied, but for read-only memory-mapped arrays of doubles, which stay on the disk
+    (one that can be written is copied; so is one of another type).  The step is the shortest number that the instants
+    allow: it does not depend on where the time begins.  O(T), and no more memory than the signals and the time take.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ph_control.identification.data.experiments import as_experiments
+    >>> first, second = as_experiments([([1, 0, 0], [0, 2, 1]), (None, [1, np.nan, 3, 4])], dt=[0.1, 0.2])
+    >>> first.dt, second.dt, second.driven, second.observed.tolist()
+    (0.1, 0.2, False, [True, False, True, True])
+    """
+    if not _are_several(data):
+        _refuse_unknown(data)
+        return _experiment(data, dt, weights, output_needed)
+    if len(data) == 0:
+        raise StructureError(f"data is an empty {type(data).__name__}; pass at least one experiment: {_KINDS}")
+    _refuse_mixture(data)
+    steps, shares = _one_for_each("dt", dt, len(data)), _weights_for_each(weights, len(data))
+    found: list[Any] = []
+    for k, (one, step, share) in enumerate(zip(data, steps, shares, strict=True), start=1):
+        with _in_experiment(k):
+            found.extend(_experiment(one, step, share, output_needed))
+            common_unit(found)
+    return tuple(found)
+
+
+def _refuse_mixture(data: Sequence[Any]) -> None:
+    """Refuse a list that holds anything but experiments, all in time or all in frequency."""
+    for k, one in enumerate(data, start=1):
+        with _in_experiment(k):
+            _refuse_unknown(one, listed=True)
+            if _is_spectral(one) != _is_spectral(data[0]):
+                kinds = [
+                    "a frequency response" if _is_spectral(each) else "a record in time" for each in (one, data[0])
+                ]
+                raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
+
+
+def _is_spectral(data: Any) -> bool:
+    return isinstance(data, FrequencyResponseData | FrequencyRecord)
+
+
+# --- one or several --------------------------------------------------------------------------------------------------
+
+
+def _is_object(data: Any) -> bool:
+    """Whether this can be nothing but one experiment."""
+    kinds = Record | FrequencyRecord | TimeResponseData | FrequencyResponseData
+    return isinstance(data, kinds) or is_data_frame(data)
+
+
+def _is_signal(value: Any) -> bool:
+    return hasattr(type(value), "__len__") and getattr(value, "ndim", 1) > 0
+
+
+def _is_pair(data: Any) -> bool:
+    """Whether this is a tuple of two signals, any of which may be None; a tuple of two numbers is no pair."""
+    return isinstance(data, tuple) and len(data) == 2 and all(one is None or _is_signal(one) for one in data)
+
+
+def _are_several(data: Any) -> bool:
+    """Whether a list or tuple is one of experiments, right or wrong, rather than the pair of two signals."""
+    if not isinstance(data, list | tuple):
+        return False
+    return len(data) != 2 or any(_is_object(one) for one in data) or any(map(_is_pair, data))
+
+
+def _refuse_unknown(data: Any, *, listed: bool = False) -> None:
+    """Refuse what is no experiment; one in a list is no list itself, since its signals could not be told from it."""
+    if _is_object(data) or (isinstance(data, tuple if listed else list | tuple) and not _are_several(data)):
+        return
+    kind = type(data).__name__
+    if isinstance(data, list | tuple) and any(_is_object(one) or _is_pair(one) for one in data):
+        raise StructureError(f"this is a {kind} of experiments; lists are not nested: pass one list of all experiments")
+    hint = ""
+    if isinstance(data, str):
+        hint = "; phc.read_csv reads a file"
+    elif isinstance(data, Iterator):
+        hint = "; put what it yields in a list"
+    raise StructureError(
+        f"{'this' if listed else 'data'} is a {kind}; pass {_KINDS}{'' if listed else ', or a list of these'}{hint}"
+    )
+
+
+# --- one experiment --------------------------------------------------------------------------------------------------
+
+
+def _experiment(data: Any, dt: Any, weights: Any, output_needed: bool) -> tuple[Any, ...]:
+    if _is_spectral(data):
+        if dt is not None:
+            raise StructureError("dt is the step of a record in time, and a frequency response has none; leave dt out")
+        return (_frequency_record(data, weights),)
+    if weights is not None:
+        raise StructureError(
+            "weights belong to frequency responses, and this is a record in time; mark samples to leave out with NaN"
+        )
+    if isinstance(data, Record):
+        refuse_contradiction(dt, data.dt, "the time of the record")
+        return (data,)
+    if isinstance(data, TimeResponseData):
+        return records_of_response(data, dt)
+    if is_data_frame(data):
+        return (record_of_frame(data, dt, output_needed=output_needed),)
+    u, y = data
+    return (record_of_pair(u, y, dt, output_needed=output_needed),)
+
+
+def _frequency_record(data: FrequencyResponseData | FrequencyRecord, weights: Any) -> FrequencyRecord:
+    if isinstance(data, FrequencyResponseData):
+        return record_of_frequency_response(data, weights)
+    return data if weights is None else replace(data, weights=checked_weights(weights, data.samples))
+
+
+# --- lists -----------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _in_experiment(k: int) -> Iterator[None]:
+    try:
+        yield
+    except (StructureError, IdentificationError) as error:
+        raise type(error)(f"experiment {k}: {error}") from None
+
+
+def _one_for_each(name: str, value: Any, count: int) -> Sequence[Any]:
+    """A value for each experiment: the one for all, or those of a sequence."""
+    if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim == 1):
+        return count * [value]
+    if len(value) != count:
+        raise StructureError(f"{name} has {len(value)} entries for {count} experiments; give one for each")
+    return list(value)
+
+
+def _weights_for_each(weights: Any, count: int) -> Sequence[Any]:
+    if weights is not None and not isinstance(weights, list | tuple):
+        raise StructureError(
+            f"weights are a {type(weights).__name__}; with a list of {count} experiments give a list of as many arrays"
+        )
+    return _one_for_each("weights", weights, count)

@@ -1,0 +1,140 @@
+"""Measured frequency responses, checked once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from control import FrequencyResponseData
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._frozen import Frozen
+from ..._units import checked_unit, with_unit
+from ...exceptions import IdentificationError, StructureError
+from .time_record import refuse_out_of_range
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyRecord(Frozen):
+    """A frequency response from one input to one output, at any frequencies.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (K,)
+        Frequencies in rad per unit of time, ascending, none negative; repeats are repeated measurements.
+    response : ndarray of complex, shape (K,)
+        Measured values; NaN where one is missing.
+    weights : ndarray, shape (K,)
+        What the squared error at each frequency counts, in proportion to 1/variance; ones by default.
+    input_label, output_label : str
+        Names of input and output.
+    title : str
+        What the response is called; may be empty.
+    time_unit : str or None
+        Unit of time that `omega` is in radians per; None where it is not known.
+    """
+
+    omega: Array
+    response: ComplexArray
+    weights: Array = None  # type: ignore[assignment]  # ones, as many as there are frequencies
+    input_label: str = "u"
+    output_label: str = "y"
+    title: str = ""
+    time_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        weights = np.ones(len(self.omega)) if self.weights is None else self.weights
+        for name, value, kind in (
+            ("omega", self.omega, float), ("response", self.response, complex), ("weights", weights, float)
+        ):  # fmt: skip
+            object.__setattr__(self, name, _checks.readonly(np.array(value, dtype=kind)))
+
+    def __repr__(self) -> str:
+        return f"<FrequencyRecord: {self.samples} frequencies, {self.output_label!r} from {self.input_label!r}>"
+
+    @property
+    def samples(self) -> int:
+        """Number of frequencies K."""
+        return len(self.omega)
+
+    @cached_property
+    def observed(self) -> NDArray[np.bool_]:
+        """Where the response was measured."""
+        return _checks.readonly(~np.isnan(self.response))
+
+    def as_response(self) -> FrequencyResponseData:
+        """Return the record as python-control keeps one, which has no weights; its names have no dots."""
+        found = FrequencyResponseData(
+            self.response, self.omega, inputs=[self.input_label.replace(".", "_")],
+            outputs=[self.output_label.replace(".", "_")], title=self.title or None,
+        )  # fmt: skip
+        return with_unit(found, self.time_unit)
+
+
+def record_of_frequency_response(data: FrequencyResponseData, weights: Any = None) -> FrequencyRecord:
+    """Check a frequency response of one input and one output, and sort it by frequency."""
+    if (data.ninputs, data.noutputs) != (1, 1):
+        raise StructureError(
+            f"the frequency response has {data.ninputs} inputs and {data.noutputs} outputs, and a fit takes one of "
+            "each: select them by data[output, input]"
+        )
+    if data.dt:
+        step = "of unknown step" if data.dt is True else f"dt = {data.dt:g}"
+        raise StructureError(
+            f"the frequency response is that of a sampled system ({step}), and a lossless model runs in continuous "
+            "time; if it was measured on a plant, pass control.frd(response, omega) without dt"
+        )
+    omega, response = _frequencies(data.omega), np.array(data.frdata[0, 0], dtype=complex)
+    infinite = np.isinf(response)
+    if infinite.any():
+        k = int(np.argmax(infinite))
+        raise StructureError(
+            f"the response is infinite at point {k} (omega = {omega[k]:.6g}); mark missing points with NaN"
+        )
+    refuse_out_of_range("the response", np.abs(response))
+    order = np.argsort(omega, kind="stable")
+    return FrequencyRecord(
+        omega[order],
+        response[order],
+        checked_weights(weights, len(omega))[order],
+        data.input_labels[0],
+        data.output_labels[0],
+        data.title or ("" if data._generic_name_check() else data.name),
+        checked_unit(getattr(data, "time_unit", None)),
+    )
+
+
+def _frequencies(value: Any) -> Array:
+    omega = _checks.real_array("omega", value, 1)
+    if len(omega) == 0:
+        raise IdentificationError("the frequency response has no frequencies; a fit needs at least 2")
+    if omega.min() < 0:
+        k = int(np.argmax(omega < 0))
+        raise StructureError(
+            f"omega is negative at point {k}: {omega[k]:.6g}, allowed >= 0; pass one side of the spectrum, since the "
+            "other is its conjugate"
+        )
+    refuse_out_of_range("omega", omega)
+    return omega
+
+
+def checked_weights(weights: Any, count: int) -> Array:
+    """One positive weight for each frequency; ones by default."""
+    if weights is None:
+        return np.ones(count)
+    array = _checks.real_array("weights", weights)
+    if array.shape != (count,):
+        raise StructureError(f"weights have shape {array.shape}; with {count} frequencies they must be ({count},)")
+    if array.size and array.min() <= 0:
+        k = int(np.argmax(array <= 0))
+        raise StructureError(
+            f"weights are not positive: entry {k} is {array[k]:.6g}; mark points to leave out by a response of NaN"
+        )
+    refuse_out_of_range("the largest weight", array)
+    return array

@@ -1,0 +1,306 @@
+"""Measured records in time, checked once: what the identification sees of a recording."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from decimal import Decimal
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from control import TimeResponseData
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._frozen import Frozen
+from ..._units import checked_unit, with_unit
+from ...analysis.time_grid import printed_step
+from ...exceptions import IdentificationError, StructureError
+
+Array = NDArray[np.float64]
+
+_LARGEST = 1e100  # of a signal whose squares are summed
+_BLOCK = 1 << 16  # samples looked at together, so that a long record is checked without arrays of its length
+_CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Record(Frozen):
+    """One input and one output on a uniform grid.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Instants, as recorded.
+    dt : float
+        Time between samples.
+    u, y : ndarray, shape (T,)
+        Input, and output with NaN for missing samples.
+    input_label, output_label : str
+        Names of the two.
+    driven : bool
+        Whether there is an input; an autonomous record has `u` = 0.
+    title : str
+        What the record is called, such as the name of its file or trace; may be empty.
+    time_unit : str or None
+        Unit of the time, such as 'ms'; None where it is not known.
+    """
+
+    time: Array
+    dt: float
+    u: Array
+    y: Array
+    input_label: str = "u"
+    output_label: str = "y"
+    driven: bool = True
+    title: str = field(default="", kw_only=True)
+    time_unit: str | None = field(default=None, kw_only=True)
+
+    def __repr__(self) -> str:
+        source = f" from {self.input_label!r}" * self.driven
+        return f"<Record: {self.samples} samples, step {self.dt:.6g}, {self.output_label!r}{source}>"
+
+    @property
+    def samples(self) -> int:
+        """Number of instants T."""
+        return len(self.time)
+
+    @cached_property
+    def observed(self) -> NDArray[np.bool_]:
+        """Where the output was measured."""
+        mask = np.isnan(self.y)
+        return _checks.readonly(np.logical_not(mask, out=mask))
+
+    def as_response(self) -> TimeResponseData:
+        """Return the record as python-control keeps one."""
+        found = TimeResponseData(
+            self.time, self.y, inputs=self.u if self.driven else None, issiso=True,
+            input_labels=[self.input_label] if self.driven else None, output_labels=[self.output_label],
+            title=self.title or "Recording",
+        )  # fmt: skip
+        return with_unit(found, self.time_unit)
+
+
+def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
+    """Make one `Record` of `(u, y)` with `dt`, or of a `control.TimeResponseData`; nothing is modified."""
+    if isinstance(data, Record):
+        return data
+    if isinstance(data, TimeResponseData):
+        if data.ninputs and (data.ntraces > 1 or data.ninputs != 1 or data.noutputs != 1):
+            raise StructureError(
+                f"the record has {data.ninputs} inputs, {data.noutputs} outputs and {max(1, data.ntraces)} traces; "
+                "needed one of each: select them before fitting"
+            )
+        record = records_of_response(data, dt)[0]
+    elif isinstance(data, tuple | list) and len(data) == 2:
+        u, y = data
+        record = record_of_pair(u, y, dt, output_needed=output_needed)
+    else:
+        raise StructureError(
+            f"data is a {type(data).__name__}; pass a control.TimeResponseData, or the pair (u, y) together with dt"
+        )
+    if input_needed and not record.driven:
+        raise StructureError(
+            "the record has no input; needed one that varies (a free motion is estimated along with it)"
+        )
+    return record
+
+
+def record_of_pair(u: Any, y: Any, dt: Any, *, output_needed: bool = True) -> Record:
+    """Record of two signals; without `u` an autonomous one, without `y` one of which no output is known."""
+    if u is None and y is None:
+        raise StructureError("the record has neither input nor output; pass (u, y), or (None, y) if nothing drove it")
+    if y is None and output_needed:
+        raise StructureError("the record has no output; pass (u, y), missing samples of y as NaN")
+    if dt is None:
+        raise StructureError("dt is missing: with arrays (u, y) give dt, the time between samples")
+    step = _checks.sampling_step(dt)
+    given = None if u is None else signal("the input", u)
+    measured = None if y is None else signal("the output", y, missing=True)
+    samples = next(len(values) for values in (given, measured) if values is not None)
+    return checked_record(instants(samples, step), step, given, measured)
+
+
+def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record, ...]:
+    """One record for each trace of a response with at most one input and one output."""
+    if data.ninputs > 1 or data.noutputs != 1:
+        raise StructureError(
+            f"the record has {data.ninputs} inputs, {data.noutputs} outputs ({_listed(data.input_labels)}; "
+            f"{_listed(data.output_labels)}), and a fit takes one of each: pass the pair (data.u[j], data.y[i]) with dt"
+        )
+    refuse_short(len(data.time))
+    time, step = uniform_time("the time of the record", data.time, dt)
+    unit = checked_unit(getattr(data, "time_unit", None))
+    runs = max(1, data.ntraces)
+    u = None if data.ninputs == 0 else np.reshape(data.u, (runs, len(time)))
+    y = np.reshape(data.y, (runs, len(time)))
+    labels = {
+        name: given[0]
+        for name, given in (("input_label", data.input_labels), ("output_label", data.output_labels))
+        if given
+    }
+    titles = data.trace_labels if runs > 1 and data.trace_labels else runs * [data.title or ""]
+
+    def record(k: int) -> Record:
+        given = None if u is None else signal("the input", u[k])
+        measured = signal("the output", y[k], missing=True)
+        return checked_record(time, step, given, measured, title=titles[k], time_unit=unit, **labels)
+
+    if runs == 1:
+        return (record(0),)
+    return tuple(_of_trace(record, k) for k in range(runs))
+
+
+def _of_trace(record: Callable[[int], Record], k: int) -> Record:
+    try:
+        return record(k)
+    except StructureError as error:
+        raise StructureError(f"trace {k + 1}: {error}") from None
+
+
+def _listed(labels: list[str] | None) -> str:
+    return ", ".join(map(repr, labels[:8])) + (", ..." if len(labels) > 8 else "") if labels else "no names"
+
+
+def uniform_time(name: str, recorded: Any, dt: Any = None) -> tuple[Array, float]:
+    """Instants on a uniform grid, and their step, which does not depend on where the time begins.
+
+    Far from its origin a time in doubles is coarse: the step is the shortest number that the instants allow.
+    """
+    time, step = _checks.time_vector(recorded, name=name)
+    _checks.sampling_step(step, name=f"the step of {name}")
+    refuse_contradiction(dt, step, name)
+    return time, printed_step(time)
+
+
+def refuse_contradiction(dt: Any, step: float, name: str) -> None:
+    """Refuse a `dt` other than the step of a time that the data bring along."""
+    if dt is None:
+        return
+    given = _checks.sampling_step(dt)
+    if abs(given - step) > _CONTRADICTION * step:
+        raise StructureError(f"dt = {given:g} contradicts {name}, whose step is {step:.6g}; leave dt out")
+
+
+def instants(samples: int, dt: float, start: float = 0.0) -> Array:
+    """Uniform grid, made in place."""
+    time = np.arange(float(samples))
+    time *= dt
+    time += start
+    return time
+
+
+def checked_record(
+    time: Array, dt: float, u: Array | None, y: Array | None, *, title: str = "", time_unit: str | None = None,
+    **labels: str,
+) -> Record:  # fmt: skip
+    """Put checked signals together and lock them; without `u` the record is autonomous."""
+    lengths = [(name, len(x)) for name, x in (("input", u), ("output", y), ("time", time)) if x is not None]
+    for (one, here), (other, there) in pairwise(lengths):
+        if here != there:
+            raise StructureError(f"the {one} has {here} samples and the {other} {there}; they must be of one length")
+    refuse_short(len(time))
+    driven = u is not None
+    u = np.zeros(len(time)) if u is None else u
+    y = np.full(len(time), np.nan) if y is None else y
+    for name, values in (("input", u), ("output", y)):
+        refuse_out_of_range(f"the {name}", values)
+    for array in (time, u, y):
+        _checks.readonly(array)
+    return Record(time, dt, u, y, driven=driven, title=title, time_unit=time_unit, **labels)
+
+
+def refuse_short(samples: int) -> None:
+    """Refuse a record that has no step."""
+    if samples < 2:
+        raise IdentificationError(f"the record has {samples} sample{'s' * (samples != 1)}; a fit needs at least 5")
+
+
+def refuse_out_of_range(name: str, values: Array) -> None:
+    """Refuse a signal whose squares come near the ends of the range of doubles; NaN is left out."""
+    size = max(float(np.fmax.reduce(values, initial=0.0)), -float(np.fmin.reduce(values, initial=0.0)))
+    if size and not 1 / _LARGEST < size < _LARGEST:
+        raise StructureError(
+            f"{name} is of size {size:.3g}, and its square is near the end of the range of doubles; allowed is "
+            f"{1 / _LARGEST:g} to {_LARGEST:g}: choose another unit"
+        )
+
+
+def signal(name: str, value: Any, *, missing: bool = False) -> Array:
+    """Take a vector of numbers; a single column or row counts as one.
+
+    With `missing`, what is masked, None or NaN becomes NaN; otherwise it is refused with its place.
+    """
+    if isinstance(value, np.memmap) and value.dtype == np.float64 and not value.flags.writeable:
+        # what lies on the disk stays there
+        array: Array = np.asarray(value)
+    else:
+        array = np.array(_numbers(name, value, missing), dtype=float)
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.reshape(-1)
+    if array.ndim != 1:
+        raise StructureError(
+            f"{name} has shape {array.shape}; needed one signal of shape (T,); several experiments are a list of "
+            "tuples, [(u1, y1), (u2, y2)]"
+        )
+    bad, first = _count(np.isinf if missing else _not_finite, array)
+    if bad and missing:
+        raise StructureError(f"{name} is infinite at sample {first}; mark missing samples with NaN")
+    if bad:
+        raise StructureError(
+            f"{name} is not finite at sample {first}: {bad} of {len(array)} samples are NaN or infinite, the first at "
+            f"index {first}; every sample is needed, so fill them in or cut the record there"
+        )
+    return array
+
+
+def _numbers(name: str, value: Any, missing: bool) -> NDArray[Any]:
+    """Real numbers of any type, NaN where one is absent; not copied if that can be avoided."""
+    if isinstance(value, np.ma.MaskedArray):
+        mask = np.ma.getmaskarray(value)
+        if missing and value.dtype.kind in "biuf":
+            return np.where(mask, np.nan, value.data)
+        if mask.any():
+            raise StructureError(f"{name} is masked at sample {int(np.argmax(mask.ravel()))}; every sample is needed")
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        return _checks.real_array(name, value)
+    if array.dtype.kind == "O":
+        array = _unboxed(array, value)
+    if missing and array.dtype.kind == "c" and (lost := np.isnan(array)).any():
+        return np.where(lost, np.nan, _checks.real_array(name, np.where(lost, 0.0, array)))
+    return array if array.dtype.kind in "biuf" else _checks.real_array(name, array)
+
+
+def _unboxed(array: NDArray[Any], value: Any) -> NDArray[Any]:
+    """Doubles of an array of Python numbers and marks of the missing; anything else is left for the check to refuse."""
+    if hasattr(value, "to_numpy"):
+        # only the library of a data frame knows its own mark
+        with suppress(TypeError, ValueError):
+            array = value.to_numpy(na_value=np.nan)
+    real = (numbers.Real, Decimal, np.bool_)
+    if array.ndim and all(item is None or isinstance(item, real) for item in array.flat):
+        with suppress(OverflowError):
+            return array.astype(float)
+    return array
+
+
+def _not_finite(values: Array) -> NDArray[np.bool_]:
+    return ~np.isfinite(values)
+
+
+def _count(test: Callable[[Array], NDArray[np.bool_]], array: Array) -> tuple[int, int]:
+    """How many entries pass the test, and the first that does; block by block."""
+    total, first = 0, -1
+    for start in range(0, len(array), _BLOCK):
+        found = test(array[start : start + _BLOCK])
+        here = int(np.count_nonzero(found))
+        if here and not total:
+            first = start + int(np.argmax(found))
+        total += here
+    return total, first

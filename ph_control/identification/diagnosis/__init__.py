@@ -1,0 +1,1 @@
+"""Tests of a fit against its assumptions."""

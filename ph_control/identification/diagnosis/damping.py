@@ -1,0 +1,394 @@
+"""What contradicts a collocated lossless model: damping, or residues of a sign that such a model does not have.
+
+A lossless model is one of the damped ones with residues of any phase.  What a first step to these would gain is always
+asked, which costs next to nothing; where that is more than chance, or the fit is doubtful for other reasons, they are
+fitted to the same data.  What is said of them has to stand out of the noise, and they have to explain what the lossless
+modes do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtrc
+from scipy.stats import norm
+
+from ..regression.free import FreeProjection, first_step
+from ..regression.free_rows import FreeRecord, FreeRows, FreeTransform
+from ..regression.frequency_rows import FrequencyRows
+from ..regression.prediction import fit_percent
+from ..regression.spectral_rows import Spectrum
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import Problem, Projection
+from ..search.criteria import criteria, preference
+from ..search.free_path import FreeStep, criterion, evidence, finished, free_criterion, free_path, free_unknowns
+from ..search.free_search import FreeSearch, Records, free_data, local_modes
+from ..search.steps import Step, mode_energies, more_than_noise
+from ..uncertainty.whiteness import ljung_box
+from .damped_model import DampedModel, HypothesisTest
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_ERRORS = 4.0  # standard errors beyond which something is said, with one mode
+_EVIDENT = 100.0  # energy of a mode in units of the noise: below, its shape is not judged
+_APART = 3.0  # basins between modes of a lossless fit that may be modes of the plant
+_CROWDED = 0.5  # basins between modes of a lossless model that look like one with damping
+_MOST = 20
+_MUCH = 0.25  # part of the loss that has to go, if what is left is not white
+_HALF = 50.0  # percent that have to be explained, if what is left is not white
+_WHITE = 1e-3
+_LAGS = 20
+_IN_TIME = 128  # samples up to which all are asked; of longer records the bins about the modes
+_BROAD = 0.5  # bins: half-width of a peak that many lossless modes would mimic
+_BESIDE = 4.0  # bins between a mode and one more that would mimic its width
+_PAST = 2  # lossless modes more than damped ones before the two are compared
+REFUSED = 1e-3  # probability below which a hypothesis is refused
+
+
+def sentence(model: DampedModel) -> str:
+    """What of the damped modes contradicts a lossless collocated model."""
+    causes, parts = [], []
+    ratios, errors = model.damping_ratios, model.stderr["damping_ratios"]
+    decaying, growing = model.damped & (ratios > 0), model.damped & (ratios < 0)
+    if decaying.any():
+        parts.append(f"damping ratios of {_listed(ratios, errors, decaying)}")
+        causes.append("the plant loses energy" if model.residues.any() else "the motion decays")
+    if growing.any():
+        parts.append(f"negative damping ratios of {_listed(ratios, errors, growing)}")
+        causes.append("modes grow, so that energy is fed in")
+    weights, weight_errors = model.weights
+    if model.negative.any() and not np.any(weights > _ERRORS * weight_errors):
+        parts.append("negative residues only")
+        causes.append("the polarity of the sensor is reversed, or displacement and acceleration are mixed up")
+    elif model.negative.any():
+        parts.append(f"residues of opposite sign ({_modes(model.negative)} negative)")
+        causes.append("the sensor is not at the actuator")
+    if not parts:
+        return ""
+    return f"With {' and '.join(parts)}, {model.fit_percent:.1f} % would be explained: {', and '.join(causes)}."
+
+
+def _modes(which: NDArray[np.bool_]) -> str:
+    numbers = [str(k + 1) for k in np.flatnonzero(which)]
+    return f"mode{'s' * (len(numbers) > 1)} {_joined(numbers)}"
+
+
+def _joined(items: Sequence[str]) -> str:
+    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
+
+
+def _listed(values: Array, errors: Array, which: NDArray[np.bool_]) -> str:
+    shown = [f"{100 * values[k]:.2g} +- {100 * errors[k]:.1g} %" for k in np.flatnonzero(which)]
+    return f"{_joined(shown)} ({_modes(which)})"
+
+
+# --- the test --------------------------------------------------------------------------------------------------------
+
+
+def lossless_test(problem: Problem, at: Projection) -> HypothesisTest | None:
+    """A lossless fit against decay of either sign and residues of any phase, by the best first step towards these.
+
+    The law is that of Fisher; where the noise is stronger about the modes than elsewhere, it counts as it is there.
+    None for frequency responses, where there is no mode, and where there are too few samples.
+    """
+    n, records = len(at.d), [one for one in problem.experiments if isinstance(one, Experiment)]
+    spare = problem.samples - free_unknowns(problem, n)
+    if not n or spare < 1 or at.loss <= 0 or len(records) < len(problem.experiments) or _is_of_euler(problem):
+        return None
+    p = (1j * at.d).astype(complex)
+    shared, directions = _lossless_directions(at, records[0].quantity)
+    through = records[0].quantity == "acceleration"
+    rows: list[FreeRows] = []
+    for one in records:
+        in_bins = len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2
+        rows.append(FreeTransform.about(Spectrum.of(one), p, through) if in_bins else FreeRecord(one, through))
+    gain, left, dof, fitted = first_step(rows, p, shared, directions)
+    near = sum(one.samples for one in rows) - fitted
+    variance = max((at.loss - gain) / spare, left / max(1, near), np.finfo(float).tiny)
+    if not dof:
+        return None
+    ratio = (spare + dof) * float(np.log1p(gain / variance / spare))
+    return HypothesisTest("lossless", ratio, dof, float(fdtrc(dof, spare, gain / variance / dof)))
+
+
+def _lossless_directions(at: Projection, quantity: str) -> tuple[Array, Array]:
+    """Residues and feedthrough of a lossless model, and the directions of `(poles, these)` in which it may move."""
+    d, kappa = at.d, at.kappa
+    n, unit = len(d), np.eye(len(d))
+    none = np.zeros((n, n))
+    if not at.problem.driven:
+        return np.zeros(0), np.concatenate([unit, none])
+    power, through = {"velocity": 1, "displacement": 0, "acceleration": 2}[quantity], quantity == "acceleration"
+    size = (1j * d) ** power / (2j * d)
+    fed = np.ones((int(through), 1))
+    along = np.concatenate([np.diag(size.real), np.diag(size.imag), fed * np.ones(n)])
+    shared = along @ kappa
+    # the size of a residue turns with the frequency: of an accelerometer this is no other weight, as D stays
+    turning = np.concatenate([along[: 2 * n] * (power - 1) * kappa / d, fed * np.zeros(n)])
+    by_frequency = np.concatenate([unit, none, turning])
+    by_weight = np.concatenate([none, none, along])
+    return shared, np.concatenate([by_frequency, by_weight], axis=1)
+
+
+def likelihood_ratio(problem: Problem, at: Projection, model: DampedModel) -> HypothesisTest:
+    """A lossless fit against the damped one with as many modes."""
+    n = len(at.d)
+    spare = problem.samples - free_unknowns(problem, n)
+    dof = n + n * problem.driven
+    gain = max(at.loss / problem.samples / model.loss - 1.0, 0.0)
+    ratio = (spare + dof) * float(np.log1p(gain))
+    return HypothesisTest("lossless", ratio, dof, float(fdtrc(dof, spare, gain * spare / dof)))
+
+
+# --- the diagnosis ---------------------------------------------------------------------------------------------------
+
+
+def contradiction(
+    problem: Problem, at: Projection, *, order: int | None, doubtful: bool, most: int = _MOST,
+    refused: bool = False, followed: FreeStep | None = None,
+) -> DampedModel | None:  # fmt: skip
+    """The damped modes that explain what a lossless fit leaves, or None if they do not explain more than chance.
+
+    With an `order` these are that many, the strongest; None takes those that the data speak for.  `refused` tells that
+    a test has spoken against the lossless model, `doubtful` that something else has, and `followed` are modes that the
+    search found already.
+    """
+    if problem.samples <= 2 * free_unknowns(problem, 1) or at.loss <= 0 or _is_of_euler(problem):
+        return None
+    if not (doubtful or refused or followed):
+        return None
+    search = FreeSearch(problem, free_data(problem))
+    step = followed or free_path(problem, search, _starts(problem, at), order, most)
+    if not len(step.at.p) or not (refused or _explains(problem, search, step, at)):
+        return None
+    p = step.at.p
+    if order is not None and order < len(p):
+        p = p[np.argsort(-evidence(search, step.at), kind="stable")[:order]]
+    quantity = _quantity(problem)
+    return _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)
+
+
+def from_poles(problem: Problem, poles: ComplexArray, quantity: str) -> DampedModel:
+    """The damped modes next to some poles."""
+    search = FreeSearch(problem, free_data(problem))
+    return _model(problem, search, finished(search, poles, quantity == "acceleration"), quantity)
+
+
+def _is_of_euler(problem: Problem) -> bool:
+    """Whether the modes grow by the method that made the data, whatever the plant does."""
+    return any(isinstance(one, Experiment) and one.hold.method == "euler" for one in problem.experiments)
+
+
+def _quantity(problem: Problem) -> str:
+    return next(one.quantity for one in problem.experiments if isinstance(one, Experiment | FrequencyRows))
+
+
+def beside(damped: Array, lossless: Array, order: int | None) -> Array:
+    """Frequencies of damped modes; with those of lossless ones that are farthest from them, if more are asked for."""
+    missing = 0 if order is None else order - len(damped)
+    if missing < 0:
+        return lossless
+    distance = np.min(np.abs(lossless[:, None] - damped), axis=1)
+    return np.concatenate([damped, lossless[np.argsort(-distance)][:missing]])
+
+
+def is_crowded(at: Projection) -> bool:
+    """Whether modes are closer than the data resolve: two of them, nearly equal and opposite, mimic a decay."""
+    return len(at.d) > 1 and bool(np.min(np.diff(np.sort(at.d))) < _CROWDED * at.problem.bin)
+
+
+def _starts(problem: Problem, at: Projection) -> ComplexArray:
+    """Modes of the lossless fit that may be modes of the plant: not held, and apart from stronger ones."""
+    kept: list[float] = []
+    for k in np.argsort(-mode_energies(at)):
+        d = float(at.d[k])
+        if at.free[k] and all(abs(d - other) > _APART * problem.bin for other in kept):
+            kept.append(d)
+    return np.nan + 1j * np.array(kept)
+
+
+def _explains(problem: Problem, search: FreeSearch, step: FreeStep, at: Projection) -> bool:
+    """Whether damped modes explain what lossless ones leave, rather than a little more of something else."""
+    n = len(at.d)
+    if free_criterion(problem, step) >= criterion(problem, at.loss, problem.unknowns(n)):
+        return False
+    if _left_white(search, step):
+        return True
+    better = len(step.at.p) < n or step.loss < (1 - _MUCH) * at.loss
+    return better and _fit_percent(problem, _errors(search, step.left)) > _HALF
+
+
+# --- what stands out -------------------------------------------------------------------------------------------------
+
+
+def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: str) -> DampedModel:
+    """The public form of a minimum, modes sorted, and what of it stands out."""
+    n, rank = len(at.p), np.argsort(at.d)
+    unknowns = free_unknowns(problem, n) - (problem.driven and not at.has_feedthrough)
+    variance = at.loss / max(1, problem.samples - unknowns)
+    left = search.data.left(at)
+    errors = _errors(search, left)
+    records, free, offsets = isinstance(search.data, Records), [], []
+    for one, own in zip(problem.experiments, at.own, strict=True):
+        moving = isinstance(one, Experiment) and not one.from_rest
+        free.append((2 * (own[:n] + 1j * own[n : 2 * n]))[rank] if moving else np.zeros(n * records, complex))
+        offsets.append(float(own[-1]) if isinstance(one, Experiment) and one.offset else 0.0)
+    loss = at.loss / problem.samples
+    model = DampedModel(
+        poles=at.p[rank],
+        residues=at.residues[rank],
+        feedthrough=at.feedthrough,
+        covariance=_covariance(at, variance, rank),
+        noise_variance=variance,
+        loss=loss,
+        loglik=criteria(problem, at.loss, 0).loglik,
+        fit_percent=_fit_percent(problem, errors),
+        free_amplitudes=tuple(free),
+        offsets=tuple(offsets),
+        predicted=tuple(search.data.predicted(at)),
+        damped=np.zeros(n, bool),
+        negative=np.zeros(n, bool),
+        quantity=quantity,
+    )
+    bound = float(norm.isf(norm.sf(_ERRORS) / max(1, n)))
+    evident = (evidence(search, at) > _EVIDENT * variance)[rank]
+    weights, weight_errors = model.weights
+    damped = evident & (np.abs(model.damping_ratios) > bound * model.stderr["damping_ratios"])
+    negative = evident & (weights < -bound * weight_errors) & (weights < -0.5 * np.abs(model.complex_weights))
+    return replace(model, damped=damped, negative=negative & problem.driven)
+
+
+def _covariance(at: FreeProjection, variance: float, rank: NDArray[np.intp]) -> Array:
+    """From imaginary and real parts of the poles to natural frequencies and damping ratios; NaN for what is absent."""
+    n, inner = len(at.p), at.covariance(variance)
+    w, x, d = at.p.imag, at.p.real, at.d
+    T = np.eye(len(inner))
+    k = np.arange(n)
+    T[k, k], T[k, n + k] = w / d, x / d
+    T[n + k, k], T[n + k, n + k] = x * w / d**3, -(w**2) / d**3
+    inner = T @ inner @ T.T
+    full = np.full((4 * n + 1, 4 * n + 1), np.nan)
+    full[: len(inner), : len(inner)] = inner
+    order = np.concatenate([rank, n + rank, 2 * n + rank, 3 * n + rank, [4 * n]])
+    return full[np.ix_(order, order)]
+
+
+def _left_white(search: FreeSearch, step: FreeStep) -> bool:
+    data = search.data
+    if isinstance(data, Records):
+        parts = [
+            np.where(one.observed, error, np.nan)
+            for one, error in zip(data.experiments, _errors(search, step.left), strict=True)
+        ]
+    else:
+        parts = [part for one in step.left for part in (one.real, one.imag)]
+    return ljung_box(parts, _LAGS) >= _WHITE
+
+
+def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[NDArray[np.float64]] | list[ComplexArray]:
+    """What a model leaves of each record in time, or of each response in the scale of its weights."""
+    if isinstance(search.data, Records):
+        return [np.fft.irfft(one, len(record.u)) for one, record in zip(left, search.data.experiments, strict=True)]
+    return list(left)
+
+
+def _fit_percent(problem: Problem, errors: Sequence[NDArray[np.float64]] | Sequence[ComplexArray]) -> float:
+    in_time = [one for one in problem.experiments if isinstance(one, Experiment)]
+    if in_time:
+        left = np.concatenate([error[one.observed] for error, one in zip(errors, in_time, strict=True)])
+        return fit_percent(np.concatenate([one.target for one in in_time]), left)
+    responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+    measured = np.concatenate([one.record.response[one.record.observed] for one in responses])
+    unscaled = [left / one.scale for one, left in zip(responses, errors, strict=True)]
+    return fit_percent(measured, np.concatenate(unscaled))
+
+
+# --- while modes are looked for --------------------------------------------------------------------------------------
+
+
+class DampingWatch:
+    """Ends a search for lossless modes that would only mimic the width of a few damped ones."""
+
+    def __init__(self, problem: Problem, over: Callable[[list[Step]], bool] = lambda path: False) -> None:
+        self._problem, self._over = problem, over
+        self.followed = False
+        self._records = [one for one in problem.experiments if isinstance(one, Experiment)]
+        self._silent = not self._records or _is_of_euler(problem)
+        self._asked = 0  # order at which damped modes were last looked for
+        self._found: FreeStep | None = None
+        self._broad: bool | None = None
+
+    def __call__(self, path: list[Step]) -> bool:
+        """Whether a path is over, or has gone beyond the number of damped modes that are better than all of it."""
+        if self._over(path):
+            return True
+        self._look(path)
+        if self._found is not None and len(path[-1].d) >= len(self._found.at.p) + _PAST:
+            self.followed = self._is_better(path)
+        return self.followed
+
+    def decided(self, path: list[Step]) -> FreeStep | None:
+        """Damped modes that are better than all of a path that has come to its end."""
+        if self._found is None:
+            self._look(path)
+        return self._found if not path[-1].interrupted and self._is_better(path) else None
+
+    def _look(self, path: list[Step]) -> None:
+        """Look for damped modes where the path gives reason to, at orders that double."""
+        step = path[-1]
+        if self._silent or step.interrupted or self._found is not None or len(step.d) < 2 * self._asked:
+            return
+        if self._suspects(step):
+            self._asked = len(step.d)
+            search = FreeSearch(self._problem, free_data(self._problem))
+            try:
+                found = free_path(self._problem, search, np.zeros(0, complex), None, _MOST)
+            except KeyboardInterrupt:
+                path[-1] = replace(step, interrupted=True)
+                return
+            self._found = found if _decays(self._problem, found.at) else None
+
+    def _is_better(self, path: list[Step]) -> bool:
+        """Whether damped modes were found that are better than the whole path; they are forgotten if not."""
+        problem = self._problem
+        # a few coefficients of coloured noise may explain what many damped modes would
+        best = min(
+            criterion(problem, step.loss, problem.unknowns(n := len(step.d)))
+            + preference(problem, step, "bic")
+            - criteria(problem, step.loss, n).bic
+            for step in path
+        )
+        if self._found is not None and free_criterion(problem, self._found) >= best:
+            self._found = None
+        return self._found is not None
+
+    def _suspects(self, step: Step) -> bool:
+        """Whether one more mode would stand beside another, or the mode that was strongest first is broad."""
+        if not len(step.d) or not len(step.candidates):
+            return False
+        every = np.sort(np.append(step.d, step.candidates[0]))
+        beside = np.min(np.diff(every)) < _BESIDE * self._problem.bin
+        if not (beside or self._broad is not False) or not more_than_noise(self._problem, step):
+            return False
+        if self._broad is None:
+            strongest = float(step.d[int(np.argmax(step.weights))])
+            self._broad = any(_is_broad(one, strongest) for one in self._records)
+        return bool(beside or self._broad)
+
+
+def _decays(problem: Problem, at: FreeProjection) -> bool:
+    """Whether any mode has a decay rate that stands out of the noise."""
+    n = len(at.p)
+    inner = at.covariance(at.loss / max(1, problem.samples - free_unknowns(problem, n)))
+    return bool(np.any(np.abs(at.sigma) > _ERRORS * np.sqrt(np.diag(inner)[n : 2 * n])))
+
+
+def _is_broad(record: Experiment, d: float) -> bool:
+    """Whether the strongest peak near a frequency is broader than that of a mode without damping."""
+    spectrum = Spectrum.of(record)
+    p, gain = local_modes(spectrum, spectrum.Y, around=float(spectrum.place(np.array([d]))[0]))
+    return len(p) > 0 and bool(-p[int(np.argmax(gain))].real > _BROAD * record.bin)

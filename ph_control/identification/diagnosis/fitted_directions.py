@@ -1,0 +1,70 @@
+"""The directions in which a fit has adapted to its data: what noise has along them is missing from the residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..regression.frequency_rows import modal_columns
+from ..regression.modal_regressors import Hold, regressors
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Derivatives of an output by what was fitted, one column each: to all experiments, and to this one alone."""
+
+    shared: NDArray[Any]
+    local: NDArray[Any]
+
+
+def same_data(one: Any, other: Any) -> bool:
+    """Whether two experiments are one."""
+    if one is other:
+        return True
+    if isinstance(one, FrequencyRecord) and isinstance(other, FrequencyRecord):
+        return np.array_equal(one.omega, other.omega) and np.array_equal(one.response, other.response, equal_nan=True)
+    if not (isinstance(one, Record) and isinstance(other, Record)):
+        return False
+    return (
+        one.samples == other.samples
+        and one.driven == other.driven
+        and abs(one.dt - other.dt) <= _checks.EPS * one.samples * one.dt
+        and np.array_equal(one.u, other.u)
+        and np.array_equal(one.y, other.y, equal_nan=True)
+    )
+
+
+def of_response(record: FrequencyRecord, d: Array, kappa: Array, weighted: Mask, quantity: str) -> Directions:
+    """Of a frequency response, complex."""
+    columns, slopes = modal_columns(d, record.omega, quantity)
+    return Directions(np.concatenate([kappa[:, None] * slopes, columns[weighted]]).T, np.zeros((record.samples, 0)))
+
+
+def of_record(
+    record: Record, d: Array, kappa: Array, free: ComplexArray, weighted: Mask, moving: Mask, hold: Hold, quantity: str,
+    offset: int,
+) -> Directions:  # fmt: skip
+    """Of a record in time, with free amplitudes at the output; O(T n), and as much memory.
+
+    `weighted` are the modes whose residue is not held at 0, `moving` those whose free motion was estimated.
+    """
+    shared, parts = np.zeros((record.samples, 0)), [np.zeros((record.samples, 0))]
+    if len(d):
+        found = regressors(d, record.u, hold, quantity)
+        # without an input the forced columns are 0
+        by_d = kappa * found.forced_slope + free.real * found.cosine_slope + free.imag * found.sine_slope
+        shared = np.concatenate([by_d, found.forced[:, weighted]], axis=1)
+    if free.any():
+        parts += [found.cosine[:, moving], found.sine[:, moving]]
+    parts.append(np.arange(float(record.samples))[:, None] ** np.arange(offset))
+    return Directions(shared, np.concatenate(parts, axis=1))

@@ -1,0 +1,198 @@
+"""What to tell the user about a fit, in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..._display import p_value
+from .damped_model import HypothesisTest
+
+_WHITE = 1e-3  # p-value below which residuals are called coloured
+GOOD_FIT = 90.0  # percent
+_LISTED = 6  # samples named one by one
+_FEW = 20  # samples to spare below which nothing is said of the quality
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to tell the user about a fit."""
+
+    n: int
+    order: int
+    from_rest: bool
+    spare: int
+    fit_percent: float
+    active: tuple[int, ...]
+    blind: str
+    remark: str
+    whiteness: float
+    converged: bool
+    noiseless: bool
+    at_limit: bool
+    order_given: bool
+    silent: bool
+    reversed_sign: bool
+    drifting: tuple[int, ...]
+    interrupted: bool
+    driven: bool
+    contradiction: str = ""
+    refused: HypothesisTest | None = None
+    quantity: str = "velocity"
+    in_time: bool = True
+    alike: bool = False
+    share: float = 0.0
+    circumstances: tuple[str, ...] = ()
+    explained: bool = False
+    named: bool = False
+    outliers: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def _coloured(self) -> bool:
+        return self.whiteness < _WHITE
+
+    @property
+    def _unexplained(self) -> bool:
+        return self._coloured and not self.explained
+
+    @property
+    def headline(self) -> str:
+        """Verdict in a line."""
+        if self.n == 0:
+            return "nothing to model"
+        if self.interrupted:
+            return "none, the fit was interrupted"
+        if self.silent and self.driven and not self.blind:
+            return "NOT a model: it does not respond to the input"
+        # weights that leave no trace may come out as 0 and say nothing
+        held = not self.blind and 2 * len(self.active) >= self.n
+        poor = self.fit_percent < GOOD_FIT or self.at_limit or held
+        if (self._unexplained or self.contradiction) and poor:
+            return "NOT described by a collocated lossless model"
+        doubts = self.active or self._unexplained or self.contradiction or self.refused or self.blind
+        if doubts or not self.converged or any(self.outliers):
+            return "doubtful, see below"
+        if self._coloured:
+            return "consistent with the record, noise not white"
+        return "too few samples to judge" if self.spare < _FEW and not self.noiseless else "consistent with the record"
+
+    def message(self) -> str:
+        """All sentences."""
+        parts = []
+        if not self.driven and self.n:
+            parts.append(
+                "Without an input the weights r leave no trace: they are 1 by convention, and only frequencies and "
+                "initial states are learned."
+            )
+        if self.silent and self.driven and self.n and not self.blind:
+            parts.append(
+                "All weights are zero: the model does not respond to the input, and what fits is free motion only."
+                + (" The residues asked for are all negative: check the polarity of the sensor." * self.reversed_sign)
+            )
+        if self.interrupted:
+            parts.append("The fit was interrupted; the numbers above are the best found until then.")
+        elif not self.converged:
+            parts.append("The refinement did not converge; the numbers above are the best found.")
+        if self.n == 0:
+            return "Nothing to model: no mode improves the BIC. " + " ".join(parts)
+        if self.order > self.n:
+            parts.append(
+                f"The record shows {self.n} mode{'s' * (self.n != 1)}, the residual is at rounding level; the other "
+                f"{self.order - self.n} of the {self.order} asked for have r = 0 and placeholder frequencies."
+            )
+        if self.at_limit:
+            parts.append(
+                f"The BIC still falls at the largest order tried ({self.order}): more modes would fit "
+                "better yet, as they do where one damped mode is mimicked by many lossless ones; raise max_order or "
+                "doubt the model."
+            )
+        if self.drifting and not self.blind:
+            listed = ", ".join(str(l + 1) for l in self.drifting)
+            parts.append(
+                f"Mode{'s' * (len(self.drifting) > 1)} {listed} would complete less than a period in the record: an "
+                "offset or a drift, rather; subtract the mean or the trend first."
+            )
+        if self.active and not self.blind:
+            listed = ", ".join(str(l + 1) for l in self.active)
+            asked = (
+                "there the record asks for a residue that no lossless model with input and output at the same port has."
+                if self._unexplained or self.contradiction
+                else "noise hides whether the input reaches it."
+            )
+            parts.append(f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: {asked}")
+        if self.blind or self.remark:
+            parts.append(self.blind or self.remark)
+        if self.contradiction:
+            parts.append(self.contradiction)
+        elif self.refused:
+            parts.append(
+                f"Against modes with damping and residues of any phase the lossless model is refused (likelihood ratio "
+                f"{self.refused.likelihood_ratio:.4g} for {self.refused.dof} degrees of freedom, "
+                f"{p_value(self.refused.p)}): its standard errors do not hold."
+            )
+        parts += self.circumstances
+        if self._unexplained:
+            p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
+            parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
+        if self.alike and (self._unexplained or self.contradiction):
+            parts.append(
+                "All points were taken as equally sure: noise that goes with the gain looks like this too; if yours "
+                "does, pass weights=1/(standard deviation)**2 of each point."
+            )
+        if self.headline.startswith("NOT") and self.order_given and not self.contradiction:
+            parts.append("The order was given; a higher one may fit better: try order='auto'.")
+        if self.headline.startswith("NOT"):
+            parts.append(self._refusal())
+            if self.from_rest and not self.contradiction:
+                parts.append("The plant was taken to start at rest; if it may not have, use initial_state='estimate'.")
+        if self.spare < _FEW and not self.noiseless:
+            parts.append(
+                f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
+                "its quality cannot be judged."
+            )
+        if any(self.outliers) and not (self._coloured or self.contradiction):
+            parts.append(self._standing_out())
+        if self.share:
+            parts.append(
+                f"The noise grows with the gain, by {100 * self.share:.2g} % of it: this was estimated, and each point "
+                "has the weight that belongs to it."
+            )
+        if len(parts) == (not self.driven and self.n > 0) + bool(self.share):
+            parts.append(
+                "The record is reproduced to rounding."
+                if self.noiseless
+                else "The residuals are white: the model explains the record."
+            )
+        return " ".join(parts)
+
+    def _standing_out(self) -> str:
+        """Which samples stand out of the noise."""
+        several = len(self.outliers) > 1
+        named = [
+            f"{k}" + f" of experiment {place}" * several
+            for place, one in enumerate(self.outliers, start=1)
+            for k in one
+        ]
+        listed = ", ".join(named[:_LISTED]) + f" and {len(named) - _LISTED} more" * (len(named) > _LISTED)
+        return (
+            f"{'Samples' if self.in_time else 'Points'} far out of the noise of all others (counted from 0): {listed}. "
+            "If they are errors of measurement, mark them with NaN."
+        )
+
+    def _refusal(self) -> str:
+        """That no such model describes the data, and what to suspect where nothing was found to contradict it."""
+        found = (
+            f"With a fit of {self.fit_percent:.1f} % a collocated lossless {self.quantity} model does not describe "
+            f"this {'record' if self.in_time else 'response'}"
+        )
+        if self.contradiction or self.named:
+            return found + "."
+        others = [one for one in ("velocity", "displacement", "acceleration") if one != self.quantity]
+        return (
+            f"{found}: suspect damping, a sensor away from the actuator, an output that is not the {self.quantity} "
+            f"({', '.join(others)})."
+        )
+
+
+def is_doubtful(whiteness: float, active: bool) -> bool:
+    """Whether more than noise is left, or the constraint is at work."""
+    return bool(active or whiteness < _WHITE)

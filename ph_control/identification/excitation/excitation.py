@@ -1,0 +1,390 @@
+"""What a record can and cannot show of a lossless model, before any fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._units import common_unit, in_unit
+from ...exceptions import IdentificationError, StructureError
+from ...modal.modal_form import ModalForm
+from ...modal.propagation import INTERSAMPLE, METHODS
+from ...systems.port_hamiltonian import modes
+from ..data.experiments import as_experiments
+from ..data.time_record import Record
+from ..regression.modal_regressors import QUANTITIES, Hold, regressors
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import Problem, Projection
+from ..uncertainty.fisher import Combination, Information, joint_information, model_information
+from .excited_band import ExcitedBand, excited_band
+from .remedy import input_remedy
+from .report import Excitation
+from .scan import Scan, representative, scan
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_ALWAYS = 20  # modes that are judged however short the record, so that it is said how long it has to be
+_MOST = 200  # modes beyond which singular values take minutes
+_LONGEST = 100  # times the record: more is no advice
+_SAME = 1e-9  # relative distance of frequencies that no record of any length tells apart in practice
+_FASTEST = 1e6  # radians per step
+_WANTED = 0.1  # relative standard error that a stronger input is to reach
+_AT_ZERO = 0.05  # bins between a line and a zero that it drives
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked(Experiment):
+    """A record that is asked what it shows, `measured` or only planned."""
+
+    measured: bool = True
+
+
+def excitation(
+    data: Any,
+    order: Any,
+    *,
+    dt: float | None = None,
+    method: str = "exact",
+    intersample: str = "zoh",
+    initial_state: str = "estimate",
+    quantity: str = "velocity",
+    noise_std: float | None = None,
+) -> Excitation:
+    """Tell what a record can and cannot show of a lossless model, and what input would show it.
+
+    Evaluates the Fisher information of `theta = (d, r, x(0))`: at a model if one is given, else at modes spread over
+    the band of the input.  Nothing is fitted.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, data frame, pair (u, y), or list of these
+        The records, as for `pem`; `(u, None)` where there is an input only.  Not modified.
+    order : int, pair (d, r), ModalForm, PortHamiltonian or PEMResult
+        Model at which to judge; or a number of modes n, whose frequencies may lie anywhere.
+    dt : float, optional
+        Time between samples; needed with arrays.
+    method : {'exact', 'midpoint', 'euler'}
+        How the model meets the samples.
+    intersample : {'zoh', 'foh'}
+        Input between samples: held, or linear.
+    initial_state : {'estimate', 'zero'}
+        Whether the record may start in motion, so that the initial state is an unknown like the others.
+    quantity : {'velocity', 'displacement', 'acceleration'}
+        What is measured of the port.
+    noise_std : float, optional
+        Standard deviation of the output noise, for standard errors.  Default: that of a fitted result, or of what a
+        given model leaves of the outputs.
+
+    Returns
+    -------
+    Excitation
+        Rank, blind combinations, bounds, excited band, and remedies; printed, it says them in words.
+
+    Raises
+    ------
+    StructureError
+        If the data, the model or the options are not of this form, or the model leaves the range of doubles.
+    IdentificationError
+        If the record has less than two samples, or there are more modes than it can carry.
+
+    Notes
+    -----
+    O(T n^2) time and O(T n) memory for one model; a number of modes is judged at about 40 frequencies.  Remedies are
+    tried before they are named.  The singular values are those of the sensitivities themselves, not of their squares,
+    so that combinations count as blind only at rounding level: max(T, 4n) eps.  The initial state enters as the modal
+    state `x_l(0)`, with the free motion `sum_l Re(x_l(0) exp(-i d_l t))` at the output.  Where there are outputs it is
+    fitted to them; without, the information is that at rest.  Of several records the information of `d` and `r` is that
+    of all together, each with an initial state of its own; band and remedies are those of the longest.
+
+    Examples
+    --------
+    One sine drives a zero of this chain, so that its weights cannot be learned:
+
+    >>> import numpy as np, ph_control as phc
+    >>> chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
+    >>> found = phc.excitation((np.sin(t), None), chain, dt=0.01)
+    >>> found.rank, len(found.names)
+    (7, 8)
+    >>> found.blind[0].words
+    'r_1 and r_2 with the initial states of modes 1 and 2'
+    >>> found.remedies[0][:53]
+    'add a frequency near 1.6 rad/time to the input, or us'
+    >>> phc.excitation((np.sin(t) + np.sin(1.6 * t), None), chain, dt=0.01).sufficient
+    True
+    """
+    _checks.choice("method", method, METHODS)
+    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("initial_state", initial_state, ("estimate", "zero"))
+    noise = np.nan if noise_std is None else _positive("noise_std", noise_std)
+    _checks.choice("quantity", quantity, QUANTITIES)
+    records = _in_time(as_experiments(data, dt, output_needed=False))
+    unit = common_unit(records, order)
+    problems = [
+        _problem(record, Hold(record.dt, method, intersample), initial_state == "zero", quantity) for record in records
+    ]
+    problem = max(problems, key=lambda one: len(one.u))
+    most = min(_MOST, max(Problem(tuple(problems)).carried, _ALWAYS))
+    if isinstance(order, int | np.integer) and not isinstance(order, bool):
+        if order < 1:
+            raise StructureError(f"order is {order}; a number of modes must be at least 1")
+        _refuse_many(int(order), most, problems)
+        return _in_unit(_of_order(problem, int(order), noise), unit)
+    model = _model(order, method, intersample)
+    _refuse_many(model.n, most, problems)
+    _check_phases(problem, model.d)
+    motions = [_free_motion(one, model) if one.measured else (np.zeros(model.n, complex), np.nan) for one in problems]
+    amplitudes, left = motions[problems.index(problem)]
+    if problem.measured and noise_std is None:
+        noise = float(getattr(order, "noise_variance", left**2)) ** 0.5
+    if len(problems) == 1:
+        return _in_unit(examine(problem, model.d, model.r, amplitudes, noise_std=noise), unit)
+    joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
+    # the initial states are eliminated already
+    settled = replace(problem, from_rest=True)
+    found = examine(settled, model.d, model.r, amplitudes, noise_std=noise, information=joint)
+    return _in_unit(found, unit)
+
+
+def _in_unit(found: Excitation, unit: str | None) -> Excitation:
+    """The same, told in the unit of time of the record."""
+    return replace(found, time_unit=unit, remedies=tuple(in_unit(text, unit) for text in found.remedies))
+
+
+def examine(
+    problem: Experiment,
+    d: Array,
+    r: Array,
+    amplitudes: ComplexArray,
+    *,
+    noise_std: float = np.nan,
+    information: Information | None = None,
+    scanned: Scan | None = None,
+) -> Excitation:
+    """Judge a record at a model (n,) with frequencies ascending and modal initial states `amplitudes`.
+
+    `information` spares the sensitivities where a fit has them already.
+    """
+    information = model_information(problem, d, r, amplitudes) if information is None else information
+    band = excited_band(problem.u, problem.hold.h)
+    apparent = _apparent_frequencies(d, problem.hold)
+    above = tuple(int(l) for l in np.flatnonzero(d * problem.hold.h >= np.pi)) if problem.hold.method == "exact" else ()
+    found = Excitation(
+        samples=len(problem.u),
+        dt=problem.hold.h,
+        method=problem.hold.method,
+        from_rest=problem.from_rest,
+        d=d.copy(),
+        r=r.copy(),
+        apparent=apparent,
+        information=information,
+        noise_std=noise_std,
+        band=band,
+        above_nyquist=above,
+        unresolved=_unresolved(apparent, problem.bin),
+        slow=tuple(int(l) for l in np.flatnonzero(apparent < problem.bin * (1 - 1e-9)) if l not in above),
+        artefacts=_artefacts(problem, d, r, amplitudes, information),
+        driven_zeros=_driven_zeros(d, r, band) if scanned is None else (),
+        observed=len(problem.target),
+        scan=scanned,
+        remedies=(),
+    )
+    return replace(found, remedies=_remedies(found, problem, amplitudes))
+
+
+def examine_fit(at: Projection, information: Information, noise_std: float = np.nan) -> Excitation:
+    """Judge a record at the end of a fit, with the information that the fit has."""
+    rank = np.argsort(at.d)
+    (record,) = at.problem.experiments
+    (own,) = at.own
+    n = len(rank)
+    amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
+    d, kappa = at.d[rank], at.kappa[rank]
+    return examine(
+        cast(Experiment, record), d, kappa / d, amplitudes[rank], noise_std=noise_std, information=information
+    )
+
+
+def _refuse_many(n: int, most: int, problems: list[_Asked]) -> None:
+    """Refuse more modes than the records carry or than can be judged together in acceptable time and memory."""
+    if n > most:
+        samples = sum(one.samples for one in problems)
+        raise IdentificationError(
+            f"{_checks.shown(n)} modes are more than can be judged with {samples} observed samples; the largest number "
+            f"here is {most}: ask for fewer, such as those of one band"
+        )
+
+
+def _positive(name: str, value: Any) -> float:
+    """A positive finite number."""
+    number = _checks.real_array(name, value, 0)
+    if not number > 0:
+        raise StructureError(f"{name} is {float(number):g}; it must be positive")
+    return float(number)
+
+
+def _in_time(records: tuple[Any, ...]) -> tuple[Record, ...]:
+    """Refuse responses, which show every frequency they have points about."""
+    if not isinstance(records[0], Record):
+        raise StructureError(
+            "the data are a frequency response; what an input shows is asked of records in time: pass (u, y) with dt"
+        )
+    return records
+
+
+def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> _Asked:
+    """The data of a fit; without outputs, all of them are to be measured."""
+    measured = bool(record.observed.any())
+    observed = record.observed if measured else np.ones(record.samples, bool)
+    y = record.y if measured else np.zeros(record.samples)
+    return _Asked(record.u, y, observed, hold, from_rest, False, quantity, record.driven, measured)
+
+
+def _model(order: Any, method: str, intersample: str) -> ModalForm:
+    """One-port oscillating modal form of whatever describes a model."""
+    for name, value in (("method", method), ("intersample", intersample)):
+        if (fitted := getattr(order, name, value)) != value:
+            raise StructureError(f"the model was fitted with {name}={fitted!r}; pass that, or its modes alone")
+    if isinstance(order, tuple | list):
+        if len(order) != 2:
+            raise StructureError(f"order has {len(order)} entries; give a number of modes, a pair (d, r), or a model")
+        model = modes(*order)
+    else:
+        own = getattr(order, "modes", None)
+        model = own if isinstance(own, ModalForm) else modes(order)
+    if model.nports != 1 or len(model.rigid) or not len(model.d):
+        raise StructureError(
+            f"the model has {model.nports} ports, {len(model.rigid)} rigid-body modes and {len(model.d)} oscillating "
+            "ones; needed one port, no rigid-body mode, and at least one that oscillates"
+        )
+    return model
+
+
+def _check_phases(problem: Experiment, d: Array) -> None:
+    """Refuse modes that turn absurdly fast, or that an integration rule lets grow out of the range of doubles."""
+    hold = problem.hold
+    if d.max() * hold.h > _FASTEST:
+        raise StructureError(
+            f"the mode at {d.max():.3g} rad/time turns by {d.max() * hold.h:.3g} rad in a step of {hold.h:g}; allowed "
+            f"is {_FASTEST:g}, and up to pi is seen: check the units of d and dt"
+        )
+    largest = hold.largest_phase(len(problem.u))
+    if hold.method == "euler" and d.max() > (limit := float(hold.frequency_of(np.array([largest]))[0])):
+        raise StructureError(
+            f"Euler's rule lets the mode at {d.max():.4g} rad/time grow out of range within the record; allowed is "
+            f"{limit:.4g}: use method='exact'"
+        )
+
+
+def _free_motion(problem: Experiment, model: ModalForm) -> tuple[ComplexArray, float]:
+    """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
+    n = model.n
+    columns = problem.seen(regressors(model.d, problem.u, problem.hold, problem.quantity).columns())
+    with np.errstate(over="ignore", invalid="ignore"):  # what leaves the range of doubles is refused
+        left = problem.target - columns[:, :n] @ model.kappa
+        _checks.representable("the outputs of the model", left * left)
+    found = np.zeros(2 * n)
+    if not problem.from_rest:
+        found = np.asarray(np.linalg.lstsq(columns[:, n:], left, rcond=None)[0])
+        left = left - columns[:, n:] @ found
+    spare = len(left) - (0 if problem.from_rest else 2 * n)
+    return found[:n] + 1j * found[n:], float(np.sqrt(left @ left / spare)) if spare > 0 else np.nan
+
+
+def _of_order(problem: Experiment, n: int, noise: float) -> Excitation:
+    """Judge a record for n modes of equal residue, wherever they lie."""
+    band = excited_band(problem.u, problem.hold.h)
+    d = representative(n, problem, band)
+    return examine(problem, d, 1.0 / d, np.zeros(n, complex), noise_std=noise, scanned=scan(problem, n, band))
+
+
+def _apparent_frequencies(d: Array, hold: Hold) -> Array:
+    """Frequencies at which sampled modes are seen: warped by the method, folded at the Nyquist frequency."""
+    high, low = hold.step(d).phase
+    return np.abs(np.remainder(high + low + np.pi, 2 * np.pi) - np.pi) / hold.h
+
+
+def _unresolved(apparent: Array, bin_width: float) -> tuple[tuple[int, int], ...]:
+    """Neighbouring modes closer than a bin."""
+    order = np.argsort(apparent, kind="stable")
+    close = np.flatnonzero(np.diff(apparent[order]) < bin_width * (1 - 1e-9))
+    return tuple((int(min(order[k : k + 2])), int(max(order[k : k + 2]))) for k in close)
+
+
+def _artefacts(
+    problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray, information: Information
+) -> tuple[Combination, ...]:
+    """Combinations that Euler's rule shows and an exact hold does not."""
+    if problem.hold.method != "euler":
+        return ()
+    exact = model_information(replace(problem, hold=Hold(problem.hold.h)), d, r, amplitudes)
+    return exact.blind if exact.rank < information.rank else ()
+
+
+def _driven_zeros(d: Array, r: Array, band: ExcitedBand) -> tuple[float, ...]:
+    """Lines of the input on a zero of the model."""
+    zeros = modes(d, r).zeros.imag if band.lines and (r > 0).all() and np.diff(d).all() else np.zeros(0)
+    zeros = zeros[zeros > 0]
+    return tuple(line for line in band.lines if (np.abs(zeros - line) < _AT_ZERO * band.bin).any())
+
+
+def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) -> tuple[str, ...]:
+    """What to change, each as an instruction, in the order in which to do it."""
+    instructions = []
+    if found.above_nyquist:
+        instructions.append(f"sample with a step below {np.pi / found.d.max():.2g}")
+    same = [(j, k) for j, k in found.unresolved if abs(found.d[j] - found.d[k]) <= _SAME * found.d[k]]
+    for j, k in same:
+        instructions.append(f"take modes {j + 1} and {k + 1}, of one frequency, as one")
+    span = _needed_span(found, same)
+    live = [name for one in (*found.blind, *found.nearly_blind, *found.artefacts) for name in one.parameters]
+    if any(found.r[int(name[2:]) - 1] > 0 for name in live if name[0] in "dr") and not same:
+        remedy = input_remedy(
+            problem,
+            found.d,
+            found.r,
+            amplitudes,
+            found.band,
+            missing=found.information.deficiency,
+            lengthen=not span,
+        )
+        instructions += [remedy] if remedy else []
+    if span > _LONGEST * found.samples * found.dt:
+        instructions.append(_instead_of_time(found, same))
+    elif span:
+        instructions.append(f"record for at least {span:.3g} time units ({int(np.ceil(span / found.dt))} samples)")
+    elif found.observed < len(found.names) and not instructions:
+        instructions.append(f"record at least {len(found.names) + 1} samples")
+    if found.uncertain:
+        values = {"d": found.d, "r": found.r}
+        worst = max(found.stderr[name[0]][l] / values[name[0]][l] for name, l in _places(found.uncertain))
+        instructions.append(
+            f"use an input at least {worst / _WANTED:.2g} times as strong, for errors of a tenth of each parameter"
+        )
+    return tuple(instructions)
+
+
+def _instead_of_time(found: Excitation, same: list[tuple[int, int]]) -> str:
+    """What helps where no record that anybody would make is long enough."""
+    close = [pair for pair in found.unresolved if pair not in same]
+    if close:
+        j, k = min(close, key=lambda pair: abs(found.apparent[pair[0]] - found.apparent[pair[1]]))
+        return f"take modes {j + 1} and {k + 1} as one: recording longer does not help"
+    return "subtract the mean or the trend in place of a mode that slow: recording longer does not help"
+
+
+def _places(names: tuple[str, ...]) -> list[tuple[str, int]]:
+    """Names `d_1` or `r_1` with the place of their mode."""
+    return [(name, int(name[2:]) - 1) for name in names]
+
+
+def _needed_span(found: Excitation, same: list[tuple[int, int]]) -> float:
+    """Duration that resolves the closest modes, and shows a period of the slowest; 0 if the record does."""
+    gaps = [abs(found.apparent[j] - found.apparent[k]) for j, k in found.unresolved if (j, k) not in same]
+    gaps += [float(found.apparent[l]) for l in found.slow] if not found.sufficient else []
+    gaps = [gap for gap in gaps if gap > 0]
+    return 2 * np.pi / min(gaps) if gaps else 0.0

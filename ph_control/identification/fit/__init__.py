@@ -1,0 +1,1 @@
+"""The prediction-error fit and its result."""

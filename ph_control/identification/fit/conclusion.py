@@ -1,0 +1,335 @@
+"""From a minimum to a result: modes sorted, parameters and their errors in the user's terms, and a judgement."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import EPS
+from ..._units import common_unit
+from ...exceptions import IdentifiabilityWarning
+from ...modal.modal_form import ModalForm
+from ...systems.port_hamiltonian import PortHamiltonian
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..diagnosis.circumstance_tests import NOISE, circumstances_of
+from ..diagnosis.damped_model import DampedModel, HypothesisTest
+from ..diagnosis.damping import (
+    REFUSED,
+    beside,
+    contradiction,
+    from_poles,
+    is_crowded,
+    likelihood_ratio,
+    lossless_test,
+    sentence,
+)
+from ..diagnosis.fitted_directions import Directions, of_record, of_response
+from ..diagnosis.outliers import outliers
+from ..diagnosis.verdict import GOOD_FIT, Verdict, is_doubtful
+from ..excitation.excitation import examine_fit
+from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import LAST, Problem, Projection, refine
+from ..search.circumstances import HOLDS, SURE, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
+from ..search.criteria import criteria
+from ..search.formulation import Formulation
+from ..search.response_noise import NoiseLaw, record_law
+from ..uncertainty.covariance import uncertainty
+from ..uncertainty.fisher import Information, information_at, listed
+from ..uncertainty.residual_data import without_peaks
+from ..uncertainty.whiteness import ljung_box
+from .result import PEMResult
+
+Array = NDArray[np.float64]
+Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
+
+_LAGS = 20
+_SURELY_WHITE = 0.05  # p-value at which a record need not be asked again
+_COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Data, problem and minimum; the order that was asked for."""
+
+    records: Records
+    problem: Problem
+    found: Any
+    order: int
+    order_given: bool
+    at_limit: bool
+    most: int
+    damped: DampedModel | None = None
+    tests: tuple[HypothesisTest, ...] = ()
+    examined: bool = False
+    law: NoiseLaw | None = None
+
+
+def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> PEMResult:
+    """Make the result of a fit, and warn of what the data do not show."""
+    problem, found = fit.problem, fit.found
+    at: Projection = found.end.projection
+    n, rank = len(at.d), np.argsort(at.d)
+    modes = _modes(at, rank, fit.order)
+    experiments = _experiments(fit.records, at, rank, modes, quantity)
+    estimated = uncertainty(at, rank, fit.order, quantity)
+    kept = [one.record.observed for one in experiments]
+    measured = np.concatenate([one.measured[k] for one, k in zip(experiments, kept, strict=True)])
+    residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
+    noiseless = at.loss <= found.floor
+    whiteness = 1.0 if noiseless else _whiteness(experiments, at, rank)
+    weights = [
+        one.record.weights[one.record.observed] for one in experiments if isinstance(one.record, FrequencyRecord)
+    ]
+    fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
+    held = ~at.free[rank]
+    findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
+    if not (fit.examined or noiseless or found.interrupted):
+        active = bool(held.any()) and problem.driven
+        fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at), findings)
+        if fit.found is not found:
+            return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
+    if fit.damped is not None and sentence(fit.damped):
+        findings = tuple(one for one in findings if one.cause not in NOISE)
+    spare = problem.samples - problem.unknowns(n)
+    if not noiseless:
+        scaled = [one.residuals * np.sqrt(getattr(one.record, "weights", 1.0)) for one in experiments]
+        found_out = outliers(scaled, spare)
+        experiments = tuple(replace(one, outliers=k) for one, k in zip(experiments, found_out, strict=True))
+    law = record_law(fit.records, estimated.variance, fit.law)
+    information = information_at(at, rank)
+    figures = criteria(problem, at.loss, n)
+    # a mode held at 0 in a frequency response has no trace left: that is the constraint's doing, not the input's
+    blind = set(information.blind_parameters) - {f"d_{l + 1}" for l in np.flatnonzero(held)}
+    finding = _finding(at, information, estimated.variance) if n and (blind or not information.deficiency) else ""
+    verdict = Verdict(
+        n=n,
+        order=fit.order,
+        spare=spare,
+        fit_percent=fitted,
+        active=tuple(int(l) for l in np.flatnonzero(held)) if problem.driven else (),
+        blind=finding if n and information.deficiency else "",
+        remark=finding if n and not information.deficiency else "",
+        whiteness=whiteness,
+        converged=found.end.converged,
+        noiseless=noiseless,
+        at_limit=fit.at_limit,
+        order_given=fit.order_given,
+        from_rest=any(isinstance(one, Experiment) and one.from_rest for one in problem.experiments),
+        silent=not at.kappa.any(),
+        reversed_sign=n > 0 and not at.kappa.any() and at.asks_for_negative_residues_only(),
+        drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
+        interrupted=found.interrupted,
+        driven=problem.driven,
+        contradiction=sentence(fit.damped) if fit.damped else "",
+        refused=next((one for one in fit.tests if one.p < REFUSED), None),
+        quantity=quantity,
+        in_time=isinstance(problem.experiments[0], Experiment),
+        alike=bool(weights) and fit.law is None and all(np.ptp(one) == 0 for one in weights),
+        share=law.share,
+        circumstances=tuple(sentence_of(one, intersample) for one in findings if worth_telling(one, intersample)),
+        explained=any(one.cause in NOISE for one in findings),
+        named=any(is_contrary(one, intersample) for one in findings),
+        outliers=tuple(one.outliers for one in experiments),
+    )
+    if verdict.blind:
+        warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
+    return PEMResult(
+        system=_named_system(modes, fit.records[0]),
+        experiments=experiments,
+        covariance=estimated.covariance,
+        offset_stderr=estimated.offsets,
+        noise_variance=estimated.variance,
+        noise=law,
+        loss=at.loss / problem.samples,
+        loglik=figures.loglik,
+        aic=figures.aic,
+        bic=figures.bic,
+        fit_percent=verdict.fit_percent,
+        active=verdict.active,
+        unseen=tuple(range(n, fit.order)),
+        identifiability=information,
+        whiteness=verdict.whiteness,
+        order_table=found.rows,
+        starts=found.starts,
+        success=found.end.converged and not found.interrupted,
+        verdict=verdict.headline,
+        message=verdict.message(),
+        n_iterations=found.iterations,
+        method=method,
+        intersample=intersample,
+        quantity=quantity,
+        representation=representation,
+        findings=findings,
+        tests=fit.tests,
+        damped=fit.damped and replace(fit.damped, time_unit=common_unit(list(fit.records))),
+    )
+
+
+def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool, findings: Sequence[Finding]) -> Fit:
+    """The fit with what contradicts it, and where that is grave at the minimum next to the frequencies of the plant.
+
+    From elsewhere lossless modes do not come there: they mimic its damping, or flee from a residue whose sign they
+    cannot have.
+    """
+    problem, followed = fit.problem, fit.found.followed
+    test = lossless_test(problem, at)
+    refused, poor = test is not None and test.p < REFUSED, fitted < GOOD_FIT and len(at.d) > 0
+    fit = replace(fit, tests=() if test is None else (test,), examined=True)
+    causes = {one.cause: one.gain for one in findings}
+    given = Cause.HOLD in causes and fit.found.posed.searched is not None
+    # what an autoregression describes is noise, and no reason to look for damping where no mode asks for it
+    doubtful = doubtful and Cause.COLOURED_NOISE not in causes
+    if given:
+        return fit
+    model = contradiction(
+        problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful or poor, refused=refused,
+        # a plant that loses energy has no more modes than the lossless ones that mimic it
+        most=len(at.d) if Cause.INPUT_NOISE in causes else fit.most, followed=followed,
+    )  # fmt: skip
+    # a delay turns residues, but damps no mode
+    if model is None or (Cause.DELAY in causes and not model.damped.any()):
+        return fit
+    gain = problem.samples * np.log(max(100 - fitted, EPS) / max(100 - model.fit_percent, EPS))
+    if gain < max((causes[one] for one in NOISE if one in causes), default=-np.inf):
+        return fit
+    posed, other = fit.found.posed, None
+    if "hold" in posed.open or Cause.HOLD in causes or Cause.DELAY in causes:
+        other, model = _held_otherwise(posed, model)
+    if other is None and test is not None and refused and model.order == len(at.d):
+        test = likelihood_ratio(problem, at, model)
+    fit = replace(fit, damped=model, tests=() if test is None else (test,))
+    if other is not None:
+        fit = replace(fit, problem=other.problem, found=replace(fit.found, posed=other))
+    elif not (model.damped.any() or model.negative.any()) or followed is not None:
+        return fit
+    elif not (poor or model.negative.any() or model.order != len(at.d)):
+        return fit
+    d = beside(model.natural_frequencies, at.d, fit.order if fit.order_given else None)
+    end = refine(fit.problem, d, rtol=LAST)
+    end = replace(end, iterations=fit.found.end.iterations + end.iterations)
+    order = fit.order if fit.order_given else len(d)
+    return replace(fit, found=replace(fit.found, end=end), order=order, at_limit=False)
+
+
+def _held_otherwise(posed: Formulation, model: DampedModel) -> tuple[Formulation | None, DampedModel]:
+    """The formulation with the other hold of the input, where the damped modes prefer it, and these modes."""
+    held = posed.intersample
+    problem = meeting(posed.problem, "foh" if held == "zoh" else "zoh")
+    rival = from_poles(problem, model.poles, model.quantity)
+    gain = 0.5 * problem.samples * float(np.log(model.loss / rival.loss))
+    # residues of any phase make up for half a sample, but not without something that is fed through
+    gain -= 0.5 * np.log(problem.samples) * (bool(rival.feedthrough) - bool(model.feedthrough))
+    if abs(gain) < SURE:
+        gain = SURE if held == "foh" else -SURE
+    known = tuple(one for one in posed.findings if one.cause not in (Cause.HOLD, Cause.DELAY))
+    chosen = problem if gain > 0 else posed.problem
+    values = (float(HOLDS.index(held) != (gain > 0)),)
+    other = replace(
+        posed, problem=chosen, searched=None, open=posed.open - {"hold", "arrival"},
+        findings=(*known, Finding(Cause.HOLD, values, abs(gain))),
+    )  # fmt: skip
+    return (other, rival) if gain > 0 else (other, model)
+
+
+def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:
+    """Modal form, with placeholders for modes that the data do not show; r = 1 where no input shows it."""
+    d = at.d[rank]
+    r = at.kappa[rank] / d if at.problem.driven else np.ones(len(d))
+    # distinct, above those that the data show
+    pads = d.max(initial=0.0) * (2.0 + np.arange(float(order - len(d))))
+    return ModalForm._of(
+        np.concatenate([d, pads]), np.sqrt(np.concatenate([r, 0 * pads])).astype(complex)[:, None], np.zeros((0, 1))
+    )
+
+
+def _experiments(
+    records: Records, at: Projection, rank: NDArray[np.intp], modes: ModalForm, quantity: str
+) -> tuple[FittedExperiment, ...]:
+    n = len(at.d)
+    found: list[FittedExperiment] = []
+    every: tuple[Record | FrequencyRecord, ...] = records
+    for record, rows, own, predicted in zip(every, at.problem.experiments, at.own, at.predicted(), strict=True):
+        if isinstance(record, FrequencyRecord):
+            found.append(FittedExperiment(record, np.zeros(0), np.zeros(0, complex), 0.0, predicted))
+            continue
+        terms = rows.offset if isinstance(rows, Experiment) else 0
+        amplitudes = np.zeros(modes.n, complex)
+        if len(own) >= 2 * n:
+            amplitudes[:n] = own[:n][rank] + 1j * own[n : 2 * n][rank]
+        state = state_from_amplitudes(modes, amplitudes, quantity)
+        offset = float(own[-1]) if terms else 0.0
+        drift = float(own[-2]) / record.dt if terms > 1 else 0.0
+        found.append(FittedExperiment(record, state, amplitudes, offset, predicted, drift))
+    return tuple(found)
+
+
+def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection, rank: NDArray[np.intp]) -> float:
+    """Of the residuals in time; neighbouring points of a response follow one another as samples do.
+
+    What was fitted is missing from the residuals; short records feel that, and are asked again if they look coloured.
+    """
+    parts = [
+        part if isinstance(one.record, Record) else without_peaks(part)
+        for one in experiments
+        for part in _in_parts(one, one.residuals)
+    ]
+    p = ljung_box(parts, _LAGS)
+    n, samples = len(at.d), sum(one.record.samples for one in experiments)
+    unknowns = 2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)
+    if p >= _SURELY_WHITE or samples * unknowns > _COUNTED:
+        return p
+    shared: list[Array] = []
+    local: list[Array] = []
+    for one, rows in zip(experiments, at.problem.experiments, strict=True):
+        found = _directions(one, rows, at, rank)
+        shared += _in_parts(one, found.shared)
+        local += _in_parts(one, found.local)
+    return ljung_box(parts, _LAGS, shared=shared, local=local)
+
+
+def _in_parts(one: FittedExperiment, values: NDArray[Any]) -> list[Array]:
+    """Values (T, ...) of a record as they are; of a response their real and imaginary parts, weighted."""
+    if isinstance(one.record, Record):
+        return [values]
+    scaled = values * np.sqrt(one.record.weights).reshape(-1, *(1,) * (values.ndim - 1))
+    return [scaled.real, scaled.imag]
+
+
+def _directions(one: FittedExperiment, rows: Any, at: Projection, rank: NDArray[np.intp]) -> Directions:
+    d, kappa, weighted = at.d[rank], at.kappa[rank], at.free[rank]
+    if isinstance(one.record, FrequencyRecord):
+        return of_response(one.record, d, kappa, weighted, rows.quantity)
+    moving = weighted if at.problem.structured else np.ones(len(d), bool)
+    free = one.free_amplitudes[: len(d)]
+    return of_record(one.record, d, kappa, free, weighted, moving, rows.hold, rows.quantity, rows.offset)
+
+
+def _finding(at: Projection, information: Information, variance: float) -> str:
+    """What the data do not show, in sentences."""
+    if len(at.problem.experiments) == 1 and isinstance(at.problem.experiments[0], Experiment):
+        one = at.problem.experiments[0]
+        if one.driven and one.quantity == "velocity" and not one.offset and at.free.any():
+            if not information.ails and one.hold.method != "euler":
+                return ""
+            finding = examine_fit(at, information, noise_std=float(np.sqrt(variance)))
+            return finding.message if finding.blind or finding.artefacts else ""
+    if not information.deficiency or not at.problem.driven:
+        return ""
+    named = listed(list(information.blind_parameters))
+    return (
+        f"{information.deficiency} combination{'s' * (information.deficiency != 1)} of the parameters {named} "
+        "leave no trace in these data, so they are not determined; use an input with more frequencies."
+    )
+
+
+def _named_system(modes: ModalForm, record: Record | FrequencyRecord) -> PortHamiltonian:
+    """System with the labels of the record; python-control takes no dots in names."""
+    labels = (record.input_label.replace(".", "_"), record.output_label.replace(".", "_"))
+    return PortHamiltonian._from_modes(modes, inputs=[labels[0]], outputs=[labels[1]])

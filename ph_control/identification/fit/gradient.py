@@ -1,0 +1,406 @@
+"""Gradient descent on the parameters of the observable form: the learning scheme of the paper, to compare with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ... import _checks
+from ..._display import Report
+from ..._frozen import Frozen
+from ...exceptions import IdentificationError, StructureError
+from ...modal.modal_form import from_frequencies
+from ...numerics.polynomials import cofactors
+from ...systems.canonical_forms import ObservableHamiltonian, oh
+from ...systems.port_hamiltonian import PortHamiltonian, ph
+from ..data.time_record import Record, as_record
+from .observable_model import Point, Problem, columns, weights_of
+
+Array = NDArray[np.float64]
+
+PARAMETERS = ("natural", "unique")
+OPTIMIZERS = ("plain", "adam")
+
+_MOMENTUM, _MEMORY, _FLOOR = 0.9, 0.999, 1e-8  # what Kingma and Ba recommend for Adam
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GradientResult(Report, Frozen):
+    """Result of `gradient_descent`: the parameters with the smallest loss on the way.
+
+    Attributes
+    ----------
+    parameters : {'natural', 'unique'}
+        Coordinates that were descended in.
+    d : ndarray, shape (n,)
+        Natural frequencies; ascending for 'unique'.
+    v : ndarray, shape (2n,)
+        Input vector; for 'unique' `(sqrt(r), 0)`.
+    r : ndarray, shape (n,)
+        Weights `v_l^2 + v_{n+l}^2` in the order of `d`.
+    initial_state : ndarray, shape (2n,)
+        State of `observable_form` at the first sample.
+    loss_history : ndarray, shape (epochs + 1,)
+        Mean squared error before each step and after the last; shorter where it left the range of doubles.
+    validation_history : ndarray, shape (epochs + 1,), or None
+        Mean squared error on the validation record, with the same parameters.
+    best_epoch : int
+        Steps after which the loss was smallest.
+    diverged : bool
+        Whether the loss left the range of doubles.
+    stable_rate : float
+        Learning rate beyond which plain steps leave a minimum with the curvature found here: 2 over the largest
+        eigenvalue of the Gauss-Newton matrix.
+    message : str
+        What happened, in sentences.
+    record : Record
+        The data.
+    """
+
+    parameters: str
+    d: Array
+    v: Array
+    r: Array
+    initial_state: Array
+    loss_history: Array
+    validation_history: Array | None
+    best_epoch: int
+    diverged: bool
+    stable_rate: float
+    message: str
+    record: Record
+
+    def __str__(self) -> str:
+        """Say how far the descent came, and what happened."""
+        return f"{len(self.d)} modes, mean squared error {self.loss:.4g} after {self.best_epoch} steps\n{self.message}"
+
+    @property
+    def loss(self) -> float:
+        """Mean squared error of the parameters kept."""
+        return float(self.loss_history[self.best_epoch])
+
+    @cached_property
+    def system(self) -> PortHamiltonian:
+        """Port-Hamiltonian system with the same transfer function."""
+        return ph(from_frequencies(self.d, self.r))
+
+    @cached_property
+    def observable_form(self) -> ObservableHamiltonian:
+        """Observable form that `initial_state` is a state of."""
+        return oh(self.d, self.v)
+
+    def predict(self, u: ArrayLike, *, initial_state: ArrayLike | str = "fitted") -> ct.TimeResponseData:
+        """Output of the learned observable form by Euler's rule.
+
+        Parameters
+        ----------
+        u : array_like, shape (T,)
+            Inputs, with the step of the record that was learned from.
+        initial_state : array_like, shape (2n,), or {'fitted', 'final', 'zero'}
+            State of `observable_form` at the first sample: the learned one, the one after the last sample of the
+            record, rest, or another.
+
+        Returns
+        -------
+        control.TimeResponseData
+
+        Raises
+        ------
+        StructureError
+            If the input or the state is not of this form.
+
+        Examples
+        --------
+        See `gradient_descent`.
+        """
+        past = np.zeros(0)
+        start = self.initial_state
+        if isinstance(initial_state, str):
+            _checks.choice("initial_state", initial_state, ("fitted", "final", "zero"))
+            past = self.record.u if initial_state == "final" else past
+            start = 0.0 * start if initial_state == "zero" else start
+        else:
+            start = _vector("initial_state", initial_state, 2 * len(self.d))
+        new = as_record((u, None), self.record.dt, output_needed=False)
+        forced, free = columns(self.d, np.concatenate([past, new.u]), new.dt)
+        y = (self.r * self.d) @ forced + start @ free
+        return ct.TimeResponseData(
+            new.time, y[len(past) :], inputs=new.u, issiso=True, input_labels=[self.record.input_label],
+            output_labels=[self.record.output_label], title="Prediction",
+        )  # fmt: skip
+
+
+def gradient_descent(
+    data: Any,
+    order: int,
+    *,
+    dt: float | None = None,
+    parameters: str = "natural",
+    optimizer: str = "plain",
+    learning_rate: float = 0.1,
+    epochs: int = 500,
+    initial_guess: Any = None,
+    validation: Any = None,
+    rng: Any = None,
+) -> GradientResult:
+    """Learn a lossless model by gradient descent, as the paper does; a reference, use `pem` for work.
+
+    Descends on the mean squared error of the output of the observable form `oh(d, v)`, integrated by Euler's rule from
+    an initial state that is learned too.  The gradient is that of the whole record, and exact.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, or pair (u, y) of array_like, shape (T,) each
+        One input and one output on a uniform grid; NaN outputs are missing samples.  Not modified.
+    order : int
+        Number of modes n.
+    dt : float, optional
+        Time between samples; needed with arrays.
+    parameters : {'natural', 'unique'}
+        Coordinates: `(d, v)`, or `(d, r)` with `r >= 0`, sorted so that `d` ascends.  Steps that leave `d > 0` or
+        `r >= 0` are projected back.
+    optimizer : {'plain', 'adam'}
+        Steps of `learning_rate` times the gradient, or those of Adam, which are about `learning_rate` long in each
+        parameter whatever the size of the gradient.
+    learning_rate : float
+        As above.
+    epochs : int
+        Number of steps.
+    initial_guess : sequence (d, v, s0) or (d, r, s0), optional
+        Where to start; `s0` of shape (2n,) is a state of `oh(d, v)`.  Default: random, of the size of the signals.
+    validation : control.TimeResponseData, or pair (u, y), optional
+        What follows on `data`, with the same step, for `validation_history`.
+    rng : numpy.random.Generator or int, optional
+        For the random start.
+
+    Returns
+    -------
+    GradientResult
+
+    Raises
+    ------
+    StructureError
+        If the data or options are not of this form.
+    IdentificationError
+        If the record cannot carry the order, or its output is zero.
+
+    Notes
+    -----
+    O(T n^2) a step.  What is found depends on the start and on the rate; `pem` needs neither.  The loss has many minima
+    in `d`, and its curvature grows with the square of the amplitude and of the length of the record, and for n > 1 with
+    high powers of time in the initial state.  For the recordings of the paper plain steps are stable at the true
+    parameters only for rates below 0.0067 (chain, n = 2) and about 0.001 (circuit, n = 5), where the paper names 0.02
+    and 0.1; those make sense as steps of Adam.  The descent also depends on units: choose that of time such that the
+    frequencies are about 1.  Plain descent in `v` is descent in `r` with `4 r` times the rate: it only scales each pair
+    `(v_l, v_{n+l})`, so a weight that starts near 0 stays there for long.
+
+    Data of Euler's rule are not those of a lossless system.  A real recording should be fitted by `pem`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ph_control as phc
+    >>> u = np.random.default_rng(0).standard_normal(100)
+    >>> y = phc.forced_response(phc.ph(phc.modes(1.0, 0.5)), 0.1 * np.arange(100), u, method="euler").outputs
+    >>> start = ([1.1], [0.3], [0.0, 0.0])
+    >>> result = phc.gradient_descent((u, y), 1, dt=0.1, parameters="unique", learning_rate=0.2, initial_guess=start)
+    >>> result.d.round(3), result.r.round(3)
+    (array([1.]), array([0.5]))
+    >>> ahead = result.predict(u[:10], initial_state="final")
+    """
+    _checks.choice("parameters", parameters, PARAMETERS)
+    _checks.choice("optimizer", optimizer, OPTIMIZERS)
+    rate = _rate(learning_rate)
+    steps = _whole("epochs", epochs)
+    record = as_record(data, dt)
+    n = _order(record, _whole("order", order))
+    after = None if validation is None else as_record(validation, record.dt)
+    if after is not None and not after.observed.any():
+        raise StructureError("the validation record has no outputs to hold the model against; pass (u, y) with outputs")
+    problem = Problem.of(record, after, n, parameters == "natural")
+    start = _random_start(problem, rng) if initial_guess is None else _given_start(problem, initial_guess)
+    descent = _descend(problem, start, rate, steps, optimizer == "adam")
+    return _result(problem, descent, record, parameters, steps, optimizer, after is not None)
+
+
+# --- the descent -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Descent:
+    best: Point
+    best_epoch: int
+    losses: Array
+    validations: Array
+    diverged: bool
+
+
+def _descend(problem: Problem, theta: Array, rate: float, epochs: int, adam: bool) -> _Descent:
+    """Take the steps, until they are done or the loss is not finite."""
+    steps = _AdamSteps(len(theta)) if adam else None
+    losses: list[float] = []
+    validations: list[float] = []
+    best: Point | None = None
+    best_epoch = 0
+    # a descent that diverges leaves the range of doubles: seen in the loss, and reported
+    with np.errstate(over="ignore", invalid="ignore"):
+        for epoch in range(epochs + 1):
+            point = problem.at(theta)
+            if not (np.isfinite(point.loss) and np.isfinite(point.gradient).all()):
+                break
+            losses.append(point.loss)
+            validations.append(point.validation)
+            if best is None or point.loss < best.loss:
+                best, best_epoch = point, epoch
+            step = steps.along(point.gradient) if steps else point.gradient
+            theta = problem.projected(theta - rate * step)
+    if best is None:
+        raise StructureError(
+            "the loss of the initial guess exceeds the range of doubles; start with smaller frequencies or states"
+        )
+    return _Descent(best, best_epoch, np.array(losses), np.array(validations), len(losses) <= epochs)
+
+
+class _AdamSteps:
+    """Steps of Adam: the mean of the gradients over the root of the mean of their squares."""
+
+    def __init__(self, size: int) -> None:
+        self.mean, self.square, self.count = np.zeros(size), np.zeros(size), 0
+
+    def along(self, gradient: Array) -> Array:
+        """Step for a rate of 1."""
+        self.count += 1
+        self.mean += (1 - _MOMENTUM) * (gradient - self.mean)
+        self.square += (1 - _MEMORY) * (gradient**2 - self.square)
+        mean, square = self.mean / (1 - _MOMENTUM**self.count), self.square / (1 - _MEMORY**self.count)
+        return mean / (np.sqrt(square) + _FLOOR)
+
+
+def _result(
+    problem: Problem, descent: _Descent, record: Record, parameters: str, epochs: int, optimizer: str, validated: bool
+) -> GradientResult:
+    d, r, s0 = problem.split(descent.best.theta)
+    order = np.arange(problem.n) if problem.natural else np.argsort(d, kind="stable")
+    d, r = d[order], r[order]
+    v = np.split(descent.best.theta, problem.sizes)[1] if problem.natural else np.append(np.sqrt(r), np.zeros(len(r)))
+    stable = _stable_rate(descent.best.jacobian, int(problem.learned.sum()))
+    return GradientResult(
+        parameters=parameters, d=d.copy(), v=v.copy(), r=r.copy(), initial_state=s0.copy(),
+        loss_history=descent.losses, validation_history=descent.validations if validated else None,
+        best_epoch=descent.best_epoch, diverged=descent.diverged, stable_rate=stable,
+        message=_message(problem, descent, epochs, optimizer, stable, (d, r)), record=record,
+    )  # fmt: skip
+
+
+def _stable_rate(jacobian: Array, observed: int) -> float:
+    """2 over the largest eigenvalue of `2/T J J^T`."""
+    size = float(np.linalg.norm(jacobian, 2)) if np.isfinite(jacobian).all() else np.inf
+    return observed / size**2 if size else np.inf
+
+
+def _message(
+    problem: Problem, descent: _Descent, epochs: int, optimizer: str, stable: float, found: tuple[Array, Array]
+) -> str:
+    losses, best = descent.losses, descent.best.loss
+    power = float(np.var(problem.y[problem.learned])) or 1.0
+    parts = [
+        f"{len(losses) - 1} steps of {epochs}: mean squared error {losses[0]:.3g} at the start, {best:.3g} at best "
+        f"({100 * best / power:.2g} % of the variance of the output)."
+    ]
+    if descent.diverged:
+        parts.append(
+            f"The descent diverged: after step {len(losses)} the loss left the range of doubles. The parameters after "
+            f"step {descent.best_epoch} are kept."
+        )
+    elif descent.best_epoch < epochs:
+        parts.append(
+            f"The parameters after step {descent.best_epoch} are kept; the loss was {losses[-1]:.3g} at the end."
+        )
+    if optimizer == "plain":
+        parts.append(f"Near the parameters kept plain steps are stable for learning rates below {stable:.2g}.")
+    d, r = found
+    for name, held in (("d at its lower bound", d <= problem.slowest), ("r at 0", r == 0)):
+        if held.any():
+            listed = ", ".join(str(l + 1) for l in np.flatnonzero(held))
+            parts.append(f"Mode{'s' * int(held.sum() > 1)} {listed} ended with {name}.")
+    return " ".join(parts)
+
+
+# --- where to start, and what is allowed -----------------------------------------------------------------------------
+
+
+def _random_start(problem: Problem, rng: Any) -> Array:
+    """Random parameters of the size of the signals.
+
+    Frequencies up to twice the mean frequency of the output, weights in the ratio of the signals, and modes that
+    together move as much as the output does.
+    """
+    random = _checks.random_generator(rng)
+    n, u, y = problem.n, problem.u[: problem.samples], problem.y[: problem.samples]
+    size, drive = np.sqrt(np.mean(y**2)), np.sqrt(np.mean(u**2))
+    mean = np.linalg.norm(np.diff(y)) / problem.h / np.linalg.norm(y)
+    d = np.sort(random.uniform(0.1, 2.0, n)) * max(mean, problem.slowest)
+    v = random.standard_normal(2 * n) * np.sqrt(size / drive / (2 * n) if drive else 1.0)
+    motion = random.standard_normal((2, n)) * size / np.sqrt(n)
+    return np.concatenate([d, v if problem.natural else weights_of(v), _observable_state(d, *motion)])
+
+
+def _observable_state(d: Array, velocity: Array, position: Array) -> Array:
+    """State of the observable form in which mode l moves as `velocity cos(d t) + position sin(d t)`."""
+    others = cofactors(d)
+    s0 = np.empty(2 * len(d))
+    s0[0::2], s0[1::2] = (position * d) @ others, velocity @ others
+    return s0
+
+
+def _given_start(problem: Problem, guess: Any) -> Array:
+    """Checked parameters from `(d, v or r, s0)`."""
+    name = "v" if problem.natural else "r"
+    if isinstance(guess, str) or not hasattr(guess, "__len__") or len(guess) != 3:
+        raise StructureError(f"initial_guess is not a triple; give (d, {name}, s0), s0 a state of oh(d, v)")
+    n = problem.n
+    d, s0 = _vector("d of the initial guess", guess[0], n), _vector("s0 of the initial guess", guess[2], 2 * n)
+    _checks.natural_frequencies(d)
+    if problem.natural:
+        p = _vector("v of the initial guess", guess[1], 2 * n)
+    else:
+        p = _checks.residue_weights(guess[1], n)
+    return problem.projected(np.concatenate([d, p, s0]))
+
+
+def _vector(name: str, value: Any, size: int) -> Array:
+    array = np.atleast_1d(_checks.real_array(name, value))
+    if array.shape != (size,):
+        raise StructureError(f"{name} has shape {array.shape}; with this order it must be ({size},)")
+    return array
+
+
+def _rate(value: Any) -> float:
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not (number and 0 < value < np.inf):
+        raise StructureError(f"learning_rate is {value!r}; it must be a positive number")
+    return float(value)
+
+
+def _whole(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise StructureError(f"{name} is {value!r}; it must be a whole number >= 1")
+    return int(value)
+
+
+def _order(record: Record, order: int) -> int:
+    observed = int(record.observed.sum())
+    if 4 * order >= observed:
+        raise IdentificationError(
+            f"order {_checks.shown(order)} has {_checks.shown(4 * order)} unknowns, more than the {observed} observed "
+            "samples can carry; the largest "
+            f"order for this record is {max(0, (observed - 1) // 4)}"
+        )
+    if not record.y[record.observed].any():
+        raise IdentificationError("the output is zero throughout the record; there is nothing to model")
+    return order

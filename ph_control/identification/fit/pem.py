@@ -1,0 +1,298 @@
+"""Prediction-error fitting: the public call, and the way from data to a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..diagnosis.damping import DampingWatch, beside
+from ..regression.variable_projection import LAST, Problem, refine
+from ..search.criteria import CRITERIA, beside_input_noise, criteria, preference, significant
+from ..search.formulation import Callback, Formulation, check_workers, reporter, rounding_floor
+from ..search.free_path import FreeStep
+from ..search.holdout import held_out_losses
+from ..search.path import Start, prune, reseat, restart, stop_of
+from ..search.response_noise import reweighted
+from ..search.steps import Report, Search, Step
+from .conclusion import Fit, conclude
+from .result import OrderRow, PEMResult
+
+Array = NDArray[np.float64]
+
+_HELD_OUT = 1 / 3  # of each record, by the criterion of that name
+
+
+def pem(
+    data: Any,
+    order: int | str = "auto",
+    *,
+    dt: Any = None,
+    method: str = "exact",
+    intersample: str = "auto",
+    initial_state: str = "estimate",
+    offset: bool | str = "auto",
+    quantity: str = "velocity",
+    representation: str = "observable",
+    initial_guess: Any = None,
+    weights: Any = None,
+    criterion: str = "bic",
+    max_order: int = 20,
+    workers: Any = 1,
+    rng: Any = None,
+    callback: Callback | None = None,
+) -> PEMResult:
+    """Fit a lossless model to recordings, by prediction-error minimisation.
+
+    Finds `d`, `r >= 0` and the initial states that minimise the squared output error of a port-Hamiltonian model.
+    With white output noise this is the maximum-likelihood estimate.  No starting guess is needed.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
+        One input and one output on a uniform grid, or a frequency response; several experiments in a list, each with
+        its own length, step and initial state.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
+        modified.
+    order : int or 'auto'
+        Number of modes n; 'auto' takes the one that `criterion` prefers.
+    dt : float, or sequence of float, one for each experiment, optional
+        Time between samples; needed with arrays.
+    method : {'exact', 'midpoint', 'euler'}
+        How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator.
+    intersample : {'auto', 'zoh', 'foh'}
+        Input between samples: held, or linear; 'auto' takes what the data prefer, and 'zoh' where they cannot tell.
+    initial_state : {'estimate', 'zero'}
+        Whether the records may start in motion.
+    offset : bool or 'auto'
+        Whether a constant is added to the output of each record, and estimated; 'auto' adds one, or one that drifts,
+        where that explains more than a slow mode does.
+    quantity : {'velocity', 'displacement', 'acceleration'}
+        What was measured of the port.
+    representation : {'observable', 'controllable'}
+        Whether a mode without weight may still move at the output, as in the observable form, or not, as in every state
+        of the controllable one.
+    initial_guess : pair (d, r), ModalForm, or system of this package, optional
+        Model to start from, in place of the search; with a given order, modes are added to it if it has fewer.
+    weights : array_like, shape (K,), or list of these, optional
+        What the squared error at each frequency of a response counts; by default all the same, unless the residuals
+        show that the noise grows with the gain: then by the law of the noise that is estimated, `noise` in the result.
+    criterion : {'bic', 'aicc', 'aic', 'holdout'}
+        What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
+    max_order : int
+        Largest order tried by 'auto'.
+    workers : int or map-like callable
+        Processes for further starts, -1 for all; the result does not depend on it.
+    rng : numpy.random.Generator or int, optional
+        Seeds of further starts; always the same by default.
+    callback : callable, optional
+        Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
+        If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
+
+    Returns
+    -------
+    PEMResult
+        Model, standard errors, order table, residuals and a verdict.
+
+    Raises
+    ------
+    StructureError
+        If the data or options are not of this form.
+    IdentificationError
+        If the record is too short for a mode, or its signals cannot show one.
+
+    Warns
+    -----
+    IdentifiabilityWarning
+        If the input leaves combinations of parameters undetermined.
+
+    Notes
+    -----
+    Given the frequencies, the residues `kappa = r d >= 0` and what belongs to each experiment solve a linear problem;
+    only `d` is refined (variable projection, Levenberg-Marquardt).  The loss has many minima in `d`, each about
+    `2 pi / (T dt)` wide, so modes are added one by one, each where a local fit around the bins of the Fourier transform
+    explains most of what is left, and all are refined jointly.  Where what is left still shows more than noise would,
+    modes are seated anew and a few other paths are tried.  O(T n^2) an iteration; memory does not grow with T n.
+
+    A mode that is not significant among all the places where noise could have shown one is dropped from an automatic
+    choice.  Parts of one record given as two experiments have two initial states to estimate.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> rng = np.random.default_rng(0)
+    >>> t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
+    >>> y = phc.forced_response(plant, t, u, intersample="zoh").outputs + 0.01 * rng.standard_normal(1000)
+    >>> result = phc.pem((u, y), dt=0.1)
+    >>> result.d.round(3)
+    array([0.5, 2. ])
+    """
+    _checks.choice("criterion", criterion, CRITERIA)
+    check_workers(workers)
+    rng = None if rng is None else _checks.random_generator(rng)
+    posed = Formulation.of(
+        data, dt, weights, method=method, intersample=intersample, initial_state=initial_state, offset=offset,
+        quantity=quantity, representation=representation,
+    )  # fmt: skip
+    guess = posed.guess(initial_guess)
+    largest = posed.largest_order(order, max_order, guess)
+    posed.check_signals()
+
+    def again(posed: Formulation, start: Array | None) -> Found:
+        return _found(posed, order, largest, guess if start is None else start, criterion, workers, rng, callback)
+
+    found: Found | None = None
+    law = None
+    try:
+        found = again(posed, None)
+        if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
+            posed, found, law = reweighted(posed, found, again)
+    except KeyboardInterrupt:
+        found = _cut_short(posed) if found is None else replace(found, interrupted=True)
+    at_limit = order == "auto" and len(found.d) == max_order
+    # what an interrupted search had not come to is not absent from the data
+    wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
+    if law is None:
+        posed = found.posed
+    fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law)
+    try:
+        return conclude(fit, method, posed.intersample, quantity, representation)
+    except KeyboardInterrupt:
+        fit = replace(fit, found=replace(found, interrupted=True))
+        return conclude(fit, method, posed.intersample, quantity, representation)
+
+
+def _found(
+    posed: Formulation, order: Any, largest: int, guess: Array, criterion: str, workers: Any, rng: Any,
+    callback: Callback | None,
+) -> Found:  # fmt: skip
+    """Search, selection, and the last refinement."""
+    problem, search, rtol = posed.problem, posed.search, posed.rtol
+    floor, report = rounding_floor(problem), reporter(problem, largest, callback)
+    automatic = order == "auto"
+    watch = DampingWatch(problem, stop_of(lambda step: preference(problem, step, criterion)))
+    posed, path = posed.path(
+        guess, largest, report=report, together=not automatic and search.affords_batches,
+        stop=watch if automatic else None,
+    )  # fmt: skip
+    if posed.problem is not problem:
+        watch = DampingWatch(posed.problem)
+    problem, search = posed.problem, posed.search
+    explained = posed.searched is not None or path[-1].loss <= floor
+    followed = None if explained else watch.decided(path)
+    interrupted = path[-1].interrupted
+    values = [preference(problem, step, criterion) for step in path]
+    if automatic and criterion == "holdout" and not interrupted:
+        try:
+            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
+        except KeyboardInterrupt:
+            interrupted = True
+    place = int(np.argmin(values)) if automatic else len(path) - 1
+    if automatic and criterion == "bic" and not interrupted:
+        place = beside_input_noise(problem, path, values, place)
+    starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
+    start = path[place].d
+    if followed is not None:
+        start = beside(followed.at.d, start, None if automatic else len(start))
+    elif not interrupted:
+        path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
+        starts += more
+        interrupted, start = path[place].interrupted, path[place].d
+    if interrupted:
+        # who interrupts wants an end: one step, unobserved
+        end = replace(refine(problem, start, rtol=LAST, max_iterations=1), converged=False)
+    else:
+        end = refine(problem, start, rtol=LAST, progress=report(len(start)))
+    all_d = end.projection.d if place else path[-1].d
+    if automatic and not interrupted and followed is None and posed.searched is None:
+        end = significant(problem, end, lambda d: refine(problem, d, rtol=LAST))
+    rows = tuple(_row(problem, step) for step in path)
+    iterations = sum(step.iterations for step in path) + end.iterations
+    interrupted = interrupted or end.interrupted
+    return Found(end, rows, tuple(starts), iterations, interrupted, floor, all_d, posed, followed)
+
+
+def _cut_short(posed: Formulation) -> Found:
+    """The modes that a search had come to; the interruption goes on if there are none."""
+    step = posed.search.latest
+    if step is None or not len(step.d):
+        raise KeyboardInterrupt
+    end = replace(refine(posed.problem, step.d, rtol=LAST, max_iterations=1), converged=False)
+    row, start = _row(posed.problem, step), _start("forward", step, posed.problem.samples)
+    floor = rounding_floor(posed.problem)
+    return Found(end, (row,), (start,), step.iterations, True, floor, end.projection.d, posed)
+
+
+def _second_thoughts(
+    search: Search, path: list[Step], place: int, largest: int, automatic: bool, rtol: float, floor: float,
+    workers: Any, rng: Any, report: Callable[[int], Report | None],
+) -> tuple[Step, list[Start]]:  # fmt: skip
+    """A better minimum where the first is doubtful, and what was tried."""
+    step = path[place]
+    starts: list[Start] = []
+    better = reseat(search, step, rtol, floor, report)
+    if better.interrupted:
+        return better, starts
+    if better is not step:
+        starts.append(_start("re-seated", better, search.problem.samples))
+        step = better
+    given = not automatic and len(step.d) == largest and step.loss > floor
+    if given and (step.held.any() or search.unconvinced(step)):
+        try:
+            pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
+        except KeyboardInterrupt:
+            return replace(step, interrupted=True), starts
+        if pruned.interrupted:
+            return replace(step, interrupted=True), starts
+        if len(pruned.d) == largest and pruned.loss < (1 - 1e-6) * step.loss:
+            starts.append(_start("pruned", pruned, search.problem.samples))
+            step = replace(pruned, iterations=step.iterations + pruned.iterations)
+    from_nothing = not len(path[0].d)
+    if given and from_nothing and step.loss > floor and search.unconvinced(step):
+        try:
+            others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
+        except KeyboardInterrupt:
+            return replace(step, interrupted=True), starts
+        starts += [_start("random", other, search.problem.samples) for other in others]
+        best = min(others, key=lambda other: other.loss)
+        if len(best.d) == largest and best.loss < (1 - 1e-6) * step.loss:
+            step = replace(best, iterations=step.iterations + best.iterations)
+        step = replace(step, interrupted=any(other.interrupted for other in others))
+    return step, starts
+
+
+@dataclass(frozen=True)
+class Found:
+    """The minimum that the search ended in, and how it came there; `all_d` has the modes that were dropped as noise."""
+
+    end: Any
+    rows: tuple[OrderRow, ...]
+    starts: tuple[Start, ...]
+    iterations: int
+    interrupted: bool
+    floor: float
+    all_d: Array
+    posed: Formulation
+    followed: FreeStep | None = None
+
+    @property
+    def d(self) -> Array:
+        """Frequencies, shape (n,), in the order found."""
+        return np.asarray(self.end.projection.d)
+
+
+def _start(kind: str, step: Step, samples: int) -> Start:
+    return Start(kind, step.loss / samples, _checks.readonly(np.sort(step.d)))
+
+
+def _row(problem: Problem, step: Step) -> OrderRow:
+    found = criteria(problem, step.loss, len(step.d))
+    d = _checks.readonly(np.sort(step.d))
+    return OrderRow(len(d), step.loss / problem.samples, found.aic, found.bic, d)
+
+
+prediction_error_fit = pem

@@ -1,0 +1,1 @@
+"""The equations of a fit: columns, rows, and the elimination of linear parameters."""

@@ -1,0 +1,177 @@
+"""What a fitted model says of a record: its output from a state, and the state that fits its outputs best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._display import Report
+from ..._frozen import Frozen
+from ..._units import with_unit
+from ...analysis.time_response import forced_response
+from ...exceptions import StructureError
+from ...modal.modal_form import ModalForm
+from ...systems.port_hamiltonian import PortHamiltonian
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from .modal_regressors import Hold, output_weight
+from .time_rows import Experiment
+from .variable_projection import Problem
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FittedExperiment(Report, Frozen):
+    """What a fit by `pem` says of one experiment.
+
+    Attributes
+    ----------
+    record : Record or FrequencyRecord
+        The data.
+    initial_state : ndarray, shape (2n,), or (0,) for a frequency response
+        State of the system at the first sample.
+    free_amplitudes : ndarray, shape (n,), complex
+        Free motion of each mode at the output, `Re(amplitude * lambda^k)`.  It agrees with `initial_state`, except for
+        modes whose weight is held at 0: no state of a port-Hamiltonian system shows them at its output.
+    offset : float
+        Constant that is added to the output, of one that drifts its value at the first sample; 0 if not estimated.
+    predicted : ndarray, shape (T,)
+        Predicted output; complex for a frequency response.
+    drift : float
+        Change of that constant per unit time; 0 if it was not estimated.
+    outliers : tuple of int
+        Samples, counted from 0, whose residuals stand out of the noise of all others.
+    """
+
+    record: Record | FrequencyRecord
+    initial_state: Array
+    free_amplitudes: ComplexArray
+    offset: float
+    predicted: NDArray[Any]
+    drift: float = 0.0
+    outliers: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        """Say how much there is of it, and how well it is fitted."""
+        return f"{self.record.samples} samples, fit {self.fit_percent:.2f} %"
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """Output of the record; NaN where missing."""
+        return self.record.y if isinstance(self.record, Record) else self.record.response
+
+    @property
+    def residuals(self) -> NDArray[Any]:
+        """What the prediction leaves; NaN where the output is missing."""
+        return self.measured - self.predicted
+
+    @property
+    def fit_percent(self) -> float:
+        """`100 (1 - norm(residual) / norm(output - mean))`, of a response in the scale of its weights."""
+        kept = self.record.observed
+        weights = self.record.weights[kept] if isinstance(self.record, FrequencyRecord) else None
+        return fit_percent(self.measured[kept], self.residuals[kept], weights)
+
+
+def fit_percent(y: NDArray[Any], error: NDArray[Any], weights: Array | None = None) -> float:
+    """`100 (1 - |error| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
+    share = np.ones(len(y)) if weights is None else weights / weights.max()
+    # in units of the largest, so that squares stay in the range of doubles
+    unit = float(np.max(np.abs(y)))
+    size = float(np.linalg.norm(np.sqrt(share) * (y / unit - np.average(y / unit, weights=share))))
+    if size <= _checks.EPS * np.sqrt(len(y)):
+        size = float(np.linalg.norm(np.sqrt(share) * y / unit))
+    return 100.0 * (1.0 - unit_norm(np.sqrt(share) * error, unit) / size)
+
+
+def unit_norm(error: NDArray[Any], unit: float) -> float:
+    """Norm in a unit, also of numbers whose squares leave the range of doubles."""
+    largest = float(np.max(np.abs(error)))
+    return float(np.linalg.norm(error / largest)) * (largest / unit) if largest else 0.0
+
+
+def state_from_amplitudes(modes: ModalForm, amplitudes: ComplexArray, quantity: str = "velocity") -> Array:
+    """State in Williamson coordinates from the free motion of each mode at the output; 0 where `r` is 0."""
+    gain = modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0]
+    x = np.where(gain == 0, 0.0, amplitudes / np.where(gain == 0, 1.0, gain))
+    return np.concatenate([x.real, x.imag])
+
+
+def amplitudes_from_state(modes: ModalForm, state: Array, quantity: str = "velocity") -> ComplexArray:
+    """Free motion of each mode at the output, from a state in Williamson coordinates."""
+    n = len(modes.d)
+    gain = modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0]
+    return np.asarray(gain * (state[:n] + 1j * state[n:]))
+
+
+def estimated_state(
+    system: PortHamiltonian, record: Record, hold: Hold, quantity: str = "velocity", offset: bool = False
+) -> tuple[Array, float]:
+    """State at the first sample, and offset, that fit the outputs best, by least squares."""
+    modes = system.modes
+    live = np.flatnonzero(modes.r > 0)
+    plant = Experiment(record.u, record.y, record.observed, hold, True, False, quantity)
+    forced = plant.at(modes.d[live]).predict(modes.kappa[live], np.zeros(0))
+    free = Experiment(
+        np.zeros(record.samples), record.y - forced, record.observed, hold, False, offset, quantity, False
+    )
+    own = Problem((free,)).project(modes.d[live]).own[0]
+    amplitudes = np.zeros(len(modes.d), complex)
+    amplitudes[live] = own[: len(live)] + 1j * own[len(live) : 2 * len(live)]
+    return state_from_amplitudes(modes, amplitudes, quantity), float(own[-1]) if offset else 0.0
+
+
+def response_on(
+    system: PortHamiltonian, record: Record, state: Array, hold: Hold, quantity: str, offset: float
+) -> ct.TimeResponseData:
+    """Output of a model on a record, from a state, with the states of the system."""
+    found = forced_response(system, record.time, record.u, state, method=hold.method, intersample=hold.intersample)
+    if quantity != "velocity":
+        modes = system.modes
+        amplitudes = amplitudes_from_state(modes, state, quantity)
+        experiment = Experiment(record.u, np.zeros(record.samples), record.observed, hold, False, True, quantity)
+        own = np.concatenate([amplitudes.real, amplitudes.imag, [offset]])
+        output = experiment.at(modes.d).predict(modes.kappa, own)
+    else:
+        output = np.reshape(found.outputs, -1) + offset
+    found.y = np.reshape(output, found.y.shape)
+    return with_unit(found, record.time_unit)
+
+
+def chosen_experiment(experiments: Sequence[Any], place: Any) -> Any:
+    """One of several by its number."""
+    whole = isinstance(place, int | np.integer) and not isinstance(place, bool)
+    if not (whole and 0 <= place < len(experiments)):
+        raise StructureError(f"experiment is {place!r}; the experiments are counted from 0 to {len(experiments) - 1}")
+    return experiments[place]
+
+
+def observed_system(system: PortHamiltonian, quantity: str) -> Any:
+    """The linear system whose output is what was measured of the port."""
+    if quantity == "velocity":
+        return system
+    modes = system.modes
+    weight = modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0]
+    output = np.concatenate([weight.real, -weight.imag])[None]
+    through = [[float(modes.kappa.sum())]] if quantity == "acceleration" else [[0.0]]
+    return ct.StateSpace(
+        system.A, system.B, output, through, inputs=system.input_labels, outputs=system.output_labels,
+        name=f"{quantity} of {system.name}", remove_useless_states=False,
+    )  # fmt: skip
+
+
+def step_after(system: PortHamiltonian, record: Record, state: Array, hold: Hold, next_input: float) -> Array:
+    """State of a model one step after the last sample of a record."""
+    t = record.dt * np.arange(record.samples + 1)
+    response = forced_response(
+        system, t, np.append(record.u, next_input), state, method=hold.method, intersample=hold.intersample
+    )
+    return np.asarray(response.x[:, -1])

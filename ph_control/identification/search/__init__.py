@@ -1,0 +1,1 @@
+"""From data to initial estimates and to the order."""

@@ -1,0 +1,126 @@
+"""Which order the data speak for: criteria, the error over what is held out, and whether a mode is more than noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from ..regression.variable_projection import Problem, Projection, Refinement
+from .circumstances import input_noise
+from .steps import Step
+
+Array = NDArray[np.float64]
+
+CRITERIA = ("bic", "aicc", "aic", "holdout")
+
+_CROWDED = 2.0  # bins between modes, below which one may stand for something else
+_BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """Gaussian log-likelihood at the best noise variance, a parameter as well, and what is made of it."""
+
+    loglik: float
+    aic: float
+    aicc: float
+    bic: float
+
+    def by_name(self, name: str) -> float:
+        """Value of a criterion; the likelihood guides a search whose choice is made by what was held out."""
+        return self.bic if name == "holdout" else float(getattr(self, name))
+
+
+def criteria(problem: Problem, loss: float, n: int) -> Criteria:
+    """Criteria of n modes that leave a sum of squares."""
+    samples, parameters = problem.samples, problem.unknowns(n) + 1
+    variance = max(loss / samples, np.finfo(float).tiny)
+    loglik = -0.5 * samples * float(np.log(2 * np.pi * variance) + 1)
+    aic = 2 * parameters - 2 * loglik
+    spare = samples - parameters - 1
+    aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
+    return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+
+
+def preference(problem: Problem, step: Step, name: str) -> float:
+    """Value of a criterion for a step of a search, with noise as coloured as the criterion prefers.
+
+    A mode too many mends a little of coloured noise, a few coefficients mend most of it.  What no mode explains yet is
+    not taken for noise.
+    """
+    found = criteria(problem, step.loss, len(step.d)).by_name(name)
+    if not len(step.d):
+        return found
+    each = 2.0 if name in ("aic", "aicc") else float(np.log(problem.samples))
+    lags = np.arange(len(step.foretold))
+    return found + float(np.min(problem.samples * np.log(step.foretold) + each * lags))
+
+
+def beside_input_noise(problem: Problem, path: Sequence[Step], values: Sequence[float], place: int) -> int:
+    """Place in a path that BIC prefers where noise on the input may explain the last modes, which crowd about others.
+
+    Such noise comes out of the plant at its resonances, as more modes there would.
+    """
+    best, chosen, each = values[place], place, float(np.log(problem.samples))
+    while place > 0 and crowded(path[place].d, _CROWDED * problem.bin):
+        for k in (place, place - 1):
+            if len(d := path[k].d):
+                gain = input_noise(problem.project(d))[1]
+                value = criteria(problem, path[k].loss, len(d)).bic - 2 * gain + each
+                best, chosen = min((best, chosen), (value, k))
+        place -= 1
+    return chosen
+
+
+def crowded(d: Array, distance: float) -> bool:
+    """Whether the mode that joined last may only mend what a circumstance does to another."""
+    return len(d) > 1 and bool(np.min(np.abs(d[:-1] - d[-1])) < distance)
+
+
+def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:
+    """Drop the weakest mode, one after the other, while noise alone could well have shown it somewhere."""
+    while len(end.projection.d) and not end.interrupted:
+        evidence = _evidence(end.projection)
+        weakest = int(np.argmin(evidence))
+        unknowns = problem.unknowns(1) - problem.unknowns(0)
+        if chi2.sf(evidence[weakest], unknowns) * problem.samples < _BY_CHANCE:
+            break
+        before = end.iterations
+        end = again(np.delete(end.projection.d, weakest))
+        end = replace(end, iterations=before + end.iterations)
+    return end
+
+
+def _evidence(at: Projection) -> Array:
+    """How much the loss would grow without each mode, in units of the noise variance (Wald)."""
+    n = len(at.d)
+    J, known = at.jacobian()
+    degrees = max(1, at.problem.samples - int(known.sum()))
+    variance = at.loss / degrees
+    if variance == 0:
+        return np.full(n, np.inf)
+    values = np.concatenate([np.zeros(n), at.kappa, *at.own])
+    lengths = np.linalg.norm(J, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    R = np.linalg.qr(J[:, known] / lengths[known], mode="r")
+    place = np.full(len(known), -1)
+    place[known] = np.arange(int(known.sum()))
+    inverse = np.linalg.pinv(R)
+    found = np.zeros(n)
+    for l in range(n):
+        own, start = [n + l], 2 * n
+        for part in at.own:
+            own += [start + l, start + n + l] if len(part) >= 2 * n else []
+            start += len(part)
+        live = [k for k in own if known[k]]
+        if not live:
+            continue
+        rows = inverse[place[live]]
+        scaled = values[live] * lengths[live]
+        # the covariance of these unknowns is rows @ rows.T; its inverse weighs them
+        found[l] = scaled @ np.linalg.lstsq(rows @ rows.T, scaled, rcond=None)[0] / variance
+    return found

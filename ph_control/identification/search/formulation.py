@@ -1,0 +1,431 @@
+"""What data and options ask for: the linear problem they pose, where a search for its minimum starts and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._units import common_unit
+from ...exceptions import IdentificationError, StructureError
+from ...modal.modal_form import ModalForm
+from ...modal.propagation import INTERSAMPLE, METHODS
+from ...systems.port_hamiltonian import modes
+from ..data.experiments import as_experiments
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..regression.frequency_rows import FrequencyRows
+from ..regression.modal_regressors import QUANTITIES, Hold
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import Problem, refine
+from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
+from .criteria import criteria, crowded, preference
+from .path import grow, interrupted
+from .response_search import ResponseSearch
+from .steps import Report, Search, Step, TimeSearch
+
+Array = NDArray[np.float64]
+Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
+
+REPRESENTATIONS = ("observable", "controllable")
+
+_DELAYS = tuple(range(-2, 9))  # samples that are tried
+_BESIDE = 1.5  # bins between a mode and one that may only mend the phase of its response
+_EVIDENT = 20.0  # log-likelihood at which one hold is surely better, whatever modes were found under the other
+_LIKELY, _FOLLOWED = 8.0, 3  # log-likelihood at which a search begins again under other circumstances, and how many
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback is told after each iteration."""
+
+    order: int
+    max_order: int
+    iteration: int
+    loss: float
+
+
+Callback = Callable[[Progress], Any]
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """The records and the problem that they pose.
+
+    `open` names what is left to the data: the 'hold' of the input, other instants of its 'arrival', and the
+    'background' of the output; `findings` say what they decided.  Modes are searched for in the problem `searched`,
+    where that is another one.
+    """
+
+    records: Records
+    problem: Problem
+    open: frozenset[str] = frozenset()
+    findings: tuple[Finding, ...] = ()
+    searched: Problem | None = None
+
+    @classmethod
+    def of(
+        cls, data: Any, dt: Any = None, weights: Any = None, *, method: str = "exact", intersample: str = "auto",
+        initial_state: str = "estimate", offset: bool | str = "auto", quantity: str = "velocity",
+        representation: str = "observable",
+    ) -> Formulation:  # fmt: skip
+        """Check data and options, which are those of `pem`."""
+        for name, value, allowed in (
+            ("method", method, METHODS),
+            ("intersample", intersample, (*INTERSAMPLE, "auto")),
+            ("initial_state", initial_state, ("estimate", "zero")),
+            ("quantity", quantity, QUANTITIES),
+            ("representation", representation, REPRESENTATIONS),
+        ):
+            _checks.choice(name, value, allowed)
+        if not isinstance(offset, str) or offset != "auto":
+            _checks.flags(offset=offset)
+        records = as_experiments(data, dt, weights=weights)
+        _refuse_unobserved(records)
+        rest = initial_state == "zero"
+        held, terms = "zoh" if intersample == "auto" else intersample, 0 if offset == "auto" else int(offset)
+        rows = [rows_of(record, method, held, quantity, from_rest=rest, offset=terms) for record in records]
+        problem = Problem(tuple(rows), structured=representation == "controllable")
+        asks = problem.driven and method != "euler"
+        open = {"arrival"} if asks else set()
+        if asks and intersample == "auto":
+            open.add("hold")
+        if offset == "auto":
+            open.add("background")
+        return cls(records, problem, frozenset(open) if isinstance(rows[0], Experiment) else frozenset())
+
+    @property
+    def intersample(self) -> str:
+        """Behaviour of the input between samples; of a response, which has none, the default."""
+        first = self.problem.experiments[0]
+        return first.hold.intersample if isinstance(first, Experiment) else "zoh"
+
+    @property
+    def of_equal_weights(self) -> bool:
+        """Whether these are frequency responses whose points count alike."""
+        return all(isinstance(one, FrequencyRecord) and not np.ptp(one.weights) for one in self.records)
+
+    def weighted(self, weights: Sequence[Array]) -> Formulation:
+        """The same with weights for the points that were measured of each response."""
+        records, rows = [], []
+        for one, shares in zip(self.problem.experiments, weights, strict=True):
+            if isinstance(one, FrequencyRows):
+                all_shares = np.full(one.record.samples, float(np.median(shares)))
+                all_shares[one.record.observed] = shares
+                records.append(replace(one.record, weights=all_shares))
+                rows.append(replace(one, record=records[-1]))
+        return replace(self, records=tuple(records), problem=replace(self.problem, experiments=tuple(rows)))
+
+    @cached_property
+    def search(self) -> Search:
+        """What adds modes to the problem."""
+        problem = self.searched or self.problem
+        return TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
+
+    @property
+    def rtol(self) -> float:
+        """Relative decrease of the loss at which a step of the search ends: what the criteria do not feel."""
+        return min(1e-4, 0.1 / self.problem.samples)
+
+    def path(
+        self, guess: Array, largest: int, *, report: Callable[[int], Report | None] = lambda order: None,
+        together: bool = False, stop: Callable[[list[Step]], bool] | None = None,
+    ) -> tuple[Formulation, list[Step]]:  # fmt: skip
+        """One mode after the other, from the guess on, under the circumstances that the data prefer: these, and all."""
+        search, floor = self.search, rounding_floor(self.problem)
+        steps = [search.step(guess, self.rtol, report(len(guess)))]
+
+        def pauses(more: list[Step]) -> bool:
+            asks = self._asks(more[-1])
+            if asks or stop is None:
+                return asks
+            whole = [*steps[:-1], *more]
+            over = stop(whole)
+            more[-1] = whole[-1]  # a stop that was interrupted marks it
+            return over
+
+        while True:
+            # what is left of a record without noise is rounding, and says nothing of its circumstances
+            ended = steps[-1].interrupted or not len(steps[-1].candidates) or steps[-1].loss <= floor
+            others = [] if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
+            if others:
+                return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
+            before = len(steps)
+            steps = [*steps[:-1], *grow(
+                search, steps[-1], largest, rtol=self.rtol, floor=floor, report=report, together=together, stop=pauses
+            )]  # fmt: skip
+            if len(steps) == before or not self._asks(steps[-1]) or (stop is not None and stop(steps)):
+                break
+        over = steps[-1].interrupted or steps[-1].loss <= floor or getattr(stop, "followed", False)
+        if isinstance(search, TimeSearch) and not over:
+            d = np.sort(steps[-1].d)
+            if "hold" in self.open and len(d) > 1 and np.min(np.diff(d)) < self.problem.bin:
+                return self._better_held(steps, guess, largest, report=report, together=together, stop=stop)
+            others = self._preferred(search, steps, True)
+            if others and others[0].searched is self.searched and others[0].problem is self.problem:
+                return others[0], steps
+            if others:
+                return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
+        return self, steps
+
+    def _followed(
+        self, others: list[Formulation], before: list[Step], guess: Array, largest: int, **how: Any
+    ) -> tuple[Formulation, list[Step]]:
+        """The best path of others; one with a delay has to explain the record, or nothing is said of it."""
+
+        def value(path: tuple[Formulation, list[Step]]) -> float:
+            return min(preference(path[0].problem, step, "bic") for step in path[1])
+
+        paths, cut = [], False
+        for one in others:
+            try:
+                paths.append(one.path(guess, largest, **how))
+            except (KeyboardInterrupt, StopIteration):
+                cut = True
+            if cut := cut or paths[-1][1][-1].interrupted:
+                break
+        if cut:
+            found, steps = min([*paths, (self, before)], key=value)
+            if not len(steps[-1].d):
+                raise KeyboardInterrupt
+            return found, interrupted(steps)
+        found, steps = min(paths, key=value)
+        late = found.searched is not None and self.searched is None
+        if late:
+            best = min(steps, key=lambda step: preference(found.problem, step, "bic"))
+            if found.search.unconvinced(best):
+                return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
+        return found, steps
+
+    def _better_held(self, steps: list[Step], guess: Array, largest: int, **how: Any) -> tuple[Formulation, list[Step]]:
+        """The better of two paths, where modes closer than the data resolve make the first one doubtful."""
+        other = "foh" if self.intersample == "zoh" else "zoh"
+        closed = replace(self, open=self.open - {"hold"})
+        try:
+            found, more = replace(closed, problem=meeting(self.problem, other)).path(guess, largest, **how)
+        except (KeyboardInterrupt, StopIteration):
+            return closed, interrupted(steps)
+        if more[-1].interrupted:
+            return closed, interrupted(steps)
+        here = min(preference(self.problem, step, "bic") for step in steps)
+        there = min(preference(found.problem, step, "bic") for step in more)
+        gain = 0.5 * (here - there)
+        if gain > SURE:
+            finding = Finding(Cause.HOLD, (float(HOLDS.index(other)),), gain)
+            return replace(found, findings=(*found.findings, finding)), more
+        finding = Finding(Cause.HOLD, (float(HOLDS.index(self.intersample)),), max(0.0, -gain))
+        return replace(closed, findings=(*self.findings, finding)), steps
+
+    def _asks(self, step: Step) -> bool:
+        """Whether what joined last, or would join next, may be a circumstance rather than a mode."""
+        search = self.search
+        if not isinstance(search, TimeSearch):
+            return False
+        return self._doubts(search, step) or ("background" in self.open and search.slow(step))
+
+    def _doubts(self, search: TimeSearch, step: Step) -> bool:
+        """Whether a mode has joined next to another while more is left, as where the input arrives otherwise."""
+        beside = "arrival" in self.open and crowded(step.d, _BESIDE * self.problem.bin)
+        return beside and search.unconvinced(step)
+
+    def _preferred(self, search: TimeSearch, steps: list[Step], final: bool) -> list[Formulation]:
+        """The same under circumstances that the data prefer; in the end also how sure the present ones are."""
+        step = steps[-1]
+        if "background" in self.open and search.slow(step):
+            other = self._beside(search, step)
+            if other is not None:
+                return [other]
+        if not ("arrival" in self.open and len(step.d)):
+            return []
+        return self._meeting(search, steps[0], step, final)
+
+    def _beside(self, search: TimeSearch, step: Step) -> Formulation | None:
+        """With a constant or a drift, where that explains more than a slow mode would."""
+        joined = search.step(np.append(step.d, step.candidates[0]), self.rtol)
+        now = criteria(self.problem, step.loss, len(step.d)).loglik
+        best, chosen = criteria(self.problem, joined.loss, len(joined.d)).bic, None
+        present = max(one.offset for one in self.problem.experiments if isinstance(one, Experiment))
+        for terms in range(present + 1, 3):
+            problem = beside(self.problem, terms)
+            if problem.unknowns(len(step.d)) >= problem.samples:
+                break
+            at = refine(problem, step.d, rtol=self.rtol).projection
+            found = criteria(problem, at.loss, len(step.d))
+            if found.bic < best:
+                best, chosen = found.bic, (terms, problem, found.loglik - now)
+        if chosen is None:
+            return None
+        terms, problem, gain = chosen
+        cause = Cause.CONSTANT if terms == 1 else Cause.DRIFT
+        others = tuple(one for one in self.findings if one.cause is not Cause.CONSTANT)
+        searched = None if self.searched is None else beside(self.searched, terms)
+        return replace(self, problem=problem, searched=searched, findings=(*others, Finding(cause, (), gain)))
+
+    def _meeting(self, search: TimeSearch, first: Step, step: Step, final: bool) -> list[Formulation]:
+        """With an input that arrives otherwise, the likeliest first."""
+        held = self.intersample
+        other = "foh" if held == "zoh" else "zoh"
+        gains = {}
+        if self._doubts(search, step) or (final and search.unconvinced(step)):
+            base = search.arrival(first, held, 0)
+            for each in (held, other):
+                for delay in _DELAYS if each == held or "hold" in self.open else (0,):
+                    gains[each, delay] = search.arrival(first, each, delay) - base
+        if final and "hold" in self.open and gains.get((other, 0), 0.0) <= _EVIDENT:
+            gains[other, 0] = search.likelihood(step, other) - search.likelihood(step, held)
+        likely = sorted((pair for pair in gains.items() if pair[1] > _LIKELY), key=lambda pair: -pair[1])[:_FOLLOWED]
+        if likely and not (final and likely[0][0] == (other, 0)):
+            return [self._arriving(each, delay, gain) for (each, delay), gain in likely]
+        if not (final and "hold" in self.open):
+            return [self._arriving(*pair, gain) for pair, gain in likely]
+        gain = gains[other, 0]
+        if gain > SURE:
+            return [self._arriving(other, 0, gain)]
+        finding = Finding(Cause.HOLD, (float(HOLDS.index(held)),), max(0.0, -gain))
+        return [replace(self, findings=(*self.findings, finding))]
+
+    def _arriving(self, held: str, delay: int, gain: float) -> Formulation:
+        """With an input that arrives as told; its hold belongs to the model if that is left to the data."""
+        problem = meeting(self.problem, held)
+        searched: Problem | None
+        if delay:
+            finding = Finding(Cause.DELAY, (float(delay),), gain)
+            problem, searched = problem if "hold" in self.open else self.problem, delayed(problem, delay)
+        else:
+            finding = Finding(Cause.HOLD, (float(HOLDS.index(held)),), gain)
+            problem, searched = (problem, None) if "hold" in self.open else (self.problem, problem)
+        return replace(
+            self, problem=problem, searched=searched, open=self.open - {"hold", "arrival"},
+            findings=(*self.findings, finding),
+        )  # fmt: skip
+
+    def check_signals(self) -> None:
+        """Refuse an output of nothing, and an input that no weight could be told from."""
+        if not any(one.largest for one in self.problem.experiments):
+            raise IdentificationError("the output is zero throughout the record; there is nothing to model")
+        in_time = [one for one in self.problem.experiments if isinstance(one, Experiment) and one.driven]
+        constant = [float(one.u[0]) for one in in_time if np.all(one.u == one.u[0])]
+        at_rest = any(one.from_rest and one.u[0] != 0 for one in in_time)
+        if in_time and len(constant) == len(in_time) and not at_rest:
+            raise IdentificationError(
+                f"the input is constant ({constant[0]:g}) throughout the record: a lossless model answers it like a "
+                "free motion, so no weight r can be told from the initial state; record with an input that varies, "
+                "pass initial_state='zero' if a step was applied to a plant at rest, or (None, y) if a free motion is "
+                "meant"
+            )
+
+    def guess(self, initial_guess: Any) -> Array:
+        """Frequencies to start from."""
+        common_unit(self.records, initial_guess)
+        if initial_guess is None:
+            return np.zeros(0)
+        if isinstance(initial_guess, tuple | list) and len(initial_guess) == 2:
+            model = modes(*initial_guess)
+        elif isinstance(own := getattr(initial_guess, "modes", None), ModalForm):
+            model = own
+        elif isinstance(initial_guess, ModalForm):
+            model = initial_guess
+        else:
+            raise StructureError(
+                f"initial_guess is a {type(initial_guess).__name__}; pass a pair (d, r), a ModalForm or a system"
+            )
+        if model.nports != 1 or not len(model.d):
+            raise StructureError(
+                f"initial_guess has {model.nports} ports and {len(model.d)} oscillating modes; needed one port "
+                "and a mode"
+            )
+        if model.d.max() > self.problem.ceiling:
+            raise StructureError(
+                f"initial_guess has a mode at {model.d.max():.6g} rad/time; what the data can show ends at "
+                f"{self.problem.ceiling:.6g}"
+            )
+        return np.array(model.d)
+
+    def largest_order(self, order: int | str, max_order: int, guess: Array) -> int:
+        """Largest order to try."""
+        problem = self.problem
+        own = problem.unknowns(0)
+        per_mode = problem.unknowns(1) - own
+        carried = problem.carried
+        for name, value in (("order", order), ("max_order", max_order)):
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
+            if not (whole or (name == "order" and isinstance(value, str) and value == "auto")):
+                allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
+                raise StructureError(f"{name} is {_checks.shown(value)}; it must be {allowed}")
+        what = (
+            "observed output samples" if isinstance(problem.experiments[0], Experiment) else "real and imaginary parts"
+        )
+        if carried == 0:
+            raise IdentificationError(
+                f"the record has {problem.samples} {what}; one mode alone has {per_mode + own} unknowns, so "
+                f"at least {per_mode + own + 1} are needed"
+            )
+        if order == "auto":
+            if len(guess) > min(max_order, carried):
+                raise StructureError(
+                    f"initial_guess has {len(guess)} modes, more than the {min(max_order, carried)} that 'auto' "
+                    "may take"
+                )
+            return int(min(max_order, carried))
+        if int(order) > carried:
+            raise IdentificationError(
+                f"order {_checks.shown(int(order))} has {_checks.shown(per_mode * int(order) + own)} unknowns, more "
+                f"than the {problem.samples} {what} can carry; the largest order for this record is {carried}"
+            )
+        if len(guess) > int(order):
+            raise StructureError(
+                f"initial_guess has {len(guess)} modes, more than the {_checks.shown(order)} of the order"
+            )
+        return int(order)
+
+
+def _refuse_unobserved(records: Records) -> None:
+    """Refuse an experiment that says nothing beside others that do."""
+    seen = [bool(record.observed.any()) for record in records]
+    if len(seen) > 1 and not all(seen):
+        place = seen.index(False)
+        raise IdentificationError(
+            f"experiment {place + 1} has no outputs: all {records[place].samples} of them are NaN; leave it out"
+        )
+
+
+def rows_of(
+    record: Record | FrequencyRecord, method: str, intersample: str, quantity: str, *, from_rest: bool, offset: int
+) -> Any:
+    """What one record offers to the solver; a frequency response has no samples that a method could meet."""
+    if isinstance(record, FrequencyRecord):
+        return FrequencyRows(record, quantity)
+    hold, rest = Hold(record.dt, method, intersample), from_rest and record.driven
+    return Experiment(record.u, record.y, record.observed, hold, rest, offset, quantity, record.driven)
+
+
+def reporter(problem: Problem, largest: int, callback: Callback | None) -> Callable[[int], Report | None]:
+    """What tells a callback of the iterations of each order."""
+    if callback is not None and not callable(callback):
+        raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
+
+    def report(order: int) -> Report | None:
+        if callback is None:
+            return None
+        return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
+
+    return report
+
+
+def rounding_floor(problem: Problem) -> float:
+    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
+    largest = max(one.largest for one in problem.experiments)
+    return float(problem.samples * (_checks.EPS * problem.samples * largest) ** 2)
+
+
+def check_workers(workers: Any) -> None:
+    """Check that this is a number of processes, -1 for all, or a map-like callable."""
+    whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
+    if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
+        shown = _checks.shown(workers)
+        raise StructureError(f"workers is {shown}; it must be a number of processes, -1 for all, or a map")

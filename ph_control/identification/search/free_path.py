@@ -1,0 +1,174 @@
+"""From nothing, or from a lossless fit, to the damped modes that the data speak for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from ..regression.free import FreeProjection, refine_free
+from ..regression.variable_projection import Problem
+from .free_search import FreeSearch
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_APART = 3.0  # basins between modes, their half-widths added: what is closer mends the shape of a peak
+_BROADEST = 0.2  # damping ratio of what still counts as a mode
+_PATIENCE = 3  # orders without a better criterion before the path ends
+_TRIED = 3  # candidates for one more mode
+_BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
+_ROUGH = 1e-6  # relative decrease of the loss at which other refinements end
+_EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
+_VAGUE = 0.5  # of the half-width of a peak, or of a bin: larger errors of it make no mode
+_THROUGH = 4.0  # standard errors below which nothing is fed through
+
+
+@dataclass(frozen=True)
+class FreeStep:
+    """Damped modes and what they leave."""
+
+    at: FreeProjection
+    left: list[ComplexArray]
+    loss: float
+
+
+def free_unknowns(problem: Problem, n: int) -> int:
+    """Parameters of n damped modes: those of lossless ones, a decay rate and a phase for each, and a feedthrough."""
+    return problem.unknowns(n) + n + (n + 1) * problem.driven
+
+
+def criterion(problem: Problem, loss: float, unknowns: int) -> float:
+    """BIC, but for what is the same for all models."""
+    loss = max(loss / problem.samples, np.finfo(float).tiny)
+    return float(problem.samples * np.log(loss) + unknowns * np.log(problem.samples))
+
+
+def free_criterion(problem: Problem, step: FreeStep) -> float:
+    """BIC of a damped model."""
+    return criterion(problem, step.loss, free_unknowns(problem, len(step.at.p)))
+
+
+def free_step(search: FreeSearch, p: ComplexArray) -> FreeStep:
+    """Modes refined from a start, in the end over all that was measured: elsewhere, too, they have to be right."""
+    at = search.refined(p)
+    if len(p) and search.data.windowed:
+        at = refine_free(lambda _: search.data.all_rows(True), at.p, search.band, _ROUGH)
+    left = search.data.left(at)
+    return FreeStep(at, left, search.data.loss(left))
+
+
+def free_path(
+    problem: Problem, search: FreeSearch, start: ComplexArray, order: int | None, most: int
+) -> FreeStep:  # fmt: skip
+    """Modes join one at a time; the best by the BIC of those that have at least as many as were asked for."""
+    wanted = order or 0
+    best = current = _sound(search, free_step(search, start))
+    missed = 0
+    while missed < _PATIENCE and len(current.at.p) < max(most, wanted):
+        short = len(current.at.p) < wanted
+        more = _joined_by_one(problem, search, current, demanding=not short)
+        if more is None:
+            break
+        current = more
+        if short or free_criterion(problem, current) < free_criterion(problem, best):
+            best, missed = current, 0
+        else:
+            missed += 1
+    while wanted < len(best.at.p):
+        vague = _vagueness(problem, search, best.at)
+        weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(evidence(search, best.at)))
+        fewer = free_step(search, np.delete(best.at.p, weakest))
+        if vague.max() <= 1 and free_criterion(problem, fewer) >= free_criterion(problem, best):
+            break
+        best = fewer
+    return best
+
+
+def _vagueness(problem: Problem, search: FreeSearch, at: FreeProjection) -> Array:
+    """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
+    n = len(at.p)
+    inner = at.covariance(at.loss / max(1, at.rows - free_unknowns(problem, n)))
+    errors = np.sqrt(np.diag(inner)[n : 2 * n])
+    return np.asarray(errors / np.maximum(_VAGUE * np.abs(at.sigma), _VAGUE * search.band.bin))
+
+
+def evidence(search: FreeSearch, at: FreeProjection) -> Array:
+    """How much the loss would grow without each mode."""
+    rows = search.data.rows(at.p)
+    loss = FreeProjection(rows, at.p).loss
+    return np.array([FreeProjection(rows, np.delete(at.p, k)).loss - loss for k in range(len(at.p))])
+
+
+def _closest(at: FreeProjection, band: float) -> tuple[float, int]:
+    """How far, in units of what is demanded, the closest pair is apart, and the weaker mode of it."""
+    d, half_width = at.d, np.abs(at.sigma)
+    if len(d) < 2:
+        return np.inf, 0
+    apart = np.abs(d[:, None] - d) / (_APART * band + half_width[:, None] + half_width)
+    np.fill_diagonal(apart, np.inf)
+    first, second = np.unravel_index(np.argmin(apart), apart.shape)
+    # of a pair that mends one peak the broader is the patch
+    weaker = first if half_width[first] > half_width[second] else second
+    return float(apart[first, second]), int(weaker)
+
+
+def _is_sound(search: FreeSearch, step: FreeStep) -> bool:
+    at = step.at
+    return bool(_closest(at, search.band.bin)[0] >= 1 and np.all(np.abs(at.sigma) <= _BROADEST * at.d))
+
+
+def _sound(search: FreeSearch, step: FreeStep) -> FreeStep:
+    """A model without the modes that only mend the shape of others."""
+    while len(step.at.p) and not _is_sound(search, step):
+        distance, weaker = _closest(step.at, search.band.bin)
+        if distance >= 1:
+            weaker = int(np.argmax(np.abs(step.at.sigma) / step.at.d))
+        step = free_step(search, np.delete(step.at.p, weaker))
+    return step
+
+
+def _joined_by_one(problem: Problem, search: FreeSearch, step: FreeStep, demanding: bool) -> FreeStep | None:
+    """One more mode, away from those that are there; if nothing else is left, what is not even that."""
+    at = step.at
+    candidates, gains = search.data.candidates(step.left)
+    needed = _APART * search.band.bin + np.abs(at.sigma)
+    distant = [
+        (complex(p), float(gain)) for p, gain in zip(candidates, gains, strict=True)
+        if np.all(np.abs(p.imag - at.p.imag) > needed)
+    ]  # fmt: skip
+    if demanding and not (distant and _is_more_than_noise(problem, step, distant[0][1])):
+        return None
+    first: FreeStep | None = None
+    for p, _ in distant[:_TRIED]:
+        trial = free_step(search, np.append(at.p, p))
+        if _is_sound(search, trial):
+            return trial
+        first = trial if first is None else first
+    return None if demanding else first
+
+
+def _is_more_than_noise(problem: Problem, step: FreeStep, gain: float) -> bool:
+    """Whether noise alone would hardly show such a mode anywhere."""
+    n = len(step.at.p)
+    spare = problem.samples - free_unknowns(problem, n)
+    if spare <= 0 or step.loss <= 0:
+        return False
+    more = free_unknowns(problem, n + 1) - free_unknowns(problem, n)
+    return bool(chdtrc(more, gain * spare / step.loss) * problem.samples < _BY_CHANCE)
+
+
+def finished(search: FreeSearch, p: ComplexArray, accelerometer: bool) -> FreeProjection:
+    """The minimum over all that was measured; what is fed through only where it stands out, or has to be.
+
+    A force is felt by an accelerometer at once; velocity and displacement follow it.
+    """
+    at = refine_free(lambda _: search.data.all_rows(True), p, search.band, _EXACT)
+    if accelerometer or not at.has_feedthrough:
+        return at
+    error = float(np.sqrt(at.covariance(at.loss / max(1, at.rows))[-1, -1]))
+    if abs(at.feedthrough) > _THROUGH * error:
+        return at
+    return refine_free(lambda _: search.data.all_rows(False), at.p, search.band, _EXACT)

@@ -1,0 +1,274 @@
+"""The search for damped modes with residues of any phase.
+
+The same path as for lossless modes, one joining at a time where it explains most of what is left.  Around the bins of
+what is left of a transform, `z E = lambda E + beta U + gamma z` is a linear problem in the pole `lambda` as well; as
+peaks may be much wider than a bin, it is solved over windows of several widths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..regression.free import Band, FreeProjection, refine_free
+from ..regression.free_rows import FreeRecord, FreeResponse, FreeRows, FreeTransform
+from ..regression.frequency_rows import FrequencyRows
+from ..regression.modal_regressors import Hold
+from ..regression.spectral_rows import Bins, Spectrum
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import Problem
+from .response_candidates import ranked_candidates
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_PIECE = 1 << 18  # numbers worked on at a time
+_IN_TIME = 1500  # samples up to which every step is refined in time
+_HALF_WIDTHS = (6, 24, 96, 384)  # of windows, in bins
+_ROUNDS = 3  # of the local problem, weighted with the pole found
+_NARROWEST = 0.02  # bins
+_EVERYWHERE = 1 << 12  # bins up to which all are centres of windows; above, those where most is left
+_PEAKS = 200
+_COMPARED = 16
+_RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
+
+
+class FreeData(Protocol):
+    """Experiments in which damped modes are looked for; `windowed` tells that `rows` are a part of all."""
+
+    windowed: bool
+
+    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
+        """Rows of the linear problem that tell enough of these modes for a search."""
+
+    def all_rows(self, through: bool) -> Sequence[FreeRows]:
+        """Rows of all that was measured, with what is fed through or without."""
+
+    def left(self, at: FreeProjection) -> list[ComplexArray]:
+        """What a model leaves of each experiment, at all its bins or points."""
+
+    def predicted(self, at: FreeProjection) -> Sequence[NDArray[Any]]:
+        """Output of a model over all that was measured."""
+
+    def loss(self, left: Sequence[ComplexArray]) -> float:
+        """Sum of squares, over the data as they were measured."""
+
+    def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain most of what is left, and how much; without a decay rate if none was found."""
+
+
+class Records:
+    """Records in time."""
+
+    def __init__(self, experiments: Sequence[Experiment]) -> None:
+        self.experiments = experiments
+        self.spectra = [Spectrum.of(one) for one in experiments]
+        self.windowed = max(len(one.u) for one in experiments) > _IN_TIME and all(
+            one.complete and not one.from_rest and one.offset < 2 for one in experiments
+        )
+        self._in_time = [FreeRecord(one) for one in experiments]
+
+    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
+        """The bins about the modes of long records."""
+        return [FreeTransform.thinned(one, p) for one in self.spectra] if self.windowed else self._in_time
+
+    def all_rows(self, through: bool) -> Sequence[FreeRows]:
+        """All observed samples."""
+        return [FreeRecord(one, through) for one in self.experiments]
+
+    def left(self, at: FreeProjection) -> list[ComplexArray]:
+        """Transforms of what a model leaves; 0 where an output is missing, or an offset explains it."""
+        if not len(at.p):
+            left = [one.Y.copy() for one in self.spectra]
+        elif isinstance(at.experiments[0], FreeTransform):
+            left = [self._beside(one, at, own) for one, own in zip(self.spectra, at.own, strict=True)]
+        else:
+            pairs = zip(self.experiments, self.predicted(at), strict=True)
+            left = [np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0)) for one, predicted in pairs]
+        return [spectrum.beside_offset(each) for spectrum, each in zip(self.spectra, left, strict=True)]
+
+    def _beside(self, spectrum: Spectrum, at: FreeProjection, own: Array) -> ComplexArray:
+        left = spectrum.Y.copy()
+        size = max(1, _PIECE // (4 * len(at.p) + 1))
+        weights = np.concatenate([own, at.shared]) if spectrum.experiment.driven else own
+        for first in range(0, len(left), size):
+            bins = np.arange(first, min(first + size, len(left)))
+            left[bins] -= weights @ np.concatenate(FreeTransform(spectrum, bins).columns(at.p)[0])
+        return left
+
+    def predicted(self, at: FreeProjection) -> list[Array]:
+        """Outputs at all samples of a model over these."""
+        pairs = zip(at.experiments, at.own, strict=True)
+        return [rows.predict(at.p, own, at.shared) for rows, own in pairs if isinstance(rows, FreeRecord)]
+
+    def loss(self, left: Sequence[ComplexArray]) -> float:
+        """Sum of squares over the observed samples."""
+        return float(sum(spectrum.energy(one) for one, spectrum in zip(left, self.spectra, strict=True)))
+
+    def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
+        """Of windows of all widths, the poles that explain most."""
+        found = [local_modes(spectrum, one) for spectrum, one in zip(self.spectra, left, strict=True)]
+        p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        width = min(one.bin for one in self.experiments)
+        chosen: list[int] = []
+        for k in np.argsort(-gain, kind="stable"):
+            apart = width + np.abs(p[k].real)
+            if all(abs(p[k].imag - p[other].imag) > apart + abs(p[other].real) for other in chosen):
+                chosen.append(int(k))
+            if len(chosen) == _COMPARED:
+                break
+        return p[chosen], gain[chosen]
+
+
+def local_modes(
+    spectrum: Spectrum, left: ComplexArray, around: float | None = None
+) -> tuple[ComplexArray, Array]:  # fmt: skip
+    """Poles of modes that explain something of a transform, each within a window, and how much; O(T).
+
+    In windows everywhere, or `around` one place (in bins).
+    """
+    last = spectrum.last
+    found = []
+    for half in _HALF_WIDTHS:
+        if 4 * half > last and half > _HALF_WIDTHS[0]:
+            break
+        half = min(half, (last - 1) // 2)
+        if half < 3:
+            break
+        step = max(1, half // 6)
+        centres = np.arange(half + 1, last - half + 1, step)
+        if around is not None:
+            centres = np.clip(np.array([int(np.rint(around))]), half + 1, last - half)
+        elif last > _EVERYWHERE:
+            centres = _peaking(left, half, centres)
+        size = max(1, _PIECE // (2 * half + 1))
+        for first in range(0, len(centres), size):
+            found.append(_local(spectrum, left, half, centres[first : first + size]))
+    if not found:
+        return np.zeros(0, complex), np.zeros(0)
+    p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return p, gain
+
+
+def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:
+    """Centres about which most is left."""
+    width = max(1, half // 3)
+    total = np.concatenate([[0.0], np.cumsum(np.abs(left) ** 2)])
+    power = total[centres + width] - total[centres - width]
+    padded = np.concatenate([[-np.inf], power, [-np.inf]])
+    peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
+    best = peaks[np.argsort(-power[peaks], kind="stable")][:_PEAKS]
+    about = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(centres) - 1))
+    return centres[about]
+
+
+def _local(spectrum: Spectrum, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array]:
+    """One mode in each window, frequencies in bins from its centre: `(s - pole) E = beta U + gamma z`."""
+    T, hold = spectrum.length, spectrum.experiment.hold
+    turn = np.expm1(2j * np.pi / T * np.arange(-half, half + 1))
+    s = turn * (T / (2 * np.pi))
+    place = centres[:, None] + np.arange(-half, half + 1)
+    E = left[place]
+    inputs = [np.broadcast_to(1.0 + turn, E.shape)]
+    if spectrum.experiment.driven:
+        U = spectrum.U[place]
+        # a smooth input is told from the ends by what it is beside a constant
+        size = np.linalg.norm(U, axis=1, keepdims=True)
+        inputs.append(U / np.where(size > 0, size, 1.0))
+    weight = np.ones_like(E)
+    for _ in range(_ROUNDS):
+        columns = np.stack([one * weight for one in (E, *inputs)], axis=2)
+        pole = _solved(columns, s * E * weight)[:, 0]
+        width = np.clip(np.abs(pole.real), _NARROWEST, 2.0 * half)
+        pole = -width + 1j * np.clip(pole.imag, -half, half)
+        weight = 1.0 / (s - pole[:, None])
+    columns = np.stack([one * weight for one in inputs], axis=2)
+    explained = np.einsum("cmk,ck->cm", columns, _solved(columns, E))
+    gain = np.sum(np.abs(E) ** 2, axis=1) - np.sum(np.abs(E - explained) ** 2, axis=1)
+    multiplier = np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T))
+    p = _pole_of(multiplier, hold)
+    kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < spectrum.experiment.ceiling)
+    return p[kept], gain[kept] * (2.0 / T)
+
+
+def _solved(columns: ComplexArray, target: ComplexArray) -> ComplexArray:
+    """Least squares of each of many small problems (count, rows, k)."""
+    transposed = columns.conj().transpose(0, 2, 1)
+    gram = transposed @ columns
+    ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2).real
+    gram = gram + np.where(ridge > 0, ridge, 1.0)[:, None, None] * np.eye(columns.shape[2])
+    return np.asarray(np.linalg.solve(gram, transposed @ target[:, :, None])[:, :, 0])
+
+
+def _pole_of(multiplier: ComplexArray, hold: Hold) -> ComplexArray:
+    """Pole whose mode is multiplied by this in one step."""
+    if hold.method == "midpoint":
+        return np.asarray(2.0 / hold.h * (multiplier - 1.0) / (multiplier + 1.0))
+    return np.asarray((multiplier - 1.0) / hold.h if hold.method == "euler" else np.log(multiplier) / hold.h)
+
+
+class Responses:
+    """Frequency responses."""
+
+    windowed = False
+
+    def __init__(self, experiments: Sequence[FrequencyRows]) -> None:
+        self._responses = [FreeResponse(one) for one in experiments]
+        self.experiments = experiments
+
+    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
+        """All points."""
+        return self._responses
+
+    def all_rows(self, through: bool) -> Sequence[FreeRows]:
+        """All points."""
+        return self._responses
+
+    def predicted(self, at: FreeProjection) -> list[ComplexArray]:
+        """Responses at all frequencies of a record; NaN where nothing was measured."""
+        found = []
+        for rows, own in zip(self._responses, at.own, strict=True):
+            record = rows.rows.record
+            everywhere = np.full(len(record.omega), np.nan, complex)
+            everywhere[record.observed] = np.concatenate([own, at.shared]) @ rows.columns(at.p) / rows.rows.scale
+            found.append(everywhere)
+        return found
+
+    def left(self, at: FreeProjection) -> list[ComplexArray]:
+        """What a model leaves, in the scale of the weights."""
+        return [
+            rows.target - np.concatenate([own, at.shared]) @ rows.columns(at.p)
+            for rows, own in zip(self._responses, at.own, strict=True)
+        ]
+
+    def loss(self, left: Sequence[ComplexArray]) -> float:
+        """Weighted sum of squares."""
+        return float(sum(np.sum(np.abs(one) ** 2) for one in left))
+
+    def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
+        """Candidates between the points."""
+        d, gain = ranked_candidates(self.experiments, left)
+        return np.asarray(np.nan + 1j * d, complex), gain
+
+
+def free_data(problem: Problem) -> Records | Responses:
+    """The data of a problem, for damped modes."""
+    in_time = [one for one in problem.experiments if isinstance(one, Experiment)]
+    return Records(in_time) if in_time else Responses(
+        [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+    )  # fmt: skip
+
+
+class FreeSearch:
+    """Data, and where modes are looked for in them."""
+
+    def __init__(self, problem: Problem, data: FreeData) -> None:
+        self.problem, self.data = problem, data
+        self.band = Band(problem.bin, problem.ceiling)
+
+    def refined(self, p: ComplexArray, rtol: float = 1e-8) -> FreeProjection:
+        """The best damped modes near these poles."""
+        return refine_free(self.data.rows, p, self.band, rtol)

@@ -1,0 +1,228 @@
+"""From nothing to a minimum of the loss: modes added in turn, doubtful ones seated anew, other paths tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._frozen import Frozen
+from ...exceptions import StructureError
+from .steps import Report, Search, Step
+
+Array = NDArray[np.float64]
+
+_PATIENCE = 3  # orders without a better criterion before the path ends
+_TOGETHER = 0.1  # of the strongest candidate's gain: others that join at the same step
+_APART = 8.0  # basins between modes that join together
+_BETTER = 1e-6  # relative decrease of the loss that counts
+_HOPELESS = 4  # modes held at 0, and half of all: no place cures a model that is wrong
+_BEYOND = 3  # modes more than asked for, for a while
+_DIVERGENT = 5  # candidates among which a random path chooses
+_RESTARTS = 4  # random paths where the first answer is doubtful
+
+
+@dataclass(frozen=True)
+class Start(Frozen):
+    """One of the ways in which a minimum was looked for.
+
+    Attributes
+    ----------
+    kind : str
+        'guess', 'forward', 're-seated', 'pruned' or 'random'.
+    loss : float
+        Mean squared residual it ended with.
+    d : ndarray
+        Natural frequencies, ascending, rad per unit time.
+    """
+
+    kind: str
+    loss: float
+    d: Array
+
+
+def grow(
+    search: Search,
+    step: Step,
+    largest: int,
+    *,
+    rtol: float,
+    floor: float,
+    together: bool = False,
+    stop: Callable[[list[Step]], bool] | None = None,
+    pick: Callable[[Step], int] | None = None,
+    report: Callable[[int], Report | None] = lambda order: None,
+) -> list[Step]:
+    """Add modes until there are `largest`, the loss is at its floor, or `stop` says so; all steps from the first on.
+
+    An interruption before there is any mode is passed on.
+    """
+    path = [step]
+    while len(step.d) < largest and step.loss > floor and len(step.candidates) and not step.interrupted:
+        if pick is not None:
+            fresh = step.candidates[[pick(step)]]
+        else:
+            fresh = _batch(search, step, largest - len(step.d)) if together else step.candidates[:1]
+        try:
+            step = search.step(np.concatenate([step.d, fresh]), rtol, report(len(step.d) + len(fresh)))
+        except (KeyboardInterrupt, StopIteration):
+            if not len(step.d):
+                raise
+            return interrupted(path)
+        path.append(step)
+        if stop is not None and stop(path):
+            break
+        step = path[-1]  # a stop that was interrupted marks it
+    return path
+
+
+def interrupted(path: list[Step]) -> list[Step]:
+    """The path, marked as one that was interrupted."""
+    return [*path[:-1], replace(path[-1], interrupted=True)]
+
+
+def _batch(search: Search, step: Step, most: int) -> Array:
+    """Candidates that may join at once: nearly as strong as the strongest, and far from one another."""
+    chosen: list[float] = []
+    for d, gain in zip(step.candidates.tolist(), step.gains.tolist(), strict=True):
+        if len(chosen) == most or gain < _TOGETHER * step.gains[0]:
+            break
+        if all(abs(d - other) >= _APART * search.problem.bin for other in chosen):
+            chosen.append(d)
+    return np.array(chosen)
+
+
+def stop_of(criterion: Callable[[Step], float]) -> Callable[[list[Step]], bool]:
+    """End of a path whose criterion has not improved for some orders, where it can judge them."""
+
+    def stop(path: list[Step]) -> bool:
+        values = [criterion(step) for step in path]
+        return not path[-1].coloured and len(path) - 1 - int(np.argmin(values)) >= _PATIENCE
+
+    return stop
+
+
+def reseat(
+    search: Search,
+    step: Step,
+    rtol: float,
+    floor: float,
+    report: Callable[[int], Report | None] = lambda order: None,
+) -> Step:
+    """Move modes one by one to where they explain more, if there is such a place.
+
+    A mode taken early, when others were still missing, may have ended in a wrong basin.
+    """
+    tried: set[float] = set()
+    if 2 * step.held.sum() >= max(len(step.d), 2 * _HOPELESS):
+        return step
+    while step.loss > floor and not step.interrupted and (step.held.any() or search.unconvinced(step)):
+        places = [k for k in np.argsort(step.weights, kind="stable") if float(step.d[k]) not in tried]
+        if not places:
+            break
+        tried.add(float(step.d[places[0]]))
+        try:
+            trial = _moved(search, step, places[0], rtol, report)
+        except (KeyboardInterrupt, StopIteration):
+            return replace(step, interrupted=True)
+        if trial is None:
+            break
+        if trial.loss < (1 - _BETTER) * step.loss:
+            step, tried = replace(trial, iterations=step.iterations + trial.iterations), set()
+        elif trial.interrupted:
+            step = replace(step, interrupted=True)
+    return step
+
+
+def _moved(search: Search, step: Step, place: int, rtol: float, report: Callable[[int], Report | None]) -> Step | None:
+    """The step with one mode where it explains most beside the others; None if there is no such place."""
+    others = search.step(np.delete(step.d, place), rtol, report(len(step.d) - 1))
+    if others.interrupted:
+        return replace(step, interrupted=True)
+    if not len(others.candidates):
+        return None
+    return search.step(np.append(others.d, others.candidates[0]), rtol, report(len(step.d)))
+
+
+def prune(search: Search, step: Step, most: int, *, rtol: float, floor: float) -> Step:
+    """As many modes as now, by way of a few more, of which those that contribute least are dropped again.
+
+    Modes in the wrong places leave the right ones to be found; once these have joined, the others are of no use.
+    """
+    order = len(step.d)
+    end = grow(search, step, min(order + _BEYOND, most), rtol=rtol, floor=floor)[-1]
+    while len(end.d) > order and not end.interrupted:
+        end = search.step(np.delete(end.d, np.argmin(end.weights)), rtol)
+    return end
+
+
+def restart(
+    search: Search, empty: Step, order: int, *, rtol: float, floor: float, rng: Any, workers: Any
+) -> list[Step]:
+    """Ends of a few paths that choose at random among the best candidates, each with a seed of its own."""
+    seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(_RESTARTS)
+    run = partial(_random_path, search, empty, order, rtol, floor)
+    ends: list[Step] = []
+    for end in mapped(run, seeds, workers, Step):
+        ends.append(end)
+        if end.interrupted:
+            break
+    return ends
+
+
+def _entropy(rng: Any) -> int:
+    return int(np.random.default_rng(rng).integers(2**63))
+
+
+def _random_path(
+    search: Search, empty: Step, order: int, rtol: float, floor: float, seed: np.random.SeedSequence
+) -> Step:
+    rng = np.random.default_rng(seed)
+
+    def pick(step: Step) -> int:
+        gains = np.maximum(step.gains[:_DIVERGENT], 0.0)
+        return int(rng.choice(len(gains), p=gains / gains.sum())) if gains.any() else 0
+
+    return grow(search, empty, order, rtol=rtol, floor=floor, pick=pick)[-1]
+
+
+def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, kind: type) -> Iterable[Any]:
+    """Results of a kind in the order of the items, by a number of processes or a map-like callable."""
+    if callable(workers):
+        try:
+            found = workers(function, items)
+        except TypeError as error:
+            shown = _checks.shown(workers)
+            raise StructureError(
+                f"workers is {shown}, which does not take a function and a list as a map does: {error}"
+            ) from error
+        return _one_each(found, len(items), kind)
+    if workers == 1 or len(items) < 2:
+        return map(function, items)
+    import multiprocessing
+
+    with multiprocessing.Pool(None if workers == -1 else min(workers, len(items))) as pool:
+        return pool.map(function, items)
+
+
+def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
+    """What a map of the user gives, refused where it is not one result for each item."""
+    given = 0
+    for one in found if np.iterable(found) else ():
+        if given == count or not isinstance(one, kind):
+            found = one
+            break
+        given += 1
+        yield one
+    else:
+        if given == count:
+            return
+    raise StructureError(
+        f"workers is to give one result for each of {count} items, in their order, as the built-in map does; after "
+        f"{given} of them it gave {_checks.shown(found)}"
+    )

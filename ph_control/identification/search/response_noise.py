@@ -1,0 +1,169 @@
+"""The noise of frequency responses: the same at all points, or growing with the gain.
+
+Analysers give no variances, and their noise often is in proportion to what they measure.  From the residuals of damped
+modes of either sign, which fit lossless plants and others, the law `a + b |G|^2` is estimated, by a likelihood with
+heavy tails that single points do not sway; if a constant is refused, the fit is repeated with the weights of the law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
+
+from ..data.frequency_record import FrequencyRecord
+from ..regression.damped import DampedResponse
+from ..regression.frequency_rows import FrequencyRows
+from ..regression.variable_projection import Problem
+from .damped_search import DampedSearch, damped_data
+from .formulation import Formulation
+
+Array = NDArray[np.float64]
+
+_BY_CHANCE = 1e-2  # probability with which constant noise is refused wrongly
+_TAILS = 5.0  # degrees of freedom of the t distribution
+_ROUNDS = 8  # of fit and law in turn
+_SETTLED = 1e-3  # relative change of the weights
+_RATIOS = 49  # of a to b that are tried first
+_FEWEST = 20  # points to spare below which no law is estimated
+
+
+class NoiseKind(str, Enum):
+    """What was taken for the variance of the noise."""
+
+    CONSTANT = "constant"
+    WEIGHTS = "weights"
+    GAIN = "gain"
+
+
+@dataclass(frozen=True)
+class NoiseLaw:
+    """The variance `floor^2 + (share |G|)^2` of real and imaginary part, each; that of a record in time is constant.
+
+    Attributes
+    ----------
+    kind : NoiseKind
+        'constant'; 'weights' if these were given, of which the variance is the inverse, times `floor^2`; or 'gain' if
+        a part that grows with the gain was estimated.
+    floor : float
+        Standard deviation where there is no gain.
+    share : float
+        Standard deviation over the gain.
+    """
+
+    kind: NoiseKind
+    floor: float
+    share: float = 0.0
+
+    def times(self, factor: float) -> NoiseLaw:
+        """Standard deviations so many times as large."""
+        return NoiseLaw(self.kind, factor * self.floor, factor * self.share)
+
+
+def reweighted(
+    posed: Formulation, found: Any, again: Callable[[Formulation, Array | None], Any]
+) -> tuple[Formulation, Any, NoiseLaw]:
+    """The fit repeated with the weights of its own noise, until both agree; as it was, if its noise may be constant.
+
+    `again` searches anew, or only from the frequencies that it is given.
+    """
+    constant = NoiseLaw(NoiseKind.CONSTANT, 1.0)
+    before, result = np.ones(posed.problem.samples // 2), (posed, found, constant)
+    # points of large gain, were they taken as equally sure, would draw the model through themselves and leave nothing
+    # that tells of their noise; nor would weak modes stand out of noise as large as theirs
+    problem, d = posed.weighted(_balanced(posed.problem)).problem, found.all_d
+    for place in range(_ROUNDS):
+        if place:
+            problem, d = posed.problem, found.d
+        law, gains = estimated_law(problem, d)
+        if law.kind is NoiseKind.CONSTANT or found.interrupted:
+            return (posed, found, constant) if place == 0 else result
+        variances = law.floor**2 + (law.share * np.concatenate(gains)) ** 2
+        if place and np.all(np.abs(variances - before) <= _SETTLED * variances):
+            break
+        before = variances
+        posed = posed.weighted([1.0 / (law.floor**2 + (law.share * gain) ** 2) for gain in gains])
+        found = again(posed, None if place < 2 else found.d)
+    return posed, found, law
+
+
+def _balanced(problem: Problem) -> list[Array]:
+    """Weights between those of constant noise and of noise in proportion to the gain."""
+    squares = [np.abs(one.target) ** 2 for one in problem.experiments if isinstance(one, FrequencyRows)]
+    return [1.0 / (one + np.median(np.concatenate(squares))) for one in squares]
+
+
+def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array]]:
+    """Law of the noise about damped modes near these frequencies, and their gain at all points."""
+    responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+    search = DampedSearch(problem, damped_data(problem))
+    at = search.refined(d)
+    squares, shares, gains = [], [], []
+    for rows, left, own in zip(responses, search.data.left(at), at.own, strict=True):
+        columns = DampedResponse(rows)
+        shown = [columns.own(at.d, at.sigma), columns.shared(at.d, at.sigma)]
+        fitted = np.concatenate([*shown, columns.slopes(at.d, at.sigma, at.kappa, own)])
+        squares.append(np.abs(left / rows.scale) ** 2)
+        shares.append(_spare(fitted))
+        gains.append(np.abs(rows.target - left) / rows.scale)
+    gain, spare = np.concatenate(gains), np.concatenate(shares)
+    if spare.sum() < _FEWEST or not np.ptp(gain):
+        return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains
+    unit = float(np.mean(gain**2))
+    floor, share = _law(np.concatenate(squares), spare, gain**2 / unit)
+    kind = NoiseKind.GAIN if share else NoiseKind.CONSTANT
+    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), gains
+
+
+def _spare(columns: NDArray[np.complex128]) -> Array:
+    """Share of the noise of each point that a fit of these columns leaves, shape (m,); 0 to 1."""
+    real = np.concatenate([columns.real, columns.imag], axis=1).T
+    lengths = np.linalg.norm(real, axis=0)
+    Q, R = np.linalg.qr(real / np.where(lengths > 0, lengths, 1.0))
+    taken = np.sum(Q[:, np.abs(np.diag(R)) > 1e-12] ** 2, axis=1)
+    return np.clip(1 - 0.5 * (taken[: len(taken) // 2] + taken[len(taken) // 2 :]), 0.0, 1.0)
+
+
+def _law(squares: Array, spare: Array, power: Array) -> tuple[float, float]:
+    """Variances `a` and `b` of `a + b power`; `b` is 0 unless that is refused."""
+    kept = spare > 0.1
+    squares, spare, power = squares[kept] / spare[kept], spare[kept], power[kept]
+
+    def fitted(shape: Array) -> tuple[float, float]:
+        """Half of -2 log-likelihood of variances in proportion to a shape, and the factor."""
+        size = squares / shape
+        factor = float(np.median(size))
+        if not factor:
+            return np.inf, 0.0
+        for _ in range(30):
+            factor = float(spare @ (size * (_TAILS + 2) / (_TAILS + size / factor)) / (2 * spare.sum()))
+        tail = 0.5 * (_TAILS + 2) * np.log1p(size / (_TAILS * factor))
+        return float(spare @ (np.log(factor * shape) + tail)), factor
+
+    def cost(log_ratio: float) -> float:
+        return fitted(np.exp(log_ratio) + power)[0]
+
+    constant, level = fitted(np.ones(len(power)))
+    ends = np.log([1e-3 * max(power.min(), 1e-16 * power.max()), 1e3 * power.max()])
+    tried = np.linspace(ends[0], ends[1], _RATIOS)
+    best = int(np.argmin([cost(one) for one in tried]))
+    bounds = tried[max(0, best - 1)], tried[min(_RATIOS - 1, best + 1)]
+    ratio = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
+    varying, factor = fitted(np.exp(ratio) + power)
+    if 2 * (constant - varying) < chi2.isf(_BY_CHANCE, 1):
+        return level, 0.0
+    return factor * float(np.exp(ratio)), factor
+
+
+def record_law(records: Any, variance: float, law: NoiseLaw | None) -> NoiseLaw:
+    """The law in a result whose noise has this variance at unit weight."""
+    if law is not None and law.kind is NoiseKind.GAIN:
+        return law.times(float(np.sqrt(variance)))
+    given = any(isinstance(one, FrequencyRecord) and np.ptp(one.weights) for one in records)
+    return NoiseLaw(NoiseKind.WEIGHTS if given else NoiseKind.CONSTANT, float(np.sqrt(variance)))

@@ -1,0 +1,168 @@
+"""Where to start: forward selection of modes with local fits in the frequency domain.
+
+Around each bin of the transform one mode is three unknowns in a linear problem over a few bins.  The frequencies whose
+mode explains most there are compared over all the bins in which anything of the residual lies; the best joins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..regression.spectral_rows import Bins, Spectrum
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_WINDOW = 12  # bins around a candidate
+_OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
+_BATCH = 1 << 13  # candidates worked on at a time
+_EVERYWHERE = 1 << 15  # samples up to which every bin has candidates; above, those where the residual peaks
+_PEAKS = 400  # bins that have candidates then
+_COMPARED = 16  # candidates compared over all bins of all of them
+_RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Real columns of candidates over some bins, `kappa` first, shape (candidates, rows, 3), and their Gram matrices.
+
+    All is scaled so that squares add up to squares in time.
+    """
+
+    bins: Bins
+    rows: Array
+    scale: float
+
+    @cached_property
+    def gram(self) -> Array:
+        return np.asarray(self.rows.transpose(0, 2, 1) @ self.rows)
+
+    @cached_property
+    def free_inverse(self) -> Array:
+        """Inverse Gram matrix of the columns of the free motion."""
+        gram = self.gram[:, 1:, 1:]
+        trace = np.trace(gram, axis1=1, axis2=2)
+        ridge = np.where(trace > 0, _RIDGE * trace, 1.0)
+        return np.asarray(np.linalg.inv(gram + ridge[:, None, None] * np.eye(2)))
+
+
+class Screen:
+    """All candidates of some experiments; asked again for each new residual."""
+
+    def __init__(self, spectra: list[Spectrum], signed: bool = False) -> None:
+        self.spectra, self.signed = spectra, signed
+        self._finest = min(spectra, key=lambda one: one.experiment.bin)
+        self._everywhere = self._finest.length <= _EVERYWHERE
+        self._kept: dict[tuple[int, int], _Columns] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is kept to save work does not travel to other processes."""
+        return {**self.__dict__, "_kept": {}}
+
+    @cached_property
+    def _all(self) -> Array:
+        """Candidates in every bin of the longest experiment."""
+        return self._candidates(np.arange(self._finest.length // 2 + 1))
+
+    def _candidates(self, bins: Bins) -> Array:
+        one = self._finest
+        places = (bins[:, None] + _OFFSETS).ravel()
+        largest = one.experiment.largest_phase * one.length / (2 * np.pi)
+        return np.asarray(one.frequency(places[(places > 0) & (places < largest)]))
+
+    def ranked(self, residuals: list[ComplexArray]) -> tuple[Array, Array]:
+        """Candidate frequencies by what they explain of the residuals' transforms, the best first, and how much."""
+        d = self._all if self._everywhere else self._candidates(self._peaking(residuals))
+        gains = np.concatenate(
+            [self._near(d[first : first + _BATCH], first, residuals) for first in range(0, len(d), _BATCH)]
+        )
+        peaks = _peaks(gains)[:_COMPARED]
+        d = d[peaks]
+        explained = self._over_all(d, residuals)
+        order = np.argsort(-explained, kind="stable")
+        return d[order], explained[order]
+
+    def _peaking(self, residuals: list[ComplexArray]) -> Bins:
+        """Bins of the longest experiment about which the residual has most energy."""
+        place = self.spectra.index(self._finest)
+        power = np.abs(residuals[place]) ** 2
+        smooth = np.convolve(power, np.ones(3), mode="same")
+        peaks = _peaks(smooth)[:_PEAKS]
+        return np.unique(peaks[:, None] + np.arange(-1, 2))
+
+    def _near(self, d: Array, first: int, residuals: list[ComplexArray]) -> Array:
+        """Energy that each candidate explains in the bins about it."""
+        parts = []
+        for k, spectrum in enumerate(self.spectra):
+            columns = self._kept.get((k, first)) if self._everywhere else None
+            if columns is None:
+                columns = _about(spectrum, d)
+                if self._everywhere:
+                    self._kept[k, first] = columns
+            parts.append((columns, residuals[k][columns.bins]))
+        return self._explained(parts)
+
+    def at_peaks(self, d: Array, residuals: list[ComplexArray]) -> tuple[Array, Array]:
+        """Energy that candidates explain in the bins about them, and the energy that is there."""
+        parts = [(_about(one, d), one) for one in self.spectra]
+        found = [(columns, residual[columns.bins]) for (columns, _), residual in zip(parts, residuals, strict=True)]
+        total = sum(columns.scale**2 * np.sum(np.abs(residual) ** 2, axis=1) for columns, residual in found)
+        return self._explained(found), np.asarray(total)
+
+    def _over_all(self, d: Array, residuals: list[ComplexArray]) -> Array:
+        """Energy that each candidate explains in the bins about all of them.
+
+        A line of the input looks like a mode within its window; only many bins together tell them apart.
+        """
+        parts = []
+        for spectrum, residual in zip(self.spectra, residuals, strict=True):
+            bins = np.unique(_window(spectrum, d))[None, :]
+            parts.append((_columns(spectrum, d, bins), residual[bins]))
+        return self._explained(parts)
+
+    def _explained(self, parts: list[tuple[_Columns, ComplexArray]]) -> Array:
+        """Energy that least squares explain for each candidate, `kappa >= 0` being shared by the experiments."""
+        total, pull, stiffness = 0.0, 0.0, 0.0
+        for columns, residual in parts:
+            target = columns.scale * np.concatenate([residual.real, residual.imag], axis=1)
+            rhs = np.matmul(target[:, None, :], columns.rows)[:, 0, :]
+            free = columns.free_inverse
+            solved = np.einsum("cij,cj->ci", free, rhs[:, 1:])
+            total = total + np.einsum("ci,ci->c", rhs[:, 1:], solved)
+            across = columns.gram[:, 0, 1:]
+            pull = pull + rhs[:, 0] - np.einsum("ci,ci->c", across, solved)
+            direct = columns.gram[:, 0, 0]
+            stiffness = stiffness + direct - np.einsum("ci,cij,cj->c", across, free, across) + _RIDGE * direct
+        force = np.asarray(pull) if self.signed else np.maximum(pull, 0.0)
+        return np.asarray(total + force**2 / np.where(stiffness == 0, 1.0, stiffness))
+
+
+def _peaks(values: Array) -> Bins:
+    """Places of the local maxima, the highest first."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+    return peaks[np.argsort(-values[peaks], kind="stable")]
+
+
+def _window(spectrum: Spectrum, d: Array) -> Bins:
+    """Bins about each frequency, shape (candidates, bins)."""
+    width = min(_WINDOW, spectrum.length // 2)
+    centres = np.rint(spectrum.place(d)).astype(int)
+    first = np.clip(centres - width // 2, 0, spectrum.length // 2 - width)
+    return np.asarray(first[:, None] + np.arange(width + 1))
+
+
+def _about(spectrum: Spectrum, d: Array) -> _Columns:
+    return _columns(spectrum, d, _window(spectrum, d))
+
+
+def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _Columns:
+    forced, (plus, minus) = spectrum.columns(d, bins)
+    columns = np.stack([forced, plus + minus, 1j * (plus - minus)], axis=2)
+    scale = float(np.sqrt(2.0 / spectrum.length))
+    return _Columns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)

@@ -1,0 +1,201 @@
+"""The search for modes: one at a time, each where it explains most of what is left, all refined together.
+
+Short records are refined in time at every step.  Of long ones the bins about the modes are enough until the end, so
+that a step costs little more than a look at the transform.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from ..regression.spectral_rows import Spectrum, Window
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import Problem, Projection, refine
+from .circumstances import autoregression, meeting
+from .screening import Screen
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Report = Callable[[int, float], None]  # iteration, loss
+
+_IN_TIME = 1500  # samples up to which every step is refined in time
+_TOGETHER = 512  # samples from which on several modes may join at one step
+_BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
+_HALF_WIDTH = 12  # bins on either side of a mode
+_ABOUT = np.linspace(-1.0, 1.0, 9)  # bins from a peak
+_SLOW = 1.0  # bins below which a mode is hardly told from a constant and a drift
+
+
+@dataclass(frozen=True)
+class Step:
+    """Some modes, refined: what they leave as a sum of squares, and the candidates for one more.
+
+    `candidates` are natural frequencies by how much a mode there would explain, the most first, and `gains` how much;
+    `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them;
+    `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet;
+    `foretold` is the variance of what is left that its own past does not foretell, by the length of that past.
+    """
+
+    d: Array
+    loss: float
+    iterations: int
+    converged: bool
+    candidates: Array
+    gains: Array
+    held: NDArray[np.bool_]
+    weights: Array
+    interrupted: bool = False
+    coloured: bool = False
+    foretold: Array = field(default_factory=lambda: np.ones(1))
+
+
+class Search(Protocol):
+    """How modes are added to a problem."""
+
+    problem: Problem
+    latest: Step | None  # for who is interrupted where no path is at hand
+
+    @property
+    def affords_batches(self) -> bool:
+        """Whether several modes may join at once."""
+
+    def unconvinced(self, step: Step) -> bool:
+        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+
+    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
+        """Refine modes from a start and look for more."""
+
+
+class TimeSearch:
+    """Search in records of time."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.latest: Step | None = None
+        self._experiments = [one for one in problem.experiments if isinstance(one, Experiment)]
+        self._spectra = [Spectrum.of(one) for one in self._experiments]
+        self._screen = Screen(self._spectra, problem.signed)
+        self._windowed = max(len(one.u) for one in self._experiments) > _IN_TIME and all(
+            one.complete and one.offset < 2 for one in self._experiments
+        )
+        self._arrivals: dict[tuple[str, int], float] = {}
+        self._slow = _SLOW * max(one.bin for one in self._experiments)
+
+    @property
+    def affords_batches(self) -> bool:
+        """Whether several modes may join at once: where records are long enough to tell them apart."""
+        return max(len(one.u) for one in self._experiments) >= _TOGETHER
+
+    def unconvinced(self, step: Step) -> bool:
+        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+        return more_than_noise(self.problem, step)
+
+    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
+        """Refine modes from a start and look for more."""
+        # the bins about a slow mode are few, and what it has in common with a constant is not among them
+        windowed = self._windowed and not np.any(d < self._slow)
+        self.latest = step = (self._in_bins if windowed else self._in_time)(d, rtol, report)
+        return step
+
+    def slow(self, step: Step) -> bool:
+        """Whether what would join next is as slow as a constant or a drift, and more than noise."""
+        return bool(len(step.candidates) and step.candidates[0] < self._slow and self.unconvinced(step))
+
+    def arrival(self, first: Step, intersample: str, delay: int) -> float:
+        """Log-likelihood of single modes at the peaks of the output, where the input arrives at other instants.
+
+        Each peak is looked at alone, so that modes which a wrong arrival has misled have no part in it.
+        """
+        if (intersample, delay) not in self._arrivals:
+            self._arrivals[intersample, delay] = self._arrival(first, intersample, delay)
+        return self._arrivals[intersample, delay]
+
+    def _arrival(self, first: Step, intersample: str, delay: int) -> float:
+        peaks: list[float] = []
+        band = self.problem.bin
+        for d in first.candidates.tolist():
+            if all(abs(d - other) > 2 * _HALF_WIDTH * band for other in peaks):
+                peaks.append(d)
+        places = (np.array(peaks)[:, None] + band * _ABOUT).clip(band * _ABOUT[-1], self.problem.ceiling)
+        spectra = []
+        for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
+            turn = np.exp(-2j * np.pi * delay / one.length * np.arange(len(one.U)))
+            spectra.append(Spectrum(cast(Experiment, met), one.U * turn, one.Y))
+        left = [one.beside_offset(one.Y) for one in spectra]
+        gains, total = Screen(spectra, self.problem.signed).at_peaks(places.ravel(), left)
+        unexplained = np.min((total - gains).reshape(places.shape), axis=1)
+        return -float(_HALF_WIDTH * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
+
+    def likelihood(self, step: Step, intersample: str) -> float:
+        """Log-likelihood of the modes of a step, but for a constant, with an input held otherwise."""
+        d, windowed = step.d, self._windowed and not np.any(step.d < self._slow)
+        if windowed:
+            rows = []
+            for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
+                rows.append(Window.about(replace(one, experiment=cast(Experiment, met)), d, _HALF_WIDTH))
+            problem = Problem(tuple(rows), self.problem.signed)
+        else:
+            problem = meeting(self.problem, intersample)
+        known = not windowed and self._experiments[0].hold.intersample == intersample
+        loss = step.loss if known else problem.project(d).loss
+        return -0.5 * problem.samples * float(np.log(max(loss / problem.samples, np.finfo(float).tiny)))
+
+    def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:
+        end = refine(self.problem, d, rtol=rtol, last=False, progress=report)
+        at = end.projection
+        left = [
+            np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0))
+            for one, predicted in zip(self._experiments, at.predicted(), strict=True)
+        ]
+        ranked = self._screen.ranked(left)
+        return Step(
+            at.d, at.loss, end.iterations, end.converged, *ranked, ~at.free, mode_energies(at), end.interrupted,
+            foretold=self._foretold(left),
+        )  # fmt: skip
+
+    def _in_bins(self, d: Array, rtol: float, report: Report | None) -> Step:
+        windows = [Window.about(one, d, _HALF_WIDTH) for one in self._spectra]
+        if not len(d):
+            left = [one.Y for one in self._spectra]
+            iterations, converged, interrupted, held, weights = 0, True, False, np.zeros(0, bool), d
+        else:
+            end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
+            at, iterations, converged, interrupted = end.projection, end.iterations, end.converged, end.interrupted
+            d, held, weights = at.d, ~at.free, mode_energies(at)
+            left = [one.left(d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
+        left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
+        loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
+        ranked = self._screen.ranked(left)
+        return Step(d, loss, iterations, converged, *ranked, held, weights, interrupted, foretold=self._foretold(left))
+
+    def _foretold(self, left: list[ComplexArray]) -> Array:
+        return autoregression(left, [len(one.u) for one in self._experiments])[1]
+
+
+def more_than_noise(problem: Problem, step: Step) -> bool:
+    """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+    spare = problem.samples - problem.unknowns(len(step.d))
+    if not len(step.gains) or spare <= 0 or step.loss <= 0:
+        return False
+    statistic = step.gains[0] * spare / step.loss
+    return bool(chdtrc(problem.unknowns(1), statistic) * problem.samples < _BY_CHANCE)
+
+
+def mode_energies(at: Projection) -> Array:
+    """Output energy of each mode, roughly: of its forced and its free motion."""
+    n = len(at.d)
+    parts = np.concatenate([at.kappa, *at.own]) * at.column_lengths()
+    energy = parts[:n] ** 2
+    place = n
+    for own in at.own:
+        if len(own) >= 2 * n:
+            energy = energy + parts[place : place + n] ** 2 + parts[place + n : place + 2 * n] ** 2
+        place += len(own)
+    return np.asarray(energy)

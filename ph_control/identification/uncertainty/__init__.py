@@ -1,0 +1,1 @@
+"""Fisher information, covariance and samples of estimates."""

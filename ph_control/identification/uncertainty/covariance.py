@@ -1,0 +1,110 @@
+"""Covariance of the estimates, from the curvature of the loss at its minimum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import EPS
+from ..regression.modal_regressors import output_weight
+from ..regression.time_rows import Experiment
+from ..regression.variable_projection import Projection
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_TURN = {"velocity": -0.5, "displacement": 0.5, "acceleration": -1.5}  # power of d in a state of unit amplitude
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Noise variance, covariance of `(d, r, initial state of each record)`, and standard errors of the offsets."""
+
+    variance: float
+    covariance: Array
+    offsets: Array
+
+
+def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: str) -> Uncertainty:
+    """Uncertainty of a minimum whose modes are sorted by `rank`; of `total` modes those beyond it are NaN.
+
+    Rows and columns of what is held or was not estimated are NaN.
+    """
+    n = len(at.d)
+    J, known = at.jacobian()
+    degrees = max(1, at.problem.samples - int(known.sum()))
+    variance = at.loss / degrees
+    covariance = np.full((len(known), len(known)), np.nan)
+    covariance[np.ix_(known, known)] = variance * _inverse_gram(J[:, known])
+    counts = [len(own) for own in at.own]
+    starts = 2 * n + np.concatenate([[0], np.cumsum(counts)]).astype(int)
+    moving = [count >= 2 * n for count in counts]
+    # (d, kappa, alpha and beta of each record), sorted; NaN where a record starts at rest
+    places = [rank, n + rank]
+    for start, moves, rows in zip(starts, moving, at.problem.experiments, strict=False):
+        if not isinstance(rows, Experiment):
+            continue
+        places += [start + rank, start + n + rank] if moves and n else [np.full(n, -1)] * 2
+    index = np.concatenate(places)
+    padded = np.pad(covariance, (0, 1), constant_values=np.nan)
+    linear = padded[np.ix_(index, index)]
+    offsets = [
+        np.sqrt(covariance[start + count - 1, start + count - 1]) if getattr(rows, "offset", 0) else np.nan
+        for start, count, rows in zip(starts, counts, at.problem.experiments, strict=False)
+    ]
+    return Uncertainty(variance, _in_states(linear, at, rank, total, quantity), np.array(offsets))
+
+
+def _inverse_gram(columns: Array) -> Array:
+    """Pseudo-inverse of `J^T J`, its columns brought to unit length first."""
+    lengths = np.linalg.norm(columns, axis=0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    scaled = columns / lengths
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=max(1, columns.shape[1]) * EPS, hermitian=True)
+    return np.asarray(inverse / np.outer(lengths, lengths))
+
+
+def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int, quantity: str) -> Array:
+    """From `(d, kappa, alpha, beta, ...)` to `(d, r, q, p, ...)`.
+
+    `r = kappa / d`, and `q + i p` is the free amplitude divided by `c sqrt(d kappa)`, `c` the weight in the output.
+    """
+    n = len(at.d)
+    states = [own for own, rows in zip(at.own, at.problem.experiments, strict=True) if isinstance(rows, Experiment)]
+    records = len(states)
+    d, kappa, free = at.d[rank], at.kappa[rank], at.free[rank]
+    driven = at.problem.driven
+    # of a combination that leaves no trace the smallest solution is 0: a weight of 0 is not an estimate either
+    held = ~free | (kappa == 0) if driven else np.zeros(n, bool)
+    safe = np.where(held, 1.0, kappa) if driven else d
+    k = np.arange(n)
+    T = np.zeros((len(linear), len(linear)))
+    T[k, k] = 1.0
+    T[n + k, k], T[n + k, n + k] = (-kappa / d**2, 1.0 / d) if driven else (0.0, 0.0)
+    factor = 1.0 / (output_weight(d, quantity)[0] * np.sqrt(d * safe))
+    # without an input r is fixed, so that kappa turns with d
+    by_d = (_TURN[quantity] - (0.0 if driven else 0.5)) / d
+    for record, own in enumerate(states):
+        amplitude = own[:n][rank] + 1j * own[n : 2 * n][rank] if len(own) >= 2 * n else np.zeros(n, complex)
+        state = factor * amplitude
+        q, p = 2 * n * (1 + record) + k, 2 * n * (1 + record) + n + k
+        T[q, q], T[q, p], T[p, q], T[p, p] = factor.real, -factor.imag, factor.imag, factor.real
+        for place, part in ((q, state.real), (p, state.imag)):
+            T[place, k] = part * by_d
+            if driven:
+                T[place, n + k] = -0.5 * part / safe
+    missing = np.isnan(np.diag(linear))
+    missing[n : 2 * n] |= held | (not driven)
+    for record in range(records):
+        missing[2 * n * (1 + record) : 2 * n * (2 + record)] |= np.concatenate([held, held])
+    inner = T @ np.where(np.isnan(linear), 0.0, linear) @ T.T
+    inner[missing] = np.nan
+    inner[:, missing] = np.nan
+    if total == n:
+        return inner
+    full = np.full(((2 + 2 * records) * total,) * 2, np.nan)
+    parts = np.concatenate([k + part * total for part in range(2 + 2 * records)])
+    full[np.ix_(parts, parts)] = inner
+    return full

@@ -1,0 +1,332 @@
+"""Fisher information of a model at a record: what the outputs tell of `d`, `r` and the initial state.
+
+With white output noise the information is `J^T J / sigma^2`, `J` the sensitivities of the output.  Their columns are
+brought to unit length first, so that no verdict depends on units: `J^T J` is then a correlation matrix, and how far its
+inverse exceeds 1 tells how much a parameter suffers from not knowing the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from ... import _checks
+from ..._checks import EPS
+from ..._frozen import Frozen
+from ..regression.modal_regressors import SHORT, Kernel, in_groups, output_weight, regressors
+from ..regression.time_rows import Experiment
+from ..regression.triangular import reduced
+from ..regression.variable_projection import Projection, eliminate
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+NEARLY_BLIND = 0.01  # singular value below which a combination counts: its errors are inflated a hundred times
+_ROUNDED = 0.01  # relative difference of weights that are sorted as equal
+_STATE = "(0)"  # end of the name of an initial state
+_MINOR = 0.02  # weight below which a coefficient is not printed
+_LARGEST_ROUNDING = 1e-3  # of a null vector: without a gap, what takes part in it counts as blind
+_MANY = 8  # items of a list in a sentence
+_LISTED = 6  # coefficients of a combination that are printed
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction in the parameters that the output does not show, or hardly.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+        Names, heaviest first: `d_1`, `r_1`, `Re x_1(0)`, `Im x_1(0)`.
+    coefficients : tuple of float
+        Changes of these parameters, in their own units, that cancel in the output; the first is 1.
+    weights : tuple of float
+        Size of their parts in the output, the first 1, falling.
+    inflation : float
+        Factor by which errors along this direction exceed those of a parameter seen alone; `inf` where blind.
+
+    Notes
+    -----
+    The order is by weight, and so does not depend on units; what is equal to a percent is in the order of the model.
+    """
+
+    parameters: tuple[str, ...]
+    coefficients: tuple[float, ...]
+    weights: tuple[float, ...]
+    inflation: float
+
+    @property
+    def words(self) -> str:
+        """The parameters in plain words, as in 'r_1 and r_2 with the initial states of modes 1 and 2'."""
+        direct = [name for name in self.parameters if not name.endswith(_STATE)]
+        moving = sorted({int(name[5 : -len(_STATE)]) for name in self.parameters if name.endswith(_STATE)})
+        parts = [listed(direct)] if direct else []
+        if moving:
+            parts.append(f"the initial state{'s' * (len(moving) > 1)} of {named_modes(moving)}")
+        return " with ".join(parts)
+
+    def __str__(self) -> str:
+        if len(self.parameters) == 1:
+            return self.words
+        told = zip(self.parameters, self.coefficients, self.weights, strict=True)
+        terms = [f"{name} {value:+.3g}" for name, value, weight in told if weight >= _MINOR][:_LISTED]
+        return f"{self.words} (in the ratio {', '.join(terms)})"
+
+
+def listed(items: list[str] | list[int]) -> str:
+    """Items with commas and an 'and', many of them cut short."""
+    words = [str(item) for item in items]
+    if len(words) > _MANY:
+        words = [*words[: _MANY - 1], f"{len(words) - _MANY + 1} more"]
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+
+
+def named_modes(numbers: list[int]) -> str:
+    """Modes by their numbers, as in 'modes 1 and 2'."""
+    return f"mode{'s' * (len(numbers) > 1)} {listed(numbers)}"
+
+
+def parameter_names(n: int, from_rest: bool = False) -> tuple[str, ...]:
+    """Names of `(d, r, Re x(0), Im x(0))`, modes counted from 1."""
+    kinds = ("d_{}", "r_{}") if from_rest else ("d_{}", "r_{}", "Re x_{}" + _STATE, "Im x_{}" + _STATE)
+    return tuple(kind.format(l + 1) for kind in kinds for l in range(n))
+
+
+@dataclass(frozen=True, eq=False)
+class Information(Frozen):
+    """Fisher information for unit noise, factored: sensitivities `= U diag(singular_values) vectors diag(lengths)`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The P parameters.
+    lengths : ndarray, shape (P,)
+        Norm of each sensitivity; its inverse is the standard error of a parameter were all others known.
+    singular_values : ndarray, shape (P,)
+        Of the sensitivities scaled to unit length, descending; their squares are the eigenvalues of `correlation`.
+    vectors : ndarray, shape (P, P)
+        Right singular vectors, one in each row.
+    tolerance : float
+        Relative size below which a singular value counts as 0: the larger side of the sensitivities times eps, because
+        each column comes from a recursion over the samples, whose rounding grows with their number; more where outputs
+        are small beside the states that they are the real parts of, as far above the band of the input.
+    """
+
+    names: tuple[str, ...]
+    lengths: Array
+    singular_values: Array
+    vectors: Array
+    tolerance: float
+
+    @classmethod
+    def of(cls, sensitivities: Array, names: tuple[str, ...], *, rows: int, sizes: Array | None = None) -> Information:
+        """Factor sensitivities (N, P), or any matrix with the same Gram matrix, such as the R of their QR.
+
+        `rows` is the number of samples they came from, `sizes` (P,) the norms of the states that the columns are the
+        real parts of: what is small beside them is their rounding.
+        """
+        size = sensitivities.shape[1]
+        tolerance = max(rows, size) * EPS
+        lengths = np.linalg.norm(sensitivities, axis=0)
+        _checks.representable("the sensitivities of the output", lengths)
+        if sizes is not None:
+            lengths = np.where(lengths > tolerance * sizes, lengths, 0.0)
+            tolerance *= max(1.0, float(np.max(sizes[lengths > 0] / lengths[lengths > 0], initial=1.0)))
+        scaled = np.where(lengths > 0, sensitivities, 0.0) / np.where(lengths > 0, lengths, 1.0)
+        if len(scaled) > size:
+            scaled = np.asarray(np.linalg.qr(scaled, mode="r"))
+        padded = np.zeros((size, size))
+        padded[: len(scaled)] = scaled
+        _, sigma, vectors = np.linalg.svd(padded)
+        return cls(names, lengths, sigma, vectors, tolerance)
+
+    @cached_property
+    def rank(self) -> int:
+        """Number of independent combinations of parameters that the output shows."""
+        return int(np.sum(self.singular_values > self.tolerance * self.singular_values.max(initial=0.0)))
+
+    @property
+    def deficiency(self) -> int:
+        """Number of combinations that leave no trace."""
+        return len(self.names) - self.rank
+
+    @property
+    def ails(self) -> bool:
+        """Whether some combination is blind, or nearly."""
+        return bool(self.deficiency or self.nearly_blind)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the information in correlation form; `inf` where a combination is blind."""
+        if self.deficiency or not self.names:
+            return np.inf if self.names else 1.0
+        return float((self.singular_values[0] / self.singular_values[-1]) ** 2)
+
+    @property
+    def correlation(self) -> Array:
+        """Information scaled to unit diagonal, shape (P, P); rows of parameters without any trace are 0."""
+        return np.asarray((self.vectors.T * self.singular_values**2) @ self.vectors)
+
+    @cached_property
+    def _blind_part(self) -> Array:
+        """Norm of each parameter's component in the null space; 0 where that is rounding."""
+        part = np.linalg.norm(self.vectors[self.rank :], axis=0)
+        # a null vector is known to the tolerance over the distance to the next singular value
+        gap = self.singular_values[self.rank - 1] / self.singular_values[0] if self.rank else 1.0
+        rounding = float(np.clip(len(self.names) * self.tolerance / gap, np.sqrt(EPS), _LARGEST_ROUNDING))
+        return _checks.readonly(np.where(part > rounding, part, 0.0))
+
+    @cached_property
+    def inflation(self) -> Array:
+        """Factor by which not knowing the other parameters enlarges each standard error, shape (P,), >= 1."""
+        kept = slice(0, self.rank)
+        seen = np.linalg.norm(self.vectors[kept] / self.singular_values[kept, None], axis=0)
+        return _checks.readonly(np.where(self._blind_part > 0, np.inf, seen))
+
+    def stderr(self, noise_std: float) -> Array:
+        """Cramer-Rao bounds on the standard errors, shape (P,); `inf` for parameters in a blind combination."""
+        with np.errstate(divide="ignore"):
+            return np.where(self._blind_part > 0, np.inf, noise_std * self.inflation / self.lengths)
+
+    @property
+    def blind_parameters(self) -> tuple[str, ...]:
+        """Parameters that no number of such records determines."""
+        return tuple(name for name, part in zip(self.names, self._blind_part, strict=True) if part > 0)
+
+    @cached_property
+    def blind(self) -> tuple[Combination, ...]:
+        """A basis of the combinations that leave no trace, each of as few parameters as elimination gives."""
+        null = self.vectors[self.rank :]
+        if not null.size:
+            return ()
+        pivots = qr(null, mode="r", pivoting=True)[1][: len(null)]
+        sparse = np.linalg.solve(null[:, pivots], null) * (self._blind_part > 0)
+        found = [self._combination(v, np.inf) for v in sparse]
+        return tuple(sorted(found, key=lambda one: [self.names.index(name) for name in one.parameters]))
+
+    @cached_property
+    def nearly_blind(self) -> tuple[Combination, ...]:
+        """Combinations that are seen, with errors inflated more than a hundred times."""
+        weak = [k for k in range(self.rank) if self.singular_values[k] < NEARLY_BLIND]
+        return tuple(self._combination(self.vectors[k], 1.0 / float(self.singular_values[k])) for k in weak[::-1])
+
+    def _combination(self, vector: Array, inflation: float) -> Combination:
+        weight = np.abs(vector) / np.abs(vector).max()
+        threshold = 1e-6 if np.isinf(inflation) else 0.1
+        order = np.argsort(-np.rint(weight / _ROUNDED), kind="stable")
+        order = order[weight[order] > threshold]
+        # a parameter without any trace stands alone: it has no length to be held against others
+        change = vector[order] / np.where(self.lengths[order] > 0, self.lengths[order], 1.0)
+        names = tuple(self.names[k] for k in order)
+        return Combination(names, tuple((change / change[0]).tolist()), tuple(weight[order].tolist()), inflation)
+
+
+def work(problem: Experiment, n: int) -> float:
+    """Operations that the information of n modes takes: the QR factorisation of (T, 4n), and the SVD of its factor."""
+    return 16.0 * n**2 * (len(problem.u) + 88.0 * n)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # what leaves the range of doubles is refused
+def model_information(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+    """Information of `(d, r, x(0))` at a model, for unit noise; `x(0)` only where it is estimated.
+
+    `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
+    """
+    n = len(d)
+    jacobian = _sensitivities(problem, d, r, amplitudes)
+    kept = 2 * n if problem.from_rest else 4 * n
+    return information_of(problem, jacobian[:, :kept], d, r, amplitudes)
+
+
+def _sensitivities(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Array:
+    """Derivatives of the output by `(d, kappa, Re x(0), Im x(0))` at a model, shape (T, 4n)."""
+    n = len(d)
+    found = regressors(d, problem.u, problem.hold, problem.quantity)
+    coefficients = np.concatenate([r * d, amplitudes.real, amplitudes.imag])
+    columns, slopes = problem.seen(found.columns()), problem.seen(found.slopes())
+    if not problem.driven:
+        columns[:, :n], slopes[:, :n] = 0.0, 0.0
+    by_d = (slopes * coefficients).reshape(len(columns), 3, n).sum(axis=1)
+    return np.concatenate([by_d, columns], axis=1)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def joint_information(
+    problems: Sequence[Experiment], d: Array, r: Array, states: Sequence[ComplexArray]
+) -> Information:
+    """Information of `(d, r)` in several records together; initial states are unknown where they may move."""
+    n, samples = len(d), sum(len(one.target) for one in problems)
+    parts = []
+    for one, amplitudes in zip(problems, states, strict=True):
+        J = _sensitivities(one, d, r, amplitudes)
+        own = 0 if one.from_rest else 2 * n
+        # what is left below the factor of the own unknowns does not depend on them
+        ordered = np.concatenate([J[:, 2 * n : 2 * n + own], J[:, : 2 * n]], axis=1)
+        parts.append(eliminate(reduced(np.asfortranarray(ordered)), own, samples).below)
+    return Information.of(in_weights(np.concatenate(parts), d, r), parameter_names(n, True), rows=samples)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def information_of(problem: Experiment, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+    """Information at a model from the sensitivities to `(d, kappa, Re x(0), Im x(0))`, or from the R of their QR."""
+    n, samples, h = len(d), len(problem.u), problem.hold.h
+    J = in_weights(jacobian, d, r)
+    forced, free = _state_sizes(problem, d)
+    forced = forced * np.abs(output_weight(d, problem.quantity)[0])
+    moving = r * d * forced + np.abs(amplitudes) * free
+    sizes = [samples * h * moving + r * forced, d * forced] + ([] if problem.from_rest else [free, free])
+    return Information.of(
+        J, parameter_names(n, problem.from_rest), rows=len(problem.target), sizes=np.concatenate(sizes)
+    )
+
+
+def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
+    """Information at the end of a fit, modes sorted by `rank`.
+
+    Of one record all parameters; of several, or of a response, `d` and `r` with all else unknown.
+    """
+    n = len(at.d)
+    jacobian, _ = at.jacobian()
+    d, kappa = at.d[rank], at.kappa[rank]
+    one = at.problem.experiments[0]
+    if len(at.problem.experiments) == 1 and isinstance(one, Experiment) and one.driven and not one.offset:
+        sorting = (np.arange(jacobian.shape[1] // max(n, 1))[:, None] * n + rank).ravel()
+        own = at.own[0]
+        amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
+        return information_of(one, jacobian[:, sorting], d, kappa / d, amplitudes[rank])
+    # the own unknowns first: what is left of the factor below them no longer depends on them
+    order = np.concatenate([np.arange(2 * n, jacobian.shape[1]), rank, n + rank])
+    count = jacobian.shape[1] - 2 * n
+    left = eliminate(reduced(np.asfortranarray(jacobian[:, order])), count, at.problem.samples).below if count else None
+    shown = jacobian[:, order] if left is None else left
+    names = parameter_names(n, True)
+    if not at.problem.driven:
+        return Information.of(shown[:, :n], names[:n], rows=at.problem.samples)
+    return Information.of(in_weights(shown, d, kappa / d), names, rows=at.problem.samples)
+
+
+def _state_sizes(problem: Experiment, d: Array) -> tuple[Array, Array]:
+    """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
+    kernel = Kernel(d, problem.hold)
+    groups = in_groups(problem.u)
+    states, _, _ = kernel.states(groups, kernel.turns(len(groups)), kernel.start(problem.u), False)
+    weight = np.abs(kernel.weight)
+    size = np.sqrt(SHORT) * np.linalg.norm(states, axis=1)
+    driven = size * problem.hold.h / np.where(weight > 0, weight, 1.0)
+    if problem.hold.intersample == "foh":
+        driven += problem.hold.h * np.linalg.norm(problem.u)
+    return driven, np.full(len(d), np.sqrt(problem.samples))
+
+
+def in_weights(jacobian: Array, d: Array, r: Array) -> Array:
+    """Sensitivities to `(d, r, ...)` from those to `(d, kappa, ...)`, with `kappa = r d`; also of their R factor."""
+    n = len(d)
+    J = np.array(jacobian)
+    J[:, :n] += r * jacobian[:, n : 2 * n]
+    J[:, n : 2 * n] *= d
+    return J

@@ -1,0 +1,340 @@
+"""Statistics of residuals: correlations with their bands, and tests that are right for short records too.
+
+Residuals of a fit are what the noise leaves beside the directions that were fitted, `e = (I - Q Q^T) noise`.  The
+moments below are those of `e` for white noise and orthonormal `Q`, over the samples that were observed.  Records stand
+one after the other; a correlation never reaches from one into the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.stats import chi2, f, norm
+
+from ..._checks import EPS
+from ..regression.triangular import reduced
+from ..uncertainty.residual_data import RANK, ResidualData, factor_of, orthonormal_of_unit
+
+Array = NDArray[np.float64]
+
+_NOISE_ORDERS = 20  # most that are tried for the noise
+_ROWS_PER_ORDER = 10
+_FEWEST = 5  # degrees of freedom below which a test says nothing
+_PIECE = 2048  # samples of a few columns that fit in the cache
+_ROWS = 1 << 16  # of a regression that are made at a time
+_TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Correlation at some lags, half the width of its band, and the number of pairs behind each; NaN without pairs."""
+
+    lags: NDArray[np.intp]
+    values: Array
+    band: Array
+    pairs: NDArray[np.intp]
+
+    @property
+    def outside(self) -> int:
+        """Number of lags at which the correlation leaves its band."""
+        return int(np.sum(np.abs(self.values) > self.band))
+
+    @property
+    def expected(self) -> int:
+        """Number of lags that have a correlation."""
+        return int(np.isfinite(self.values).sum())
+
+
+# --- whiteness -------------------------------------------------------------------------------------------------------
+
+
+def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation, float, float]:
+    """Autocorrelation at lags 1 to L less its mean for white noise; the Ljung-Box statistic and its p-value.
+
+    With all samples and nothing fitted the statistic is the classical one: then the mean is 0 and the variance of the
+    correlation `(T - k)/(T (T + 2))`.
+    """
+    lags = np.arange(1, data.lags + 1)
+    pairs = np.zeros(len(lags), int)
+    products = np.zeros(len(lags))
+    for part in data.parts:
+        seen, e = data.seen[part], data.e[part]
+        for row, k in enumerate(lags[: max(0, len(e) - 1)]):
+            pairs[row] += np.count_nonzero(seen[k:] & seen[:-k])
+            products[row] += e[k:] @ e[:-k]
+    if data.power == 0:
+        return Correlation(lags, np.zeros(len(lags)), np.full(len(lags), np.inf), pairs), 0.0, 1.0
+    found = products / data.power
+    mean, variance = _moments(data, lags, pairs)
+    usable = (pairs > 0) & (variance > 0)
+    variance = np.where(usable, variance, np.nan)
+    statistic = float(np.nansum((found - mean) ** 2 / variance))
+    per_pair = data.count / np.where(usable, pairs, 1)
+    values = np.where(usable, (found - mean) * per_pair, np.nan)
+    band = norm.isf(0.5 * (1 - confidence)) * np.sqrt(variance) * per_pair
+    p_value = float(chi2.sf(statistic, int(usable.sum()))) if usable.any() else np.nan
+    return Correlation(lags, values, band, pairs), statistic, p_value
+
+
+def _moments(data: ResidualData, lags: NDArray[np.intp], pairs: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Mean and variance of `e^T S e / e^T e` for white noise: moments of a ratio of quadratic forms.
+
+    `S` is half the sum of the shifts to either side, between observed samples.
+    """
+    free = data.count - data.fitted.size
+    if free < 1:
+        return np.zeros(len(lags)), np.zeros(len(lags))
+    trace, within, image = np.zeros((3, len(lags)))
+    shared = data.fitted.shared.shape[1]
+    common = np.zeros((len(lags), shared, shared))
+    for part, local in zip(data.parts, data.fitted.local, strict=True):
+        Q = np.concatenate([local, data.fitted.shared[part]], axis=1)
+        if Q.shape[1]:
+            own = local.shape[1]
+            trace += _traces(Q, lags)
+            image += _images(Q, data.seen[part], lags)
+            C = _products_of_shifts(Q, lags)
+            S = 0.5 * (C + C.transpose(0, 2, 1))
+            # what several records share is squared when all have been added
+            within += np.sum(S[:, :own] ** 2, axis=(1, 2)) + np.sum(S[:, own:, :own] ** 2, axis=(1, 2))
+            common += S[:, own:, own:]
+    within += np.sum(common**2, axis=(1, 2))
+    square = 0.5 * pairs - 2.0 * image + within
+    mean = -trace / free
+    return mean, (trace**2 + 2.0 * square) / (free * (free + 2)) - mean**2
+
+
+def _products_of_shifts(Q: Array, lags: NDArray[np.intp]) -> Array:
+    """Products of the columns with those so many samples later, shape (lags, p, p); by pieces that fit in the cache."""
+    found = np.zeros((len(lags), Q.shape[1], Q.shape[1]))
+    for first in range(0, len(Q), _PIECE):
+        piece = Q[first : first + _PIECE]
+        for row, k in enumerate(lags):
+            later = Q[first + k : first + k + len(piece)]
+            found[row] += piece[: len(later)].T @ later
+    return found
+
+
+def _traces(Q: Array, lags: NDArray[np.intp]) -> Array:
+    """`trace(Q^T S Q)`: the sum of the autocorrelations of the columns."""
+    found = np.zeros(len(lags))
+    size = next_fast_len(len(Q) + int(lags.max()), real=True)
+    power = sum(np.abs(rfft(column, size)) ** 2 for column in Q.T)
+    found[:] = irfft(power, size)[lags]
+    return np.where(lags < len(Q), found, 0.0)
+
+
+def _images(Q: Array, seen: NDArray[np.bool_], lags: NDArray[np.intp]) -> Array:
+    """Squared size of `S Q`: each row is half the sum of the two rows so many samples before and after it."""
+    T = len(Q)
+    lengths = np.einsum("ij,ij->i", Q, Q)
+    across = _traces(Q, 2 * lags)
+    missing = np.flatnonzero(~seen)
+    found = np.zeros(len(lags))
+    for row, k in enumerate(lags[: T - 1]):
+        around = missing[(missing >= k) & (missing < T - k)]
+        lost = np.einsum("ij,ij->", Q[around - k], Q[around + k])
+        sides = seen[k:] @ lengths[:-k] + seen[:-k] @ lengths[k:]
+        found[row] = 0.25 * (sides + 2.0 * (across[row] - lost))
+    return found
+
+
+# --- correlation with the input --------------------------------------------------------------------------------------
+
+
+def cross_correlation(data: ResidualData, confidence: float) -> Correlation:
+    """Correlation of residuals with the input tau samples before, tau from -L to L.
+
+    The band is that of residuals of any colour that know nothing of the input: the variance of `sum_k e_k v_{k-tau}` is
+    `sum_m c_e(m) c_v(m)`, `c_e` estimated with a Parzen window.
+    """
+    lags = np.arange(-data.lags, data.lags + 1)
+    pairs = np.zeros(len(lags), int)
+    for part in data.parts:
+        known = np.concatenate([[0], np.cumsum(data.seen[part])])
+        T = len(known) - 1
+        pairs += known[np.clip(T + np.minimum(lags, 0), 0, T)] - known[np.clip(np.maximum(lags, 0), 0, T)]
+    sizes = np.sqrt(np.sum(data.centred**2) / max(1, data.count) * np.mean(data.v**2))
+    if sizes == 0:
+        return Correlation(lags, np.zeros(len(lags)), np.full(len(lags), np.inf), pairs)
+    rows = max(1, _TOGETHER // len(data.v))
+    products, deviation = np.concatenate(
+        [_products(data, lags[first : first + rows]) for first in range(0, len(lags), rows)], axis=1
+    )
+    usable = pairs > 0
+    scale = np.where(usable, pairs, 1) * sizes
+    values = np.where(usable, products / scale, np.nan)
+    return Correlation(lags, values, norm.isf(0.5 * (1 - confidence)) * deviation / scale, pairs)
+
+
+def _products(data: ResidualData, lags: NDArray[np.intp]) -> Array:
+    """Sums of residuals times shifted inputs, and their standard deviations, shape (2, len(lags))."""
+    basis = data.fitted_and_means
+    inputs = [data.shifted_inputs(part, lags) * data.seen[part] for part in data.parts]
+    shared = sum(x @ basis.shared[part] for x, part in zip(inputs, data.parts, strict=True))
+    sums, variance = np.zeros((2, len(lags)))
+    for x, part, own in zip(inputs, data.parts, basis.local, strict=True):
+        sums += x @ data.centred[part]
+        x -= (x @ own) @ own.T
+        x -= shared @ basis.shared[part].T
+        spectrum, size = _noise_spectrum(data, len(data.e[part]))
+        # both sides of the spectrum: all frequencies but the ends count twice
+        power = np.abs(rfft(x, size, axis=1)) ** 2
+        variance += (2 * power @ spectrum - power[:, 0] * spectrum[0] - power[:, -1] * spectrum[-1]) / size
+    return np.array([sums, np.sqrt(np.maximum(variance, 0.0))])
+
+
+def _noise_spectrum(data: ResidualData, samples: int) -> tuple[Array, int]:
+    """Spectrum of the residuals at the frequencies of a transform of so many samples, padded to even size."""
+    covariance = data.noise_covariance
+    reach = len(covariance) - 1
+    size = 2 * next_fast_len(-(-(samples + reach + 1) // 2), real=True)
+    sequence = np.zeros(size)
+    sequence[: reach + 1] = covariance
+    sequence[size - reach :] = covariance[:0:-1]
+    return np.maximum(rfft(sequence).real, 0.0), size
+
+
+# --- what the residuals depend on ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Influence:
+    """p-values of what the residuals depend on; NaN where the record cannot tell."""
+
+    offset: float
+    response: float
+    feedback: float
+    noise_order: int
+
+
+def influence(data: ResidualData) -> Influence:
+    """Regress the residuals on constants, on the inputs at and before them, and then on those after them.
+
+    Each is an F test beside what was fitted and what came before in this list, exact for white Gaussian noise.  For
+    coloured residuals their own past stands first, as many samples as BIC chooses: a response that is long because it
+    resonates then shows in what is new in each sample.
+    """
+    if data.power == 0:
+        return Influence(np.nan, np.nan, np.nan, 0)
+    whitening = _whitening(data)
+    order = len(whitening) - 1
+    rows, free, counts = _eliminated(data, whitening)
+    ends = np.cumsum(counts)
+    steps = [rows[:, start:end] for start, end in pairwise(ends)]
+    offset, response, feedback = _successive_tests(rows[:, -1], rows[:, : ends[0]], steps, free)
+    return Influence(offset, response, feedback, order)
+
+
+def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[int]]:
+    """Regressors of unit length and the residuals, as a few rows, without what was fitted to single records.
+
+    The columns are what was fitted to all and the past of the residuals, a constant in each record, the inputs at and
+    before each residual, those after it, and the residual.  With the degrees of freedom that are left, and how many
+    columns of each kind there are.
+    """
+    order, K = len(whitening) - 1, len(data.parts)
+    counts = [data.directions.shape[1] + order, K, data.lags + 1, data.lags]
+    width = sum(counts) + 1
+    factors = [_record_factor(data, place, whitening) for place in range(K)]
+    lengths = np.sqrt(sum(np.sum(factor[:, -width:] ** 2, axis=0) for factor, _ in factors))
+    lengths[-1] = 1.0  # the residual keeps its size
+    scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
+    found, free = [], sum(samples for _, samples in factors)
+    for (factor, _), columns in zip(factors, data.own, strict=True):
+        own = columns.shape[1]
+        below, fitted = _without_own(factor, own)
+        found.append(below * scale)
+        free -= fitted
+    rows = np.concatenate(found)
+    return (reduced(rows) if len(rows) > width else rows), free, counts
+
+
+def _without_own(factor: Array, own: int) -> tuple[Array, int]:
+    """What is left of a factor when its first columns are fitted, and the rank of these."""
+    size = np.linalg.norm(factor[:own, :own], axis=0)
+    U, sigma, _ = np.linalg.svd(factor[:own, :own] / np.where(size > 0, size, 1.0))
+    kept = sigma > RANK
+    above = U.T @ factor[:own, own:]
+    return np.concatenate([above[~kept], factor[own:, own:]]), int(kept.sum())
+
+
+def _record_factor(data: ResidualData, place: int, whitening: Array) -> tuple[Array, int]:
+    """Triangular factor of all regressors of a record, those fitted to it alone first; and the number of residuals."""
+    part, order, L = data.parts[place], len(whitening) - 1, data.lags
+    rows = np.flatnonzero(_with_past(data.seen[part], order))
+    e = data.e[part]
+    own, shared = _filtered(whitening, data.own[place]), _filtered(whitening, data.directions[part])
+    lags = np.concatenate([np.arange(L + 1), np.arange(-L, 0)])
+
+    def columns(rows: NDArray[np.intp]) -> Array:
+        means = np.zeros((len(data.parts), len(rows)))
+        means[place] = data.constant[part][rows]
+        past = e[rows - np.arange(1, order + 1)[:, None]]
+        return np.concatenate(
+            [own[rows].T, shared[rows].T, past, means, data.shifted_inputs(part, lags, rows), e[None, rows]]
+        )
+
+    factors = [factor_of(columns(rows[k : k + _ROWS])) for k in range(0, max(1, len(rows)), _ROWS)]
+    return (factors[0] if len(factors) == 1 else reduced(np.concatenate(factors))), len(rows)
+
+
+def _filtered(weights: Array, columns: Array) -> Array:
+    """Moving average of each column, zeros before its start."""
+    out = weights[0] * columns
+    for shift, weight in enumerate(weights[1:], start=1):
+        out[shift:] += weight * columns[:-shift]
+    return np.asarray(out)
+
+
+def _with_past(seen: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """Where a residual and so many before it were observed."""
+    rows = np.convolve(seen, np.ones(order + 1))[: len(seen)] > order + 0.5
+    return np.asarray(rows)
+
+
+def _whitening(data: ResidualData) -> Array:
+    """Coefficients `(1, -phi_1, ..)` of the autoregression that makes the residuals white, of least BIC."""
+    most = _NOISE_ORDERS
+    while most:
+        places = [part.start + np.flatnonzero(_with_past(data.seen[part], most)) for part in data.parts]
+        if sum(map(len, places)) >= _ROWS_PER_ORDER * (most + 1):
+            break
+        most //= 2
+    if not most:
+        return np.ones(1)
+    rows = np.concatenate(places)
+    factor = factor_of(data.e[rows - np.concatenate([np.arange(1, most + 1), [0]])[:, None]])
+    R, explained = factor[:-1, :-1], factor[:-1, -1]
+    total = float(np.sum(factor[:, -1] ** 2))
+    left = np.maximum(total - np.cumsum(np.concatenate([[0.0], explained**2])), EPS * total)
+    order = int(np.argmin(len(rows) * np.log(left) + np.arange(most + 1) * np.log(len(rows))))
+    found = np.linalg.lstsq(R[:order, :order], explained[:order], rcond=None)[0]
+    return np.concatenate([[1.0], -found])
+
+
+def _successive_tests(rhs: Array, fitted: Array, steps: list[Array], free: int) -> list[float]:
+    """p-values of the F tests that each set of columns in turn explains nothing more."""
+    basis = orthonormal_of_unit(fitted)
+    rhs = rhs - basis @ (basis.T @ rhs)
+    free -= basis.shape[1]
+    found = []
+    for columns in steps:
+        beside = columns
+        for _ in range(2):  # once more for what rounding leaves
+            beside = beside - basis @ (basis.T @ beside)
+        added = orthonormal_of_unit(beside)
+        gained = added.T @ rhs
+        rhs = rhs - added @ gained
+        basis = np.concatenate([basis, added], axis=1)
+        free -= added.shape[1]
+        left = float(rhs @ rhs)
+        if added.shape[1] == 0 or free < _FEWEST or left == 0:
+            found.append(np.nan)
+        else:
+            found.append(float(f.sf(float(gained @ gained) / added.shape[1] / (left / free), added.shape[1], free)))
+    return found

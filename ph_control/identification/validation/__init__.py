@@ -1,0 +1,1 @@
+"""Simulation and residuals of models on new data."""

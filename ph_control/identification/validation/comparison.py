@@ -1,0 +1,373 @@
+"""Models held against data: how much of what was measured each explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._display import Report
+from ..._frozen import Frozen
+from ..._units import unit_for
+from ...exceptions import StructureError
+from ...plotting.fit_data import percent
+from ...plotting.validation_plot import comparison_plot, response_comparison_plot
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..regression.prediction import chosen_experiment
+from .measured import (
+    check_options,
+    experiments_to_hold_against,
+    fit_to,
+    in_experiment,
+    joined_frequencies,
+    joined_time,
+    names_of,
+    rms_of,
+    values_of,
+    which_of,
+)
+from .response_simulation import respond_to
+from .simulation import Rules, Simulation, simulate_on
+
+Array = NDArray[np.float64]
+
+_SHOWN = 8  # experiments listed one by one
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedExperiment(Frozen):
+    """Models beside one another in one experiment.
+
+    Attributes
+    ----------
+    record : Record or FrequencyRecord
+        The data.
+    predicted : ndarray, shape (k, T)
+        Output of each model; complex for a frequency response.
+    fit_percent, rms_error : ndarray, shape (k,)
+        Of each model here; NaN for the fit to an output that is zero throughout.
+    own_record : tuple of bool
+        Whether the model was fitted to these very data.
+    """
+
+    record: Record | FrequencyRecord
+    predicted: NDArray[Any]
+    fit_percent: Array
+    rms_error: Array
+    own_record: tuple[bool, ...]
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """What was measured; NaN where missing."""
+        return values_of(self.record)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Report, Frozen):
+    """Models beside one another on the same data; made by `compare`.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Names of the models, each different.
+    fit_percent : ndarray, shape (k,)
+        `100 (1 - |y - yhat| / |y - mean(y)|)` of each, all experiments together.
+    rms_error : ndarray, shape (k,)
+        Root of the mean squared error of each, in the unit of the output.
+    own_record : tuple of bool
+        Whether the model was fitted to any of these very data, so that its fit flatters it.
+    experiments : tuple of ComparedExperiment
+        The same for each experiment.
+    initial_state : str
+        How the initial states were chosen.
+    output_label : str
+        Name of the output.
+    """
+
+    labels: tuple[str, ...]
+    fit_percent: Array
+    rms_error: Array
+    own_record: tuple[bool, ...]
+    experiments: tuple[ComparedExperiment, ...]
+    initial_state: str
+    output_label: str
+
+    @property
+    def best(self) -> str:
+        """Label of the model with the greatest fit."""
+        return self.labels[int(np.argmax(self.fit_percent))]
+
+    @property
+    def predicted(self) -> NDArray[Any]:
+        """Output of each model, shape (k, T), all experiments one after the other."""
+        return _checks.readonly(np.concatenate([one.predicted for one in self.experiments], axis=1))
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """What was measured, shape (T,), all experiments one after the other; NaN where missing."""
+        return _checks.readonly(np.concatenate([one.measured for one in self.experiments]))
+
+    @property
+    def time(self) -> Array:
+        """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
+        return joined_time([one.record for one in self.experiments])
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
+        return joined_frequencies([one.record for one in self.experiments])
+
+    def __str__(self) -> str:
+        """Table of the models in the order given."""
+        width = max(5, *map(len, self.labels))
+        lines = [
+            f"Fit to {self.output_label!r}: {_described([one.record for one in self.experiments], self.initial_state)}",
+            f"  {'model':{width}}  {'fit':>14}  RMS error",
+        ]
+        for k, (label, fit, error) in enumerate(zip(self.labels, self.fit_percent, self.rms_error, strict=True)):
+            row = f"  {label:{width}}  {percent(fit):>14}  {error:9.4g}"
+            lines.append(f"{row}   {self._note(k)}".rstrip())
+        return "\n".join([*lines, *self._one_by_one()])
+
+    def _headline(self) -> str:
+        fits = zip(self.labels, self.fit_percent, strict=True)
+        return f"fit to {self.output_label!r}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
+
+    def _note(self, k: int) -> str:
+        own = sum(one.own_record[k] for one in self.experiments)
+        if not own:
+            return ""
+        if len(self.experiments) == 1:
+            return (
+                "fitted to this record" if isinstance(self.experiments[0].record, Record) else "fitted to this response"
+            )
+        return f"fitted to {own if own < len(self.experiments) else 'all'} of these experiments"
+
+    def _one_by_one(self) -> list[str]:
+        """Fit of each model in each of several experiments."""
+        if len(self.experiments) == 1:
+            return []
+        columns = [max(11, len(label)) for label in self.labels]
+        names = "  ".join(f"{label:>{size}}" for label, size in zip(self.labels, columns, strict=True))
+        lines = ["", f"  experiment  samples  {names}"]
+        for k, one in enumerate(self.experiments[:_SHOWN], start=1):
+            fits = "  ".join(f"{percent(fit):>{size}}" for fit, size in zip(one.fit_percent, columns, strict=True))
+            lines.append(f"  {k:10d}  {one.record.samples:7d}  {fits}   {one.record.title}".rstrip())
+        left = len(self.experiments) - _SHOWN
+        return [*lines, f"  and {left} more"] if left > 0 else lines
+
+    def plot(self, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
+        """Picture of the outputs and errors of all models; of a response, magnitude, phase and error over frequency.
+
+        Parameters
+        ----------
+        experiment : int
+            Which of several experiments, counted from 0.
+        **kwargs
+            In time: `time_unit`, `output_label`, `output_unit`, `detail`, `ax` and style, as in `fit_plot`; `ax`
+            takes one array of axes: outputs, errors and, unless `detail` is None, the detail.  Over frequency:
+            `time_unit`, `Hz`, `gain_unit` and style, as in `bode_plot`, and `ax` of three axes.
+
+        Returns
+        -------
+        control.ControlPlot
+
+        Raises
+        ------
+        StructureError
+            If there is no such experiment.
+
+        Examples
+        --------
+        See `compare`.
+        """
+        one = chosen_experiment(self.experiments, experiment)
+        record, which = one.record, which_of(experiment, len(self.experiments))
+        kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), record)
+        if isinstance(record, FrequencyRecord):
+            heading = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
+            return response_comparison_plot(
+                record.omega, record.response, one.predicted,
+                labels=self.labels, fit_percent=one.fit_percent, heading=heading, **kwargs,
+            )  # fmt: skip
+        kwargs = _labels_of_output(self.output_label) | kwargs
+        heading = f"{kwargs['output_label']}, measured and simulated{which}"
+        return comparison_plot(
+            record.time, record.y, one.predicted,
+            labels=self.labels, fit_percent=one.fit_percent, heading=heading, **kwargs,
+        )  # fmt: skip
+
+
+def compare(
+    data: Any,
+    *models: Any,
+    dt: Any = None,
+    method: str = "exact",
+    intersample: str = "zoh",
+    initial_state: str = "estimate",
+    offset: bool = False,
+    weights: Any = None,
+    labels: str | Sequence[str] | None = None,
+) -> Comparison:
+    """Hold models against data: how many percent of what was measured each explains.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
+        One experiment or several, as for `pem`.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
+        modified.
+    *models : PEMResult, system of this package, ModalForm, control.StateSpace or control.TransferFunction
+        Models of one input and one output.  Those in discrete time must have the step of the record.
+    dt : float, or sequence of float, one for each experiment, optional
+        Time between samples; needed with arrays, unless a model has one.
+    method : {'exact', 'midpoint', 'euler'}
+        How continuous-time models meet the samples; a `PEMResult` keeps its own.
+    intersample : {'zoh', 'foh'}
+        Input between samples, for continuous-time models; a `PEMResult` keeps its own.
+    initial_state : {'estimate', 'zero', 'fitted'}
+        State of each model at the first sample: the one that fits this record best, rest, or for a `PEMResult` the
+        one found in its own record.  A free motion is always fitted.
+    offset : bool
+        Whether a constant is added to the output of each model, the one that fits the record best; a `PEMResult`
+        keeps to what it was fitted with.
+    weights : array_like, shape (K,), or list of these, optional
+        What the squared error at each frequency of a response counts.
+    labels : str or sequence of str, optional
+        Names of the models; by default their own.  Those that repeat are numbered.
+
+    Returns
+    -------
+    Comparison
+        Fit of each model, the outputs, and a picture; its text is a table.
+
+    Raises
+    ------
+    StructureError
+        If the data or options are not of this form, a model has several inputs or outputs, another step, or leaves the
+        range of doubles, or the record has fewer outputs than a model has states to estimate; for a response, if a
+        model has a pole at one of its points, or no response there.
+
+    See Also
+    --------
+    residual_analysis : what is wrong with a model, rather than how much.
+
+    Notes
+    -----
+    The models are simulated: the measured output is used for the initial state only.  For models of the plant alone,
+    as these are, prediction and simulation are the same.  A fit to the record that a model was made from flatters
+    it; compare on another one.  On its own record a `PEMResult` keeps the `fit_percent` of the fit.
+
+    A `PEMResult` answers with the quantity that it was fitted to, such as a displacement; any other model with its
+    output as it is, so pass `result.observed_system` rather than `result.system` to other tools.
+
+    Several experiments have a state, and an offset, each of their own.  Of a frequency response the fit is that of
+    complex numbers, weighted if there are weights; `method`, `intersample`, `initial_state` and `offset` do not matter,
+    and continuous-time models answer in continuous time.
+
+    Free motion is fitted by least squares on normalised columns.  O(T n) for lossless models, O(T n^2) for others,
+    whose matrices are scaled first; a transfer function of high order has lost its digits before.
+
+    Examples
+    --------
+    >>> import control as ct, numpy as np, ph_control as phc
+    >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]), name="plant")
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> damped = ct.tf([1, 0], [1, 0.1, 1], name="damped")
+    >>> comparison = phc.compare((u, y), plant, damped, dt=0.1)
+    >>> print(comparison)
+    Fit to 'y': 400 samples; initial state estimated
+      model              fit  RMS error
+      plant          97.89 %   0.009959
+      damped        -17.69 %     0.5548
+    >>> picture = comparison.plot(output_unit="m/s")
+
+    Two experiments, and a frequency response:
+
+    >>> print(phc.compare([(u[:250], y[:250]), (u[250:], y[250:])], plant, dt=0.1))
+    Fit to 'y': 2 experiments, 400 samples; initial states estimated
+      model             fit  RMS error
+      plant         97.90 %    0.00991
+    <BLANKLINE>
+      experiment  samples        plant
+               1      250      97.92 %
+               2      150      97.86 %
+    >>> omega = np.linspace(0.1, 3.0, 50)
+    >>> print(phc.compare(ct.frd(0.9 * plant(1j * omega), omega), plant))
+    Fit to 'y[0]': 50 frequencies
+      model             fit  RMS error
+      plant         88.88 %     0.6437
+    """
+    check_options(method, intersample, initial_state, offset)
+    if not models:
+        raise StructureError("no model given; pass at least one after the data")
+    records = experiments_to_hold_against(data, dt, models, weights)
+    names = names_of(models, labels)
+    rules = Rules(method, intersample, initial_state, offset)
+    experiments = []
+    for place, record in enumerate(records):
+        with in_experiment(place, len(records)):
+            answers = [answer_to(model, name, record, rules) for model, name in zip(models, names, strict=True)]
+        experiments.append(_compared(record, answers))
+    together = [[(one.record, row) for one, row in zip(experiments, rows, strict=True)] for rows in _rows(experiments)]
+    return Comparison(
+        labels=names,
+        fit_percent=np.array([fit_to(pairs) for pairs in together]),
+        rms_error=np.array([rms_of(pairs) for pairs in together]),
+        own_record=tuple(any(own) for own in zip(*(one.own_record for one in experiments), strict=True)),
+        experiments=tuple(experiments),
+        initial_state=initial_state,
+        output_label=records[0].output_label,
+    )
+
+
+def answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
+    """What a model says of an experiment of either kind."""
+    if isinstance(record, FrequencyRecord):
+        return respond_to(model, label, record)
+    return simulate_on(model, label, record, rules)
+
+
+def _rows(experiments: list[ComparedExperiment]) -> list[tuple[NDArray[Any], ...]]:
+    """Outputs of each model in all experiments."""
+    return list(zip(*(one.predicted for one in experiments), strict=True))
+
+
+def _compared(record: Record | FrequencyRecord, answers: list[Simulation]) -> ComparedExperiment:
+    return ComparedExperiment(
+        record,
+        np.array([answer.output for answer in answers]),
+        np.array([fit_to([(record, answer.output)]) for answer in answers]),
+        np.array([rms_of([(record, answer.output)]) for answer in answers]),
+        tuple(answer.own for answer in answers),
+    )
+
+
+def _described(records: Sequence[Record | FrequencyRecord], initial_state: str) -> str:
+    """What the data are, in a line."""
+    samples = sum(record.samples for record in records)
+    missing = sum(int((~record.observed).sum()) for record in records)
+    several = len(records) > 1
+    tail = f", {missing} missing" * bool(missing)
+    if isinstance(records[0], FrequencyRecord):
+        weighted = any(np.ptp(record.weights) for record in records if isinstance(record, FrequencyRecord))
+        kind = f"{len(records)} responses, " * several
+        return f"{kind}{samples} frequencies{tail}" + ", weighted" * weighted
+    states = {"estimate": "estimated", "zero": "zero", "fitted": "as fitted"}[initial_state]
+    if initial_state == "zero" and not all(record.driven for record in records if isinstance(record, Record)):
+        states = "zero, of free motions estimated"
+    return f"{len(records)} experiments, " * several + f"{samples} samples{tail}; initial state{'s' * several} {states}"
+
+
+def _labels_of_output(label: str) -> dict[str, Any]:
+    """A label such as "velocity [m/s]" carries its unit."""
+    name, bracket, unit = label.partition(" [")
+    return {"output_label": name} | ({"output_unit": unit.removesuffix("]")} if bracket else {})

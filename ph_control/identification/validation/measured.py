@@ -1,0 +1,159 @@
+"""Data that models are held against: taken in, told apart, joined; and the share of them that a model explains."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._units import common_unit
+from ...exceptions import StructureError
+from ...modal.propagation import INTERSAMPLE, METHODS
+from ..data.data_frames import is_data_frame
+from ..data.experiments import as_experiments
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..fit.result import PEMResult
+from ..regression.prediction import fit_percent, unit_norm
+from .simulation import INITIAL_STATES
+
+Array = NDArray[np.float64]
+Kind = Record | FrequencyRecord
+
+
+def check_options(method: str, intersample: str, initial_state: str, offset: bool) -> None:
+    """Refuse unknown names of methods, holds and initial states, and an offset that is neither True nor False."""
+    _checks.choice("method", method, METHODS)
+    _checks.choice("intersample", intersample, INTERSAMPLE)
+    _checks.choice("initial_state", initial_state, INITIAL_STATES)
+    _checks.flags(offset=offset)
+
+
+def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weights: Any = None) -> tuple[Kind, ...]:
+    """The experiments, their step from a model where nothing else tells it; refused without any output."""
+    if dt is None and _lacks_step(data):
+        fitted = [
+            one.record.dt
+            for model in models
+            if isinstance(model, PEMResult)
+            for one in model.experiments
+            if isinstance(one.record, Record)
+        ]
+        sampled = [getattr(model, "dt", None) for model in models]
+        steps = fitted + [step for step in sampled if step and not isinstance(step, bool)]
+        dt = steps[0] if steps else None
+    records: tuple[Kind, ...] = as_experiments(data, dt, weights=weights)
+    common_unit(records, models)
+    several = len(records) > 1
+    for k, record in enumerate(records, start=1):
+        if not record.observed.any():
+            name = f"experiment {k}" if several else "the record" if isinstance(record, Record) else "the response"
+            raise StructureError(f"{name} has no outputs; there is nothing to hold a model against")
+    if not any(np.nan_to_num(values_of(record)).any() for record in records):
+        where = "throughout" if several else "throughout the record"
+        raise StructureError(f"the output is zero {where}; no share of it can be explained")
+    return records
+
+
+def _lacks_step(data: Any) -> bool:
+    """Whether any of the data may be arrays, which have no step of their own."""
+    known = Record | FrequencyRecord | ct.TimeResponseData | ct.FrequencyResponseData
+    return isinstance(data, tuple | list) and not all(isinstance(one, known) or is_data_frame(one) for one in data)
+
+
+def values_of(record: Kind) -> NDArray[Any]:
+    """What was measured."""
+    return record.y if isinstance(record, Record) else record.response
+
+
+def joined_time(records: Sequence[Kind]) -> Array:
+    """Instants of records one after the other."""
+    parts = [record.time for record in records if isinstance(record, Record)]
+    if not parts:
+        raise StructureError("these data are frequency responses and have no time; use omega")
+    return _checks.readonly(np.concatenate(parts))
+
+
+def joined_frequencies(records: Sequence[Kind]) -> Array:
+    """Frequencies of responses one after the other."""
+    parts = [record.omega for record in records if isinstance(record, FrequencyRecord)]
+    if not parts:
+        raise StructureError("these data are records in time and have no frequencies; use time")
+    return _checks.readonly(np.concatenate(parts))
+
+
+def which_of(place: int, count: int) -> str:
+    """Which of several experiments a picture shows."""
+    return f" (experiment {place + 1} of {count})" if count > 1 else ""
+
+
+@contextmanager
+def in_experiment(place: int, count: int) -> Iterator[None]:
+    """Name the experiment in errors, if there are several."""
+    try:
+        yield
+    except StructureError as error:
+        if count == 1:
+            raise
+        raise type(error)(f"experiment {place + 1}: {error}") from None
+
+
+# --- names and numbers -----------------------------------------------------------------------------------------------
+
+
+def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple[str, ...]:
+    """One name for each model, all different."""
+    given = None if labels is None else _checks.labels(labels)
+    if given is not None and len(given) != len(models):
+        raise StructureError(f"{len(given)} labels for {len(models)} models; give one for each")
+    names = [_name(model) for model in models] if given is None else given
+    repeated = Counter(names)
+    counts: Counter[str] = Counter()
+    for k, name in enumerate(names):
+        if repeated[name] > 1:
+            counts[name] += 1
+            names[k] = f"{name} #{counts[name]}"
+    return tuple(names)
+
+
+def _name(model: Any) -> str:
+    system = model.system if isinstance(model, PEMResult) else model
+    if isinstance(system, ct.InputOutputSystem) and not system._generic_name_check():
+        return str(system.name)
+    kind = "fit" if isinstance(model, PEMResult) else type(model).__name__
+    n = getattr(system, "n", None)
+    if isinstance(n, int):
+        return f"{kind} ({n} mode{'s' * (n != 1)})"
+    states = getattr(system, "nstates", None)
+    return f"{kind} ({states} states)" if isinstance(model, ct.StateSpace) else kind
+
+
+def fit_to(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
+    """Fit percent of a model in some experiments together; of responses in the scale of their weights."""
+    y, error, weights = _observed(pairs)
+    return fit_percent(y, error, weights) if y.any() else np.nan
+
+
+def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
+    """Root of the mean squared error of a model in some experiments together, weighted as the fit."""
+    _, error, weights = _observed(pairs)
+    if weights is None:
+        return unit_norm(error, 1.0) / float(np.sqrt(len(error)))
+    share = weights / weights.max()
+    return unit_norm(np.sqrt(share) * error, 1.0) / float(np.sqrt(share.sum()))
+
+
+def _observed(
+    pairs: Sequence[tuple[Kind, NDArray[Any]]],
+) -> tuple[NDArray[Any], NDArray[Any], Array | None]:
+    """What was measured, the errors there, and the weights of responses."""
+    y = np.concatenate([values_of(record)[record.observed] for record, _ in pairs])
+    error = np.concatenate([(values_of(record) - output)[record.observed] for record, output in pairs])
+    weights = [record.weights[record.observed] for record, _ in pairs if isinstance(record, FrequencyRecord)]
+    return y, error, np.concatenate(weights) if weights else None

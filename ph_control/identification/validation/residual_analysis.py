@@ -1,0 +1,473 @@
+"""What the residuals of a model say: dynamics that it lacks, feedback, an offset, coloured noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+from ... import _checks
+from ..._display import Report, p_value
+from ..._frozen import Frozen
+from ..._units import unit_for
+from ...exceptions import StructureError
+from ...plotting.fit_data import percent
+from ...plotting.validation_plot import correlation_plot, residual_response_plot, whiteness_plot
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..regression.prediction import chosen_experiment
+from ..uncertainty.residual_data import ResidualData, noise_scales, without_peaks
+from ..uncertainty.residual_tests import Correlation, autocorrelation, cross_correlation, influence
+from .comparison import answer_to
+from .findings import Findings
+from .measured import (
+    check_options,
+    experiments_to_hold_against,
+    fit_to,
+    in_experiment,
+    joined_frequencies,
+    joined_time,
+    names_of,
+    values_of,
+    which_of,
+)
+from .simulation import Rules, Simulation
+
+Array = NDArray[np.float64]
+
+_LAGS = 25  # by default, where the data are long enough
+_SAMPLES_PER_LAG = 5
+_WIDTH = 98
+_MOST = 60_000_000  # numbers in the directions that were fitted; with more samples than that they hardly count
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualExperiment(Frozen):
+    """What a model leaves in one experiment.
+
+    Attributes
+    ----------
+    record : Record or FrequencyRecord
+        The data.
+    residuals : ndarray, shape (T,)
+        Measured output less that of the model, complex for a frequency response; NaN where missing.
+    fit_percent : float
+        As in `compare`, here alone.
+    own_record : bool
+        Whether the model was fitted to these very data.
+    """
+
+    record: Record | FrequencyRecord
+    residuals: NDArray[Any]
+    fit_percent: float
+    own_record: bool
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """What was measured; NaN where missing."""
+        return values_of(self.record)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ResidualAnalysis(Report, Frozen):
+    """What the residuals of a model say; made by `residual_analysis`.
+
+    Attributes
+    ----------
+    label : str
+        Name of the model.
+    verdict : str
+        The verdict, in a few words.
+    message : str
+        What it rests on, in sentences.
+    autocorrelation : ndarray, shape (L,)
+        Autocorrelation of the residuals at lags 1 to L, less its mean for white noise; NaN at lags without a pair.  For
+        a frequency response from point to point, weighted.
+    autocorrelation_band : ndarray, shape (L,)
+        Half the width of the band that holds it with probability `confidence` if the residuals are white.
+    lags : ndarray, shape (2L + 1,)
+        Lags -L to L of `cross_correlation`, in samples.
+    cross_correlation : ndarray, shape (2L + 1,)
+        Correlation of each residual with the input so many samples before it; at negative lags, after it.  NaN where
+        there is no input, as in free motions and frequency responses.
+    cross_correlation_band : ndarray, shape (2L + 1,)
+        Half the width of the band that holds it if the residuals, of whatever colour, know nothing of the input.
+    outside : tuple (int, int)
+        Number of lags at which each correlation leaves its band.
+    expected_outside : tuple (float, float)
+        How many would by chance.
+    ljung_box : float
+        Ljung-Box statistic of lags 1 to L.
+    whiteness : float
+        Its p-value; small means that the residuals are not white.
+    response_p_value : float
+        p-value of no response to the inputs at and before a residual; small means that one is not in the model.
+    feedback_p_value : float
+        p-value of no relation to the inputs after a residual; small means feedback in the recording.
+    offset_p_value : float
+        p-value of a mean of zero in each experiment; for a frequency response, of no constant over frequency.
+    noise_order : int
+        Number of residuals before each that these three tests allow it to depend on; 0 if they look white.
+    confidence : float
+        Probability of the bands; p-values below `1 - confidence` make the verdict.
+    experiments : tuple of ResidualExperiment
+        Data, residuals and fit of each experiment.
+    fit_percent : float
+        As in `compare`, all experiments together.
+    own_record : bool
+        Whether the model was fitted to any of these very data.
+    input_label, output_label : str
+        Names of the signals.
+    """
+
+    label: str
+    verdict: str
+    message: str
+    autocorrelation: Array
+    autocorrelation_band: Array
+    lags: NDArray[np.intp]
+    cross_correlation: Array
+    cross_correlation_band: Array
+    outside: tuple[int, int]
+    expected_outside: tuple[float, float]
+    ljung_box: float
+    whiteness: float
+    response_p_value: float
+    feedback_p_value: float
+    offset_p_value: float
+    noise_order: int
+    confidence: float
+    experiments: tuple[ResidualExperiment, ...]
+    fit_percent: float
+    own_record: bool
+    input_label: str
+    output_label: str
+
+    @property
+    def residuals(self) -> NDArray[Any]:
+        """Measured output less that of the model, all experiments one after the other; NaN where missing."""
+        return _checks.readonly(np.concatenate([one.residuals for one in self.experiments]))
+
+    @property
+    def time(self) -> Array:
+        """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
+        return joined_time([one.record for one in self.experiments])
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
+        return joined_frequencies([one.record for one in self.experiments])
+
+    @property
+    def dt(self) -> float:
+        """Time between samples; raises `StructureError` where the experiments have none, or several."""
+        steps = {one.record.dt for one in self.experiments if isinstance(one.record, Record)}
+        if len(steps) != 1:
+            found = "have steps of their own; use experiments[k].record.dt" if steps else "are frequency responses"
+            raise StructureError(f"there is no step: these experiments {found}")
+        return steps.pop()
+
+    @property
+    def _driven(self) -> bool:
+        return any(isinstance(one.record, Record) and one.record.driven for one in self.experiments)
+
+    @property
+    def _spectral(self) -> bool:
+        return isinstance(self.experiments[0].record, FrequencyRecord)
+
+    def __str__(self) -> str:
+        """Verdict, tests, and what they mean."""
+        L = len(self.autocorrelation)
+        auto, cross = (
+            f"{found} of {total} lags outside {100 * self.confidence:g} % ({expected:.2g} expected)"
+            for found, total, expected in zip(self.outside, (L, 2 * L + 1), self.expected_outside, strict=True)
+        )
+        several = len(self.experiments) > 1
+        data = "these experiments" if several else f"this {'response' if self._spectral else 'record'}"
+        own = f"  (fitted to {data})" * self.own_record
+        lines = [
+            f"Residuals of {self.label!r} on {self.output_label!r}: {self.verdict}",
+            *[f"  experiments                  {len(self.experiments)}, together"] * several,
+            f"  fit                          {percent(self.fit_percent)}{own}",
+            f"  autocorrelation              {auto}",
+            f"  Ljung-Box, {L} lags".ljust(31) + f"{self.ljung_box:.4g}, {p_value(self.whiteness)}",
+        ]
+        if self._driven:
+            lines += [
+                f"  correlation with the input   {cross}",
+                f"  response, lags 0 to {L}".ljust(31) + p_value(self.response_p_value),
+                f"  feedback, lags -{L} to -1".ljust(31) + p_value(self.feedback_p_value),
+            ]
+        mean = "  constant over frequency" if self._spectral else "  mean"
+        lines.append(mean.ljust(31) + p_value(self.offset_p_value))
+        return "\n".join([*lines, "", *(f"  {line}" for line in wrap(self.message, _WIDTH))])
+
+    def plot(self, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
+        """Picture of the correlations with their bands; of a response, the residual over frequency above its own.
+
+        Parameters
+        ----------
+        experiment : int
+            Of several responses, the one whose residual is drawn, counted from 0; correlations are those of all.
+        **kwargs
+            Style as in `fit_plot`, and `ax`: an array of two axes, or one where there is no input.  Over frequency also
+            `time_unit`, `Hz` and `gain_unit`, as in `bode_plot`.
+
+        Returns
+        -------
+        control.ControlPlot
+            `axes` of shape (2, 1): autocorrelation above cross-correlation; (1, 1) for free motions; for responses
+            residual over frequency above autocorrelation.
+
+        Raises
+        ------
+        StructureError
+            If there is no such experiment.
+
+        Examples
+        --------
+        See `residual_analysis`.
+        """
+        one = chosen_experiment(self.experiments, experiment)
+        heading = f"Residuals of {self.label}: {self.verdict}"
+        white = f"Autocorrelation of the residuals (Ljung-Box {p_value(self.whiteness)})"
+        auto = self.autocorrelation, self.autocorrelation_band
+        if isinstance(one.record, FrequencyRecord):
+            titles = (
+                f"Residual over frequency{which_of(experiment, len(self.experiments))}",
+                f"Autocorrelation from point to point (Ljung-Box {p_value(self.whiteness)})",
+            )
+            kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), one.record)
+            return residual_response_plot(
+                one.record.omega, one.measured, one.residuals, *auto,
+                confidence=self.confidence, panel_titles=titles, heading=heading, **kwargs,
+            )  # fmt: skip
+        if not self._driven:
+            return whiteness_plot(*auto, confidence=self.confidence, panel_title=white, heading=heading, **kwargs)
+        across = (
+            f"Correlation with the input (response {p_value(self.response_p_value)}, "
+            f"feedback {p_value(self.feedback_p_value)})"
+        )
+        return correlation_plot(
+            *auto, self.cross_correlation, self.cross_correlation_band,
+            confidence=self.confidence, panel_titles=(white, across), heading=heading, **kwargs,
+        )  # fmt: skip
+
+
+def residual_analysis(
+    data: Any,
+    model: Any,
+    *,
+    dt: Any = None,
+    method: str = "exact",
+    intersample: str = "zoh",
+    initial_state: str = "estimate",
+    offset: bool = False,
+    weights: Any = None,
+    lags: int | None = None,
+    confidence: float = 0.99,
+) -> ResidualAnalysis:
+    """Ask the residuals of a model what it leaves out: dynamics, an offset, coloured noise, or feedback.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
+        One experiment or several, as for `pem`.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
+        modified.
+    model : PEMResult, system of this package, ModalForm, control.StateSpace or control.TransferFunction
+        Model of one input and one output.
+    dt, method, intersample, initial_state, offset, weights
+        As in `compare`.
+    lags : int, optional
+        Largest lag L; by default 25, or a fifth of the observed samples if that is less.
+    confidence : float
+        Probability of the bands, between 0 and 1.
+
+    Returns
+    -------
+    ResidualAnalysis
+        Correlations, bands, p-values and a verdict; its text is a report.
+
+    Raises
+    ------
+    StructureError
+        As `compare`, or if `lags` or `confidence` is out of range.
+
+    See Also
+    --------
+    compare : how much of a record a model explains.
+
+    Notes
+    -----
+    *Autocorrelation.*  Pairs of observed samples only.  What was fitted to this record (the initial state; for a
+    `PEMResult` on its own record all its parameters) takes noise out of the residuals: mean and variance of their
+    correlation are those of white noise without these directions, also in the Ljung-Box statistic, which is the
+    classical one where nothing was fitted and nothing is missing (Ljung and Box, Biometrika 65, 1978).  Like
+    that one it is somewhat too strict on short records: of records of 100 white samples it refuses, with 10 lags, 2.7 %
+    where 1 % are meant.  Beyond 6e7 numbers, samples times parameters, the correction is left out.
+
+    *Correlation with the input.*  The band is `sum_m c_e(m) c_u(m)` with both autocorrelations.  The p-values are those
+    of F tests that regress the residuals on shifted inputs: at lags 0 to L for a response, and beside these at lags -L
+    to -1 for feedback.  They are exact for white Gaussian noise; for coloured residuals their own past is among the
+    regressors (Granger), so that long responses show too.  NaN stands for what the record cannot tell, such as a
+    response under a constant input, or under none.
+
+    *Several experiments* are taken together, each in the scale of its own residuals, since their noise may differ:
+    pairs of samples within each of them are added up, and each may have a mean of its own.
+
+    *Frequency responses.*  Residuals are those of real and imaginary parts, weighted, and lags go from one point to the
+    next.  Noise of neighbouring points is independent where they were measured one by one; spectral estimates with
+    windows that overlap or taper correlate them, which then shows here.  Beside a resonance that a model misses all
+    else would be small, so residuals count up to 6 times their median size.  There is no input to correlate with.
+
+    O(T (n + L)^2), and O(T (n + L)) of memory.
+
+    Examples
+    --------
+    >>> import control as ct, numpy as np, ph_control as phc
+    >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal(400)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    >>> y = y + 0.01 * rng.standard_normal(400)
+    >>> analysis = phc.residual_analysis((u, y), plant, dt=0.1)
+    >>> analysis.verdict
+    'white, and independent of the input'
+    >>> phc.residual_analysis((u, y), ct.tf([1, 0], [1, 0.1, 1]), dt=0.1).verdict
+    'NOT all of the response to the input is in the model'
+    >>> picture = analysis.plot()
+    """
+    check_options(method, intersample, initial_state, offset)
+    records = experiments_to_hold_against(data, dt, [model], weights)
+    (name,) = names_of([model], None)
+    L = _largest_lag(lags, records)
+    level = _checks.level("confidence", confidence)
+    rules = Rules(method, intersample, initial_state, offset)
+    answers = []
+    for place, record in enumerate(records):
+        with in_experiment(place, len(records)):
+            answers.append(answer_to(model, name, record, rules))
+    return _analysed(records, name, answers, L, level)
+
+
+def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
+    longest = max(record.samples for record in records)
+    if lags is None:
+        count = sum(int(record.observed.sum()) for record in records)
+        return max(1, min(_LAGS, count // _SAMPLES_PER_LAG, longest - 1))
+    if not (isinstance(lags, int | np.integer) and not isinstance(lags, bool) and 1 <= lags < longest):
+        raise StructureError(f"lags is {lags!r}; it must be a whole number from 1 to {longest - 1}")
+    return int(lags)
+
+
+def _analysed(
+    records: tuple[Any, ...], name: str, answers: list[Simulation], lags: int, confidence: float
+) -> ResidualAnalysis:
+    left = [values_of(record) - answer.output for record, answer in zip(records, answers, strict=True)]
+    spectral = isinstance(records[0], FrequencyRecord)
+    data, unit = (_over_frequency if spectral else _over_time)(records, left, answers, lags)
+    auto, statistic, whiteness = autocorrelation(data, confidence)
+    driven = bool(data.v.any())
+    cross = cross_correlation(data, confidence) if _have_input(records) else _none(lags)
+    causes = influence(data)
+    largest = max(float(np.nanmax(np.abs(one))) for one in left)
+    size = max(float(np.nanmax(np.abs(a.output[r.observed]))) for a, r in zip(answers, records, strict=True))
+    # rounding of recursions run in doubles grows with the samples
+    rounding = largest <= _checks.EPS * sum(record.samples for record in records) * size
+    findings = Findings(
+        rounding, whiteness, causes, 1 - confidence, driven, _have_input(records), spectral, _means(data, unit, left)
+    )
+    return ResidualAnalysis(
+        label=name, verdict=findings.headline, message=findings.message(),
+        autocorrelation=auto.values, autocorrelation_band=auto.band, lags=cross.lags,
+        cross_correlation=cross.values, cross_correlation_band=cross.band,
+        outside=(auto.outside, cross.outside),
+        expected_outside=((1 - confidence) * auto.expected, (1 - confidence) * cross.expected),
+        ljung_box=statistic, whiteness=whiteness, response_p_value=causes.response, feedback_p_value=causes.feedback,
+        offset_p_value=causes.offset, noise_order=causes.noise_order, confidence=confidence,
+        experiments=tuple(
+            ResidualExperiment(record, residuals, fit_to([(record, answer.output)]), answer.own)
+            for record, residuals, answer in zip(records, left, answers, strict=True)
+        ),
+        fit_percent=fit_to([(record, answer.output) for record, answer in zip(records, answers, strict=True)]),
+        own_record=any(answer.own for answer in answers),
+        input_label=records[0].input_label, output_label=records[0].output_label,
+    )  # fmt: skip
+
+
+def _have_input(records: tuple[Any, ...]) -> bool:
+    return any(isinstance(record, Record) and record.driven for record in records)
+
+
+def _none(lags: int) -> Correlation:
+    """No correlation with an input, where there is none."""
+    unknown = np.full(2 * lags + 1, np.nan)
+    return Correlation(np.arange(-lags, lags + 1), unknown, unknown, np.zeros(2 * lags + 1, int))
+
+
+def _means(data: ResidualData, unit: float, left: list[NDArray[Any]]) -> list[complex]:
+    """Mean of each experiment; of responses with their weights."""
+    levels = [np.where(data.seen[part], data.constant[part], 0.0) for part in data.parts]
+    means = [
+        unit * float(level @ data.e[part]) / float(level @ level or 1.0)
+        for level, part in zip(levels, data.parts, strict=True)
+    ]
+    if len(means) == len(left):
+        return list(means)
+    return [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)]
+
+
+def _over_time(
+    records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
+) -> tuple[ResidualData, float]:
+    """Records one after the other, each in the scale of its own noise, and the unit of all."""
+    unit = max(float(np.nanmax(np.abs(one))) for one in left) or 1.0
+    scales = noise_scales([one / unit for one in left])
+    lengths = tuple(record.samples for record in records)
+    level = np.repeat(1.0 / np.array(scales), lengths)
+    u = np.concatenate([record.u for record in records])
+    # least squares with these weights
+    u = u / (np.max(np.abs(u)) or 1.0) * level
+    shared, local = _directions(answers, [1.0 / scale for scale in scales])
+    residuals = np.concatenate(left) / unit * level
+    return ResidualData(residuals, u, shared, lags, lengths, tuple(local), level), unit
+
+
+def _over_frequency(
+    records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
+) -> tuple[ResidualData, float]:
+    """Real and imaginary parts of each response one after the other, in the scale of weights and noise; the unit."""
+    largest = max(float(np.max(record.weights)) for record in records)
+    scales = [np.sqrt(record.weights / largest) for record in records]
+    quiet = noise_scales([np.abs(scale * one) for scale, one in zip(scales, left, strict=True)])
+    size = max(quiet)
+    scales = [scale * (size / noise) for scale, noise in zip(scales, quiet, strict=True)]
+    weighted = [scale * one for scale, one in zip(scales, left, strict=True)]
+    residuals = np.concatenate([part for one in weighted for part in (one.real, one.imag)])
+    unit = float(np.nanmax(np.abs(residuals))) or 1.0
+    shared, _ = _directions(answers, scales)
+    split = np.split(shared, np.cumsum([record.samples for record in records])[:-1])
+    shared = np.concatenate([part for one in split for part in (one.real, one.imag)])
+    residuals = without_peaks(residuals)
+    lengths = tuple(np.repeat([record.samples for record in records], 2).tolist())
+    local = tuple(np.zeros((length, 0)) for length in lengths)
+    level = np.concatenate([part for scale in scales for part in (scale, scale)])
+    none = np.zeros(len(residuals))
+    return ResidualData(residuals / unit, none, shared, lags, lengths, local, level), unit
+
+
+def _directions(answers: list[Simulation], scales: list[Any]) -> tuple[NDArray[Any], list[Array]]:
+    """What was fitted to all experiments, under one another, and what to each alone; nothing of very long records."""
+    found = [answer.directions() for answer in answers]
+    width = max(one.shared.shape[1] for one in found)
+    if sum(one.shared.size + one.local.size for one in found) > _MOST:
+        return np.zeros((sum(len(one.shared) for one in found), 0)), [one.local[:, :0] for one in found]
+    parts = []
+    for one, scale in zip(found, scales, strict=True):
+        shared = one.shared if one.shared.shape[1] else np.zeros((len(one.shared), width))
+        parts.append(shared * np.reshape(scale, (-1, 1)))
+    return np.concatenate(parts), [one.local for one in found]

@@ -1,0 +1,1 @@
+"""Recordings, frequency tables, JSON and MATLAB files."""

@@ -1,0 +1,230 @@
+"""Models to JSON and back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, BinaryIO, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from .._units import checked_unit, with_unit
+from ..exceptions import FileFormatError, StructureError
+from ..modal.modal_form import ModalForm
+from ..systems.affine import AffineHamiltonian
+from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
+from ..systems.port_hamiltonian import PortHamiltonian
+from .json_format import Fields, as_path, compose, decompose, plain, read_bytes, source_name, write_atomically
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_MOST_PORTS = 1 << 14  # of a document, which may tell any number of a model without modes
+
+
+@dataclass(frozen=True)
+class Codec:
+    """How one kind of object becomes the fields of a document, and comes back.
+
+    `to_dict` may give arrays (real or complex) and nested dicts; `from_dict` takes every field, checked.
+    """
+
+    kind: str
+    type: type
+    to_dict: Callable[[Any], dict[str, Any]]
+    from_dict: Callable[[Fields], Any]
+
+
+def _modes_to_dict(modes: ModalForm) -> dict[str, Any]:
+    return {"ports": modes.nports, "d": modes.d, "nu": modes.nu, "rigid": modes.rigid, "r": modes.r}
+
+
+def _modes_from_dict(fields: Fields) -> ModalForm:
+    ports = fields.integer("ports")
+    if not 1 <= ports <= _MOST_PORTS:
+        raise StructureError(f"ports is {ports}; a model has at least one port, and at most {_MOST_PORTS}")
+    d = fields.array("d", (None,))
+    nu = fields.complex_array("nu", (len(d), ports))
+    rigid = fields.array("rigid", (None, ports))
+    r = fields.array("r", (len(d),) if ports == 1 else (len(d), ports))
+    return ModalForm(d, nu, rigid, r)
+
+
+def system_to_dict(system: PortHamiltonian) -> dict[str, Any]:
+    """Fields of a system: its names, and its matrices or its modes, whichever it was made of."""
+    names = system._names() | ({"time_unit": system.time_unit} if system.time_unit else {})
+    if system._given is None:
+        return {**names, "modes": _modes_to_dict(system.modes)}
+    return {**names, "Q": system.Q, "B": system.B}
+
+
+def system_from_dict(fields: Fields) -> PortHamiltonian:
+    """Restore the system of `system_to_dict`."""
+    names = _names_from_dict(fields)
+    unit = checked_unit(fields.text("time_unit")) if "time_unit" in fields else None
+    if "modes" in fields:
+        return with_unit(PortHamiltonian._from_modes(_modes_from_dict(fields.nested("modes")), **names), unit)
+    return with_unit(PortHamiltonian(fields.array("Q", (None, None)), fields.array("B", (None, None)), **names), unit)
+
+
+def _names_from_dict(fields: Fields) -> dict[str, Any]:
+    names: dict[str, Any] = {key: fields.texts(key) for key in ("inputs", "outputs", "states")}
+    return names | {"name": fields.text("name")}
+
+
+def _parameters_to_dict(system: Any) -> dict[str, Any]:
+    """Fields of a canonical form."""
+    return {**system._names(), "d": system.d, "v": system.v}
+
+
+def _parameters_codec(kind: type[Any]) -> Codec:
+    def restore(fields: Fields) -> Any:
+        return kind(fields.array("d", (None,)), fields.array("v", (None,)), **_names_from_dict(fields))
+
+    return Codec(kind.__name__, kind, _parameters_to_dict, restore)
+
+
+def _affine_to_dict(system: AffineHamiltonian) -> dict[str, Any]:
+    return {**system._names(), "Q": system.Q, "B": system.C.T.copy()}
+
+
+def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
+    matrices = (fields.array(key, (None, None)) for key in "QB")
+    return AffineHamiltonian(*matrices, **_names_from_dict(fields))
+
+
+# how each kind is written, or the module above this one that tells it, imported when the kind is first met
+_CODECS: dict[str, Codec | str] = {
+    "PortHamiltonian": Codec("PortHamiltonian", PortHamiltonian, system_to_dict, system_from_dict),
+    "ModalForm": Codec("ModalForm", ModalForm, _modes_to_dict, _modes_from_dict),
+    "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
+    "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),
+    "AffineHamiltonian": Codec("AffineHamiltonian", AffineHamiltonian, _affine_to_dict, _affine_from_dict),
+    "PEMResult": "ph_control.identification.fit.serialization",
+}
+
+_NO_DOCUMENTS = (".mat", ".csv", ".txt")  # suffixes of what other programs expect something else in
+
+
+def _codec(kind: str) -> Codec | None:
+    return import_module(found).CODEC if isinstance(found := _CODECS.get(kind), str) else found
+
+
+def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write a model to a JSON file.
+
+    Parameters
+    ----------
+    obj : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, ModalForm or PEMResult
+        The model.
+    path : str or path-like
+        The file, `.json` by custom.
+    overwrite : bool, optional
+        Whether a file of that name may be replaced.
+
+    Raises
+    ------
+    OutputExistsError
+        If the file exists and `overwrite` is False or it is read-only, or the path is a folder, a device, a pipe or a
+        socket.  Nothing is written then.
+    FileNotFoundError
+        If the folder does not exist (an error of this package as well).
+    StructureError
+        If the object is of another kind, or holds what `load` would refuse, or the path cannot be the name of a file
+        or is that of a MATLAB or text file, `.mat`, `.csv` or `.txt`, which this would not be.
+    PermissionError
+        If the folder cannot be written.
+
+    Notes
+    -----
+    Every number comes back bit by bit, with all names; a system made from modes stays one.  The file appears whole
+    or not at all; one that is replaced keeps its permissions, and one with several names (hard links) is written in
+    place.  Its content is described in `docs/files.md`.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, ph_control as phc
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "model.json")
+    ...     phc.save(phc.modes([1.0, 3.0], [0.5, 0.25]), path)
+    ...     phc.load(path)
+    modes([1.0, 3.0], [0.5, 0.25])
+    """
+    _checks.flags(overwrite=overwrite)
+    target = as_path(path)
+    if target.suffix.lower() in _NO_DOCUMENTS:
+        raise StructureError(
+            f"{target} would hold JSON, which a {target.suffix} file does not; end its name in .json, and write other "
+            f"formats by `ph-control convert {target.stem}.json {target.name}`"
+        )
+    write_atomically(target, document_of(obj), overwrite=overwrite)
+
+
+def document_of(obj: Any) -> str:
+    """Text that `save` writes."""
+    # the class itself: a subclass would come back as its base
+    codec = _codec(type(obj).__name__)
+    if codec is None or type(obj) is not codec.type:
+        raise StructureError(
+            f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
+            "a lossless system of another type can be converted with ph(sys)"
+        )
+    text = compose(codec.kind, plain(codec.to_dict(obj)))
+    try:
+        restore(text.encode(), codec.kind)
+    except FileFormatError as error:
+        raise StructureError(f"this {codec.kind} cannot be saved, because it could not be loaded: {error}") from None
+    return text
+
+
+def load(path: str | os.PathLike[str] | BinaryIO | TextIO) -> Any:
+    """Read a model that `save` has written.
+
+    Parameters
+    ----------
+    path : str, path-like, or file object open for reading
+        The file.
+
+    Returns
+    -------
+    PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, ModalForm or PEMResult
+        What was saved, bit by bit.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is not JSON, damaged, cut short, of another program, of a newer schema or of an unknown kind,
+        or if its values are not a valid model.  The message says which, and where.
+    FileNotFoundError
+        If there is no such file (an error of this package as well).
+
+    Notes
+    -----
+    Every field is checked: present, of its type and shape, finite, and valid as a whole; nothing in the file is
+    ever executed.  A checksum finds changed digits.
+
+    Examples
+    --------
+    See `save`.
+    """
+    return restore(read_bytes(path), source_name(path))
+
+
+def restore(content: bytes, name: str) -> Any:
+    """Object of a document; `name` is its file, for the errors."""
+    kind, fields = decompose(content, name)
+    codec = _codec(kind)
+    if codec is None:
+        raise FileFormatError(f"{name} holds a {kind!r}; this version of ph_control reads {str([*_CODECS])[1:-1]}")
+    try:
+        restored = codec.from_dict(fields)
+    except FileFormatError:
+        raise
+    except ValueError as error:
+        raise FileFormatError(f"{name} holds no valid {kind}: {error}") from None
+    fields.done()
+    return restored

@@ -1,0 +1,453 @@
+"""Text tables: from the bytes of a file to columns of doubles, with errors that point at the place.
+
+`read_table` finds out how a file is laid out; `Table.columns` parses the columns that are wanted.  Clean blocks of
+lines go through `numpy.loadtxt`; only a block that it refuses is read field by field, to fill in what is missing and
+to say what is wrong.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import difflib
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from .._units import known_unit
+from ..exceptions import FileFormatError, StructureError
+from .json_format import read_bytes, source_name
+
+Array = NDArray[np.float64]
+
+_BLOCK = 1024  # lines parsed at once: what one missing value costs
+_SAMPLE = 20  # lines that the layout is judged by
+_COMMENTS = ("#", "%")
+_MISSING = frozenset(
+    ["", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "?", "nan(ind)", "-nan(ind)", "1.#qnan",
+     "-1.#ind"]
+)  # fmt: skip
+_NUMBER = {
+    ".": re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?"),
+    ",": re.compile(r"[+-]?([0-9]+(,[0-9]*)?|,[0-9]+)([eE][+-]?[0-9]+)?"),
+}
+_LAYOUTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","), (",", ","))
+_SPELLED = {" ": "white space", "\t": "tab", ",": "comma", ";": "semicolon"}
+# control characters that no text table holds; tab, line feed, form feed and carriage return are text
+_CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
+_JOIN = "\x1f"  # one of them, so never part of a field
+_SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+)")  # a unit without brackets
+_HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
+
+_UNIT_NAME = (
+    r"(?:(?:da|[YZEPTGMkhcdmuµμnpf])?(?:mol|cd|Pa|Hz|Wb|bar|rad|ohm|Ohm|Ω|sr|eV|min|sec|dB|[mgsAKNJWVCFSHTlLth])"
+    r"|°[CF]?|deg|degC|%|rpm|in|ft|lb|lbf|psi|hours?|minutes?|(?:milli|micro|nano)?seconds?|met(?:er|re)s?|newtons?"
+    r"|volts?|amperes?|pascals?|radians?|degrees?|kelvins?|counts?)"
+)
+_UNIT_FACTOR = _UNIT_NAME + r"(?:(?:\^|\*\*)?\(?[+-]?[0-9]\)?|[⁻]?[⁰¹²³⁴-⁹])?"
+_UNIT = re.compile(rf"(?:1/|√)?{_UNIT_FACTOR}(?:\s*[*·.⋅/ ]\s*(?:√|\()?{_UNIT_FACTOR}\)?){{0,5}}")
+_REAL = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_COMPLEX = re.compile(
+    rf"(?:\(\s*)?(?<![0-9.])[+-]?{_REAL}\s*[+-]\s*[+-]?(?:{_REAL}\s*(?:\*\s*)?[ij]|[ij]\*?{_REAL})(?![A-Za-z0-9])\)?"
+    rf"|\(\s*[+-]?{_REAL}\s*[,;]\s*[+-]?{_REAL}\s*\)"
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A text table: its rows as lines of text, and how to read them."""
+
+    path: str
+    labels: tuple[str, ...] | None
+    width: int
+    rows: list[str]
+    line_numbers: list[int]
+    delimiter: str
+    decimal: str
+
+    def columns(self, wanted: Sequence[int]) -> Array:
+        """Parse the wanted columns: shape (number wanted, number of rows), NaN where a value is missing."""
+        out = np.empty((len(wanted), len(self.rows)))
+        for start in range(0, len(self.rows), _BLOCK):
+            stop = min(start + _BLOCK, len(self.rows))
+            out[:, start:stop] = self._block(start, stop, wanted)
+        return out
+
+    def _block(self, start: int, stop: int, wanted: Sequence[int]) -> Array:
+        rows = self.rows[start:stop]
+        if not any('"' in row for row in rows):
+            values = _numbers(rows, self.delimiter, wanted, self.decimal)
+            if values is not None:
+                return values
+        table = [self.split(row) for row in rows]
+        cells = [_JOIN.join("nan" if _is_missing(fields[j]) else fields[j] for j in wanted) for fields in table]
+        values = _numbers(cells, _JOIN, range(len(wanted)), self.decimal)
+        if values is None:
+            values = np.array([[self._value(start + k, j, f[j]) for k, f in enumerate(table)] for j in wanted])
+        return values
+
+    def _value(self, row: int, column: int, field: str) -> float:
+        text = field.strip()
+        if _is_missing(text):
+            return np.nan
+        if _NUMBER[self.decimal].fullmatch(text):
+            value = float(text.replace(",", "."))
+            if np.isfinite(value):
+                return value
+        if _COMPLEX.fullmatch(text):
+            raise FileFormatError(f"{self.at(row, column)}: {_complex(text)}")
+        hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
+        raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
+
+    def split(self, row: str) -> list[str]:
+        """Fields of a row."""
+        return _split(row, self.delimiter)
+
+    def at(self, row: int, column: int) -> str:
+        """Name a place: file, line and column."""
+        return f"{self.path}, line {self.line_numbers[row]}, {self.name(column)}"
+
+    def name(self, column: int) -> str:
+        """Name a column: its number and its label."""
+        label = self.labels[column] if self.labels else ""
+        return f"column {column} ({label!r})" if label else f"column {column}"
+
+    def listing(self) -> str:
+        """Say which columns there are."""
+        if self.labels is None:
+            return f"the file has {self.width} columns without names; choose by number, 0 to {self.width - 1}"
+        shown = [f"{j} {label!r}" for j, label in enumerate(self.labels[:30])]
+        more = [f"and {self.width - 30} more"] if self.width > 30 else []
+        return "the columns are " + ", ".join(shown + more)
+
+    def find(self, wanted: Any, role: str) -> int:
+        """Number of a column that the caller chose by label or number; `role` is the name of the argument."""
+        if isinstance(wanted, int | np.integer) and not isinstance(wanted, bool):
+            if not 0 <= wanted < self.width:
+                raise StructureError(f"{self.path}: {role}: there is no column number {wanted}; {self.listing()}")
+            return int(wanted)
+        if not isinstance(wanted, str):
+            raise StructureError(f"{role} is {wanted!r}; give the label of a column or its number, counted from 0")
+        matches = self._labelled(wanted)
+        if len(matches) > 1:
+            numbers = " and ".join(map(str, matches))
+            raise StructureError(f"{self.path}: {role}: columns {numbers} are all called {wanted!r}; choose by number")
+        if matches:
+            return matches[0]
+        if wanted.isdecimal():
+            return self.find(int(wanted), role)
+        close = difflib.get_close_matches(wanted, self.labels or (), 1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise StructureError(f"{self.path}: {role}: there is no column called {wanted!r}; {self.listing()}{hint}")
+
+    def _labelled(self, wanted: str) -> list[int]:
+        """Columns of that label: literally, else without its unit, else without regard to case."""
+        labels = self.labels or ()
+        for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
+            target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
+            matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
+            if matches:
+                return matches
+        return []
+
+
+def is_time_label(label: str) -> bool:
+    """Whether a column of this label holds instants; a capital T is as often a temperature or a torque."""
+    bare, _ = _name_and_unit(label)
+    return bare == "t" or bare.casefold() in ("time", "times", "timestamp")
+
+
+def unit_of_time(label: str) -> str | None:
+    """Unit of time that a label tells, as `Time (ms)`, `t [s]`, `t / h`, `time/us` or `time_min` do; or None."""
+    return known_unit(_name_and_unit(label)[1])
+
+
+def _name_and_unit(label: str) -> tuple[str, str]:
+    """Label without its unit, and the unit; one that no bracket sets off must be a unit of time."""
+    bare = without_unit(label)
+    if bare == label.strip() and (found := _SUFFIX.fullmatch(bare)) and known_unit(found[2]):
+        return found[1], found[2]
+    return bare, label.strip()[len(bare) :].strip(" []()/")
+
+
+def without_unit(label: str) -> str:
+    """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
+    return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
+
+
+def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:
+    """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
+    _check_layout(header, delimiter, decimal)
+    name = source_name(path)
+    lines = _lines(read_bytes(path), name)
+    content = _content(lines, None)
+    if not content:
+        found = "holds only comments" if any(line.strip() for line in lines) else "is empty"
+        raise FileFormatError(f"{name} {found}; it needs rows of numbers")
+    announced = re.fullmatch(r'"?sep=(.)"? *', lines[content[0]])
+    if announced:
+        delimiter, lines[content[0]] = delimiter or announced[1], ""
+        content = content[1:]
+    sample = [lines[k] for k in content[:_SAMPLE]]
+    _refuse_complex(name, sample, content)
+    delimiter = _delimiter(sample, delimiter, decimal)
+    if delimiter == "\t":
+        # a line of tabs is a row of missing values, not a blank line
+        content = _content(lines, " ")
+    while content and not lines[content[-1]].strip(delimiter + ' \t"'):
+        content.pop()
+    rows, numbers = [lines[k] for k in content], [k + 1 for k in content]
+    decimal = _decimal(rows, delimiter) if decimal is None else decimal
+    labels = None
+    if rows and _has_header(name, rows, numbers, delimiter, decimal, header):
+        labels = tuple(_header_fields(rows.pop(0), delimiter))
+        header_line = numbers.pop(0)
+        if not rows:
+            raise FileFormatError(f"{name} has a header in line {header_line} and no rows of numbers below it")
+        units = _units(labels, rows, delimiter, decimal)
+        if units:
+            labels = tuple(f"{a} [{b}]" if a and b else a for a, b in zip(labels, units, strict=True))
+            del rows[0], numbers[0]
+    if not rows:
+        raise FileFormatError(f"{name} has no rows of numbers")
+    width = _width(name, rows, numbers, delimiter, labels)
+    if labels is None and header is None:
+        labels = _labels_in_comment(lines, numbers[0] - 1, delimiter, width)
+    return Table(name, labels and labels[:width], width, rows, numbers, delimiter, decimal)
+
+
+def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
+    if header is not None and not _checks.is_flag(header):
+        raise StructureError(f"header is {_checks.shown(header)}; it must be True, False or None")
+    if delimiter is not None and (not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\n\r.'):
+        raise StructureError(f"delimiter is {delimiter!r}; it must be one character, such as ',' or ';' or a tab")
+    if decimal is not None:
+        _checks.choice("decimal", decimal, (".", ","))
+
+
+def _content(lines: list[str], blanks: str | None) -> list[int]:
+    """Indices of the lines that are neither blank nor comments."""
+    return [k for k, line in enumerate(lines) if line.strip(blanks) and not line.lstrip().startswith(_COMMENTS)]
+
+
+def _lines(data: bytes, name: str) -> list[str]:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        with suppress(UnicodeDecodeError):
+            data = data.decode("utf-16").encode()
+    if len(data.translate(None, _CONTROL)) < len(data):
+        raise FileFormatError(f"{name} is not a text file: it holds bytes that no text has; export it as CSV")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # an older Western encoding; numbers are ASCII in all of them, and units such as ° and µ come out right
+        text = data.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _numbers(rows: list[str], delimiter: str, wanted: Sequence[int], decimal: str) -> Array | None:
+    """Columns of rows by numpy, or None where they hold more than plain finite numbers and NaN."""
+    if decimal == ",":
+        text = "\n".join(rows)
+        if "." in text or delimiter == ",":
+            return None
+        rows = text.replace(",", ".").split("\n")
+    try:
+        values = np.loadtxt(
+            rows, delimiter=None if delimiter == " " else delimiter, usecols=wanted, comments=None, ndmin=2
+        )
+    except ValueError:
+        return None
+    return None if np.isinf(values).any() else values.T
+
+
+def _is_missing(field: str) -> bool:
+    return field.strip().casefold() in _MISSING
+
+
+def _split(row: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return row.split()
+    if '"' in row:
+        # a field that is longer than the module allows is no number: quotes that are never closed are letters
+        with suppress(csv.Error):
+            return next(csv.reader([row], delimiter=delimiter, skipinitialspace=True))
+    return row.split(delimiter)
+
+
+def _header_fields(row: str, delimiter: str) -> list[str]:
+    fields = _HEADER_WORD.findall(row) if delimiter == " " else _split(row, delimiter)
+    return [field.strip().strip('"').strip() for field in fields]
+
+
+def _kinds(fields: Sequence[str], decimal: str) -> str:
+    """One letter for each field: number, missing or text."""
+    stripped = [field.strip() for field in fields]
+    return "".join(
+        "m" if _is_missing(field) else "n" if _NUMBER[decimal].fullmatch(field) else "t" for field in stripped
+    )
+
+
+def _delimiter(sample: list[str], delimiter: str | None, decimal: str | None) -> str:
+    """Separator that splits the sample into the most numbers; of those, into the fewest other fields."""
+    if delimiter is not None:
+        return " " if delimiter.isspace() and delimiter != "\t" else delimiter
+
+    def score(layout: tuple[str, str]) -> tuple[int, int]:
+        kinds = "".join(_kinds(_split(row, layout[0]), layout[1]) for row in sample)
+        return kinds.count("n"), -kinds.count("t")
+
+    best = max((layout for layout in _LAYOUTS if decimal in (None, layout[1])), key=score)
+    if score(best)[0]:
+        return best[0]
+    # no numbers at all: only the words for the error are at stake
+    return next((sign for sign in (";", "\t", ",") if sign in sample[0]), " ")
+
+
+def _decimal(rows: list[str], delimiter: str) -> str:
+    """Decimal sign of the first number that has one."""
+    for row in rows:
+        # in a file with commas between the fields only a quoted number can have a decimal comma
+        if (delimiter != "," or '"' in row) and ("," in row or "." in row):
+            for field in map(str.strip, _split(row, delimiter)):
+                if "," in field and _NUMBER[","].fullmatch(field):
+                    return ","
+                if "." in field and _NUMBER["."].fullmatch(field):
+                    return "."
+    return "."
+
+
+def _has_header(
+    path: str, rows: list[str], numbers: list[int], delimiter: str, decimal: str, header: bool | None
+) -> bool:
+    if header is not None:
+        return header
+    first = _kinds(_header_fields(rows[0], delimiter), decimal)
+    if "t" not in first:
+        return False
+    if "n" not in first or (len(rows) > 1 and _kinds(_split(rows[1], delimiter), decimal) == first):
+        return "n" not in first
+    fields = _header_fields(rows[0], delimiter)
+    word, number = fields[first.index("t")], fields[first.index("n")]
+    raise FileFormatError(
+        f"{path}, line {numbers[0]} is neither a header nor a row of numbers: {number!r} in column {first.index('n')} "
+        f"is a number, {word!r} in column {first.index('t')} is not; correct it, or pass header=True or header=False"
+    )
+
+
+def _units(labels: Sequence[str], rows: list[str], delimiter: str, decimal: str) -> list[str] | None:
+    """Units of the columns if the row below the labels holds nothing else, without any doubt; else None."""
+    if any(without_unit(label) != label for label in labels) or len(rows) < 2:
+        return None
+    fields = [field.strip().strip('"').strip() for field in _split(rows[0], delimiter)]
+    if len(fields) == len(labels) + 1 and not fields[-1]:
+        fields.pop()
+    elif len(fields) == len(labels) - 1 and not labels[-1]:
+        fields.append("")
+    units = ["" if field == "-" else re.sub(r"^(?:\[(.*)\]|\((.*)\))$", r"\1\2", field).strip() for field in fields]
+    if len(units) != len(labels) or not any(units) or not all(_is_unit(unit) for unit in units if unit):
+        return None
+    # a column with a unit holds numbers: letters above letters are a row of the table
+    below = [_kinds(_split(row, delimiter), decimal) for row in rows[1:_SAMPLE]]
+    for column, unit in enumerate(units):
+        kinds = {row[column : column + 1] for row in below}
+        if unit and not {"n"} <= kinds <= {"n", "m"}:
+            return None
+    return units
+
+
+def _is_unit(text: str) -> bool:
+    return len(text) <= 30 and _UNIT.fullmatch(text) is not None
+
+
+def _refuse_complex(path: str, sample: list[str], content: list[int]) -> None:
+    """Refuse a table with complex numbers and at most one column of others beside them, which is no recording."""
+    hits = [k for k, line in enumerate(sample) if _COMPLEX.search(line)]
+    # the first two rows may be labels and units
+    if not hits or hits[0] > 2 or hits != list(range(hits[0], len(sample))):
+        return
+    for k in hits:
+        rest = re.split(r"[,;\s]+", _COMPLEX.sub(" ", sample[k]))
+        if sum(_NUMBER["."].fullmatch(word) is not None for word in rest) > 1:
+            return
+    found = _COMPLEX.search(sample[hits[0]])
+    assert found is not None
+    raise FileFormatError(f"{path}, line {content[hits[0]] + 1}: {_complex(found[0])}")
+
+
+def _complex(text: str) -> str:
+    return (
+        f"{text!r} is a complex number; a table of these is perhaps a measured frequency response, not a recording in "
+        "time: pass the signals themselves, sampled in time, or give real and imaginary part a column each for "
+        "read_frequency_csv"
+    )
+
+
+def _labels_in_comment(lines: list[str], first: int, delimiter: str, width: int) -> tuple[str, ...] | None:
+    """Labels in a comment right above the numbers, as `numpy.savetxt` writes them."""
+    above = lines[first - 1].strip() if first else ""
+    if not above.startswith(_COMMENTS):
+        return None
+    text = above.lstrip("#% \t")
+    # the comment need not be separated as the numbers are: words may be, with or without commas, between white space
+    words = [label.rstrip(",;") for label in _header_fields(text, " ")]
+    for labels in (_header_fields(text, delimiter), words) if delimiter != " " else (words,):
+        if _kinds(labels, ".") == width * "t":
+            return tuple(labels)
+    return None
+
+
+def _width(path: str, rows: list[str], numbers: list[int], delimiter: str, labels: tuple[str, ...] | None) -> int:
+    """Number of columns; an error if a row has another one.  An empty field at the end may be there or not."""
+    sizes = [_size(row, delimiter) for row in rows]
+    full, spare = sizes[0]
+    if labels is not None:
+        width = len(labels)
+        if labels[-1] == "" and all(size == (width, True) for size in set(sizes)):
+            width -= 1
+    else:
+        width = full - 1 if spare and all(empty for _, empty in set(sizes)) else full
+    allowed = {(width, False), (width, True), (width + 1, True)}
+    if width == 0 or set(sizes) <= allowed:
+        return width
+    row = next(k for k, size in enumerate(sizes) if size not in allowed)
+    reference = "the header has" if labels is not None else f"line {numbers[0]} has"
+    raise FileFormatError(
+        f"{path}, line {numbers[row]}: {_count(sizes[row][0], 'field')}, but {reference} {width} (separator: "
+        f"{_SPELLED.get(delimiter, repr(delimiter))}); complete the row, put # in front of a line that is no part of "
+        "the table, or pass delimiter= if the separator is another"
+    )
+
+
+def _size(row: str, delimiter: str) -> tuple[int, bool]:
+    """Number of fields of a row, and whether the last is empty."""
+    if delimiter == " ":
+        return len(row.split()), False
+    if '"' in row:
+        fields = _split(row, delimiter)
+        return len(fields), not fields[-1].strip()
+    return row.count(delimiter) + 1, row.rstrip(" ").endswith(delimiter)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _what_is_wrong(text: str, decimal: str) -> str:
+    other = "." if decimal == "," else ","
+    shown = repr(text if len(text) <= 60 else text[:57] + "...")
+    if other in text and _NUMBER[other].fullmatch(text):
+        signs = {".": "a decimal point", ",": "a decimal comma"}
+        return f"{shown} has {signs[other]}, but the numbers above have {signs[decimal]}; use one of them throughout"
+    if _NUMBER[decimal].fullmatch(text) or text.casefold().lstrip("+-") in ("inf", "infinity"):
+        return (
+            f"{shown} is not finite, or too large for a double; correct it, or leave the field empty if it is missing"
+        )
+    if re.match(r"[0-9]+[:/-][0-9]", text):
+        return f"{shown} is a date or a time of day; convert it to a number first, such as seconds from the start"
+    return f"{shown} is not a number; correct it, or leave the field empty if the value is missing"

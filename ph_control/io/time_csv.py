@@ -1,0 +1,261 @@
+"""Recordings: text tables become time responses of python-control."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, TextIO
+
+import numpy as np
+from control import TimeResponseData
+from numpy.typing import NDArray
+
+from .. import _checks
+from .._units import checked_unit, with_unit
+from ..analysis.time_grid import printed_step
+from ..exceptions import FileFormatError, StructureError
+from .text_table import Table, is_time_label, read_table, unit_of_time
+
+Array = NDArray[np.float64]
+Column = int | str
+
+_DRIFT = 0.01  # of a step: how far two grids may part over the record and still be the same
+
+
+def read_csv(
+    path: str | os.PathLike[str] | BinaryIO | TextIO,
+    *,
+    input: Column | Sequence[Column] | bool | None = None,
+    output: Column | Sequence[Column] | None = None,
+    time: Column | bool | None = None,
+    dt: float | None = None,
+    time_unit: str | None = None,
+    header: bool | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> TimeResponseData:
+    r"""Read a recording from a text table (CSV, TSV or columns between white space).
+
+    Parameters
+    ----------
+    path : str, path-like, or file object open for reading
+        The file.
+    input, output : str, int, or a list of these, optional
+        Columns of the input and the output: by label, or by number counted from 0 over all columns of the file.
+        A label matches with or without its unit and, failing that, without regard to case; digits that are no
+        label are a number.  `input=False` says that there is no input, as in a free decay.
+        Default: the one remaining column; with neither given and two columns left, the first is the input and the
+        second the output.
+    time : str, int or False, optional
+        Column of the time.  Default: the one labelled `t`, `time`, `timestamp` or the like, with or without unit.
+        `time=False` says that no column is the time, and needs `dt`.
+    dt : float, optional
+        Time between samples.  Needed if there is no time column; if there is one, the two must agree.
+    time_unit : {'ns', 'us', 'ms', 's', 'min', 'h'}, optional
+        Unit of the time, and of `dt`.  Default: the one in the label of its column, as in `Time (ms)`, `t [s]`, `t / h`
+        or `time_us`; not known where that tells none.
+    header : bool, optional
+        Whether the first row holds labels.  Default: it does if none of its fields is a number.
+    delimiter : str, optional
+        Separator of the fields; `" "` is any white space.  Default: found from the first rows.
+    decimal : {".", ","}, optional
+        Decimal sign.  Default: found from the rows.
+
+    Returns
+    -------
+    control.TimeResponseData
+        `time` (N,), `inputs` and `outputs` as python-control squeezes them, with the labels of the columns.  The
+        time is the exactly uniform grid through the instants in the file, in their unit, which its attribute
+        `time_unit` tells: nothing is converted, so a fit to a file in ms has its frequencies in rad/ms, and tells
+        them in Hz too.  Missing outputs are NaN.
+
+    Raises
+    ------
+    FileFormatError
+        If the content is not such a table; it names line and column, what was found and what to do.  A missing
+        input or time, unequal sampling, and a file of fewer than two rows are such errors too.
+    StructureError
+        If the arguments do not fit the file, such as a column that it does not have.
+    FileNotFoundError
+        If there is no such file (an error of this package as well).
+
+    Notes
+    -----
+    Blank lines and lines that start with `#` or `%` are skipped; labels may be in such a line right above the
+    numbers.  Empty fields, NaN, NA, N/A, null, none, `-` and `?` are missing values.  Columns that are not asked
+    for may hold anything.  The instants may be off the grid by a hundredth of a step, as rounding in print makes
+    them; the step is the shortest decimal number, or rate, within the uncertainty of a straight line through them.
+    A few seconds for a million rows.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, ph_control as phc
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "recording.csv")
+    ...     _ = path.write_text("t [s],force [N],velocity [m/s]\n0.0,1.0,0.0\n0.1,0.0,0.2\n0.2,0.0,\n")
+    ...     data = phc.read_csv(path, input="force", output="velocity")
+    >>> data.time.tolist(), data.inputs.tolist(), data.outputs.tolist()
+    ([0.0, 0.1, 0.2], [1.0, 0.0, 0.0], [0.0, 0.2, nan])
+    >>> data.output_labels, data.time_unit
+    (['velocity [m/s]'], 's')
+    """
+    step = None if dt is None else _checks.sampling_step(dt)
+    unit = checked_unit(time_unit)
+    table = read_table(path, header, delimiter, decimal)
+    clock = _time_column(table, time, step)
+    inputs, outputs = _signal_columns(table, clock, input, output)
+    if len(table.rows) < 2:
+        raise FileFormatError(
+            f"{table.path} has one row of numbers (line {table.line_numbers[0]}); "
+            "a recording needs at least two samples"
+        )
+    values = table.columns([*([] if clock is None else [clock]), *inputs, *outputs])
+    if clock is not None:
+        instants, values = values[0], values[1:]
+        _refuse_missing(table, instants, clock, "the time")
+        grid = _uniform_grid(table, instants, clock, step)
+    else:
+        assert step is not None
+        grid = step * np.arange(len(table.rows), dtype=float)
+    if unit is None and clock is not None and table.labels:
+        unit = unit_of_time(table.labels[clock])
+    u, y = values[: len(inputs)], values[len(inputs) :]
+    for column, signal in zip(inputs, u, strict=True):
+        _refuse_missing(table, signal, column, "the input")
+    for column, signal in zip(outputs, y, strict=True):
+        if np.isnan(signal).all():
+            raise FileFormatError(f"{table.path}: {table.name(column)} has no values at all; choose another output")
+    found = TimeResponseData(
+        grid,
+        y,
+        inputs=u if inputs else None,
+        issiso=len(outputs) == 1 and len(inputs) <= 1,
+        input_labels=_signal_labels(table, inputs, "u"),
+        output_labels=_signal_labels(table, outputs, "y"),
+        title=Path(table.path).name,
+    )
+    return with_unit(found, unit)
+
+
+def _time_column(table: Table, time: Any, step: float | None) -> int | None:
+    """Number of the time column, or None where `dt` takes its place."""
+    if time is not None and time is not False:
+        return table.find(time, "time")
+    found = [] if time is False else [j for j in range(table.width) if table.labels and is_time_label(table.labels[j])]
+    if len(found) > 1:
+        names = " and ".join(table.name(j) for j in found)
+        raise StructureError(f"{table.path}: {names} may both be the time; choose with time=")
+    if found:
+        return found[0]
+    if step is None:
+        raise StructureError(
+            f"{table.path}: no column is the time; name it with time=, or give the time between samples with dt= "
+            f"({table.listing()})"
+        )
+    return None
+
+
+def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) -> tuple[list[int], list[int]]:
+    """Numbers of the input and output columns."""
+    if isinstance(output, bool) or input is True:
+        name, value = ("input", input) if input is True else ("output", output)
+        raise StructureError(f"{name} is {value}; give the label of a column or its number, counted from 0")
+    inputs = [] if input is False else _chosen(table, input, "input")
+    outputs = _chosen(table, output, "output")
+    taken = [*([] if clock is None else [clock]), *(inputs or []), *(outputs or [])]
+    for column in taken:
+        if taken.count(column) > 1:
+            raise StructureError(f"{table.path}: {table.name(column)} is chosen twice among time, input and output")
+    rest = [j for j in range(table.width) if j not in taken]
+    missing = [name for name, columns in (("input", inputs), ("output", outputs)) if columns is None]
+    if len(rest) != len(missing) and missing:
+        asked = " and ".join(f"{name}=" for name in missing)
+        enough = inputs is not None or len(rest) > len(missing)
+        free = "" if enough else ", or pass input=False if the recording has no input"
+        raise StructureError(
+            f"{table.path}: which column is the {' and which the '.join(missing)}? {len(rest)} of {table.width} "
+            f"columns are left to choose from; say which with {asked}{free} ({table.listing()})"
+        )
+    if inputs is None:
+        inputs = [rest.pop(0)]
+    if outputs is None:
+        outputs = [rest.pop(0)]
+    return inputs, outputs
+
+
+def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
+    if wanted is None:
+        return None
+    if isinstance(wanted, list | tuple):
+        if not wanted:
+            hint = "; pass input=False for a recording without input" if role == "input" else ""
+            raise StructureError(f"{role} is an empty list; name at least one column{hint}")
+        return [table.find(one, role) for one in wanted]
+    return [table.find(wanted, role)]
+
+
+def _signal_labels(table: Table, columns: list[int], prefix: str) -> list[str] | None:
+    labels = [table.labels[j] if table.labels else "" for j in columns]
+    return [label or f"{prefix}[{k}]" for k, label in enumerate(labels)] or None
+
+
+def _refuse_missing(table: Table, values: Array, column: int, what: str) -> None:
+    missing = np.isnan(values)
+    if missing.any():
+        row = int(np.argmax(missing))
+        found = table.split(table.rows[row])[column].strip()
+        raise FileFormatError(
+            f"{table.at(row, column)}: {what} is missing ({repr(found) if found else 'the field is empty'}; "
+            f"{int(missing.sum())} of {len(values)} rows); only outputs may be missing: fill in {what} or cut the "
+            "recording there"
+        )
+
+
+def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) -> Array:
+    """The uniform grid that instants in print stand for."""
+    try:
+        _checks.time_vector(instants)
+    except StructureError:
+        raise FileFormatError(_why_not_uniform(table, instants, column)) from None
+    step, count = printed_step(instants), len(instants)
+    if dt is not None:
+        if abs(dt - step) * (count - 1) > _DRIFT * step:
+            raise StructureError(
+                f"{table.path}: dt is {dt:.9g}, but the step of {table.name(column)} is {step:.9g}; leave dt out, "
+                "or pass time=False if that column is not the time in the wanted unit"
+            )
+        step = dt
+    return instants[0] + step * np.arange(count)
+
+
+def _why_not_uniform(table: Table, t: Array, column: int) -> str:
+    gaps = np.diff(t)
+    median = float(np.median(gaps))
+    backwards = gaps <= 0
+    k = int(np.argmax(backwards)) if backwards.any() else int(np.argmax(np.abs(gaps - median)))
+    place = f"{table.at(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in line {table.line_numbers[k]}"
+    if backwards.any():
+        return f"{place}; it must increase: sort the rows, and drop repeats"
+    return (
+        f"{place}: a step of {gaps[k]:.6g}, where the median is {median:.6g}; the sampling must be uniform to a "
+        f"hundredth of a step: {_how_to_mend(gaps, median, k)}"
+    )
+
+
+def _how_to_mend(gaps: Array, median: float, worst: int) -> str:
+    """Advice for gaps that are unequal: whether the print, lost samples or surplus ones look like the cause."""
+    if np.all(np.abs(gaps - median) <= 0.5 * median):
+        return f"resample; if the times are only rounded in print, pass time=False, dt={gaps.mean():.9g}"
+    # rows numbered by time=False would close the gaps that lost samples leave, so it is not offered
+    with np.errstate(over="ignore"):
+        lost = np.where(gaps > 1.5 * median, np.rint(gaps / median) - 1, 0)
+    if not lost[worst]:
+        return "the row seems to be one too many there: drop it, or resample"
+    places = np.count_nonzero(lost)
+    elsewhere = f" ({lost.sum():.9g} at {places} places in the whole file)" if places > 1 else ""
+    missing = "1 row seems" if lost[worst] == 1 else f"{lost[worst]:.9g} rows seem"
+    return (
+        f"samples are lost, {missing} to be missing there{elsewhere}; add rows for them (input and time given, output "
+        "empty), or resample"
+    )

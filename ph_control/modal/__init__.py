@@ -1,0 +1,1 @@
+"""Poles and residues: modal form, pole-residue splitting, discretisation, zeros."""

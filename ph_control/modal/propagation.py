@@ -1,0 +1,374 @@
+"""Modes through time: discretisation and block propagation.
+
+A recursion `x_{k+1} = lambda x_k + b u_k`, `y_k = Re(c x_k) + D u_k` with one complex state per mode is cut
+into blocks of samples.  Inside a block the input acts through a Toeplitz matrix and the state through powers of
+`lambda`, both matrix products; from block to block only the modal states are carried, as sums of what every block adds
+to them, turned back to a common instant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from ..exceptions import StructureError
+from ..numerics import double_double as tf
+from .modal_form import ModalForm, imaginary
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+METHODS = ("exact", "midpoint", "euler")
+INTERSAMPLE = ("zoh", "foh")
+
+_SHORT = 32  # samples of a block of states
+_SAMPLES = 1 << 14  # held at once
+_STATES = 1 << 13  # held at once
+_FOLD = 40  # modes from which on folding pays
+
+
+@dataclass(frozen=True)
+class Step:
+    """One time step of all modes: `x_{k+1} = lambda x_k + b0 u_k + b1 u_{k+1}`, `y = Re(c x)`.
+
+    `lambda = exp(growth + i phase)` with the phase as a pair of doubles, so that high powers keep their phase.
+    Shapes: `growth`, `phase` (N,); `b0`, `b1` (N, m); `c` (m, N).
+    """
+
+    growth: Array
+    phase: tf.Pair
+    b0: ComplexArray
+    b1: ComplexArray
+    c: ComplexArray
+
+    @classmethod
+    def of(cls, d: Array, b: ComplexArray, c: ComplexArray, h: float, method: str, intersample: str) -> Step:
+        """One step of `x' = -i d x + b u`, `y = Re(c x)`."""
+        return cls(*step_factors(d, h, method), *input_weights(d, b, h, method, intersample), c)
+
+    def powers(self, k: Array) -> ComplexArray:
+        """`lambda^k` for integers k, shape (N, len(k))."""
+        rotation = tf.cis_multiples(self.phase, k)
+        return rotation * np.exp(np.multiply.outer(self.growth, k)) if self.growth.any() else rotation
+
+    @property
+    def multiplier(self) -> ComplexArray:
+        """The numbers `lambda`, shape (N,)."""
+        return self.powers(np.ones(1))[:, 0]
+
+
+def discretize(modes: ModalForm, h: float, method: str = "exact", intersample: str = "zoh") -> Step:
+    """Discretise the modes with step `h`; the rigid-body modes follow the oscillating ones.
+
+    exact: `lambda = exp(-i d h)` and the exact integral of a held (zoh) or linearly interpolated (foh) input.
+    midpoint: the implicit midpoint rule, input at the middle of the step, `lambda = (1 - i d h/2)/(1 + i d h/2)`.
+    euler: `x_{k+1} = (1 - i d h) x_k + h nu u_k`, not lossless: the energy grows by `1 + (d h)^2` a step.
+    """
+    return Step.of(*_equations(modes), h, method, intersample)
+
+
+def _equations(modes: ModalForm) -> tuple[Array, ComplexArray, ComplexArray]:
+    """`d`, `b` and `c` of `x' = -i d x + b u`, `y = Re(c x)`; the rigid-body modes follow the oscillating ones."""
+    d = np.concatenate([modes.d, np.zeros(len(modes.rigid))])
+    b = np.concatenate([modes.nu, modes.rigid])
+    return d, b, np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
+
+
+def transfer_function(modes: ModalForm, points: ComplexArray, rule: tuple[float, str, str] | None) -> ComplexArray:
+    """Transfer function of the modes, sampled by `(h, method, intersample)` or not, term by term; shape (N, m, m)."""
+    if rule is None:
+        d, b, c = _equations(modes)
+        poles, later = imaginary(-d), np.zeros_like(b)
+    else:
+        step = discretize(modes, *rule)
+        poles, b, later, c = step.multiplier, step.b0, step.b1, step.c
+    # the real part of a sum over half of the poles is a sum over all
+    z = np.stack([points, points.conj()])[..., None, None]
+    half, conjugate = c @ ((b + later * z) / (z - poles[:, None]))
+    return 0.5 * (half + conjugate.conj())
+
+
+def step_factors(d: Array, h: float, method: str) -> tuple[Array, tf.Pair]:
+    """Logarithm of the multiplier: growth and phase per step."""
+    zero = np.zeros_like(d)
+    if method == "exact":
+        p, e = tf.two_prod(d, np.full_like(d, h))
+        return zero, (-p, -e)
+    if method == "midpoint":
+        hi, lo = _arctan(0.5 * h, d)
+        return zero, (-2.0 * hi, -2.0 * lo)
+    hi, lo = _arctan(h, d)
+    return 0.5 * np.log1p((h * d) ** 2), (-hi, -lo)
+
+
+def _arctan(h: float, d: Array) -> tf.Pair:
+    """`arctan(h d)` as a pair of doubles, as far as the platform's long double reaches."""
+    fine = np.arctan(np.longdouble(h) * d.astype(np.longdouble))
+    hi = fine.astype(float)
+    return hi, (fine - hi).astype(float)
+
+
+def input_weights(
+    d: Array, b: ComplexArray, h: float, method: str, intersample: str
+) -> tuple[ComplexArray, ComplexArray]:
+    """Weights of `u_k` and `u_{k+1}` in one step of `x' = -i d x + b u`."""
+    z = imaginary(-h * d)
+    if method == "euler":
+        if intersample == "foh":
+            raise StructureError(
+                "method='euler' uses the input at the start of each step only, so intersample must be 'zoh'; "
+                "use method='exact' or 'midpoint' for interpolated inputs"
+            )
+        return h * b, 0 * b
+    if method == "midpoint":
+        weight = (h / (1.0 - 0.5 * z))[:, None] * b
+        return (weight, 0 * b) if intersample == "zoh" else (0.5 * weight, 0.5 * weight)
+    rest = imaginary(step_factors(d, h, "exact")[1][1])
+    if intersample == "zoh":
+        return (h * phi_function(z, rest))[:, None] * b, 0 * b
+    phi_1, phi_2 = phi_functions(z, rest)
+    return (h * (phi_1 - phi_2))[:, None] * b, (h * phi_2)[:, None] * b
+
+
+def phi_function(z: ComplexArray, rest: ComplexArray | float = 0.0) -> ComplexArray:
+    """`phi_1 = (e^z - 1)/z` without cancellation near 0.
+
+    `rest` is the low part of `z`, which many turns in one step need to keep the phase.
+    """
+    # not expm1, whose complex version loses digits in some releases of numpy
+    half, low = 0.5 * np.where(z == 0, 1.0, z), 0.5 * rest
+    return np.where(z == 0, 1.0, np.exp(half) * np.exp(low) * (np.sinh(half) + low * np.cosh(half)) / half)
+
+
+def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[ComplexArray, ComplexArray]:
+    """`phi_1` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0."""
+    phi_1 = phi_function(z, rest)
+    phi_2 = (phi_1 - 1.0) / np.where(z == 0, 1.0, z)
+    small = np.abs(z) < 0.5
+    if small.any():
+        series, near = np.ones(int(small.sum()), complex), z[small]
+        for k in range(17, 2, -1):
+            series = 1.0 + near * (series / k)
+        phi_2[small] = 0.5 * series
+    return phi_1, phi_2
+
+
+def simulate(
+    step: Step, u: Array, x0: ComplexArray, *, states: bool = False, block: int | None = None
+) -> tuple[Array, ComplexArray | None]:
+    """Outputs, and on request all modal states, of a recursion driven by samples.
+
+    Parameters
+    ----------
+    step : Step
+        N modes and m ports.
+    u : ndarray, shape (m, T)
+        Input samples.
+    x0 : ndarray, shape (N,)
+        Initial modal state, before the first input sample acts.
+    states : bool
+        Whether to return the states as well.
+    block : int, optional
+        Samples taken at once, made even; by default about what costs least.
+
+    Returns
+    -------
+    y : ndarray, shape (m, T)
+        Outputs.
+    x : ndarray, shape (N, T), or None
+        Modal states.
+    """
+    # with x = w + b1 u the recursion for w needs only the input at the start of a step
+    b = step.b0 + step.multiplier[:, None] * step.b1 if step.b1.any() else step.b0
+    start = x0 - step.b1 @ u[:, 0]
+    turns = _turns(step, min(block or _block(len(x0)), u.shape[1]), u.shape[1])
+    forced = _responses(step, b, turns)
+    outward = turns.whole[:-1] * step.c[:, None]
+    y = np.empty(u.shape)
+    for here, blocks, sums in _segments(turns, b, u, start):
+        for row, kernels, weights in zip(y, forced, outward, strict=True):
+            out = blocks[0] @ kernels[0]
+            for more, kernel in zip(blocks[1:], kernels[1:], strict=True):
+                out += more @ kernel
+            turns.spread(sums * weights[: len(sums)], out)
+            row[here] = out.ravel()[: here.stop - here.start]
+    return y, _all_states(step, b, u, start) if states else None
+
+
+def _block(modes: int) -> int:
+    """Samples to take at once: short ones leave more states to carry, long ones more products with inputs."""
+    return 32 * int(np.clip(np.round(np.sqrt(180.0 * modes) / 32), 1, 6))
+
+
+# --- blocks ------------------------------------------------------------------------------------------------------
+
+
+class _Turns:
+    """What samples make of the states of a block, and these of samples: powers of `lambda` as real tables.
+
+    Where no mode grows, states are kept turned back to the first block of a piece of the record, `whole` turns them on;
+    then what carries them is a sum.
+    """
+
+    def __init__(self, step: Step, size: int, count: int) -> None:
+        self.size, self.grows = size, bool(step.growth.any())
+        # from the start of a block to where its states are, and from those with the samples to those of the next one
+        self.ahead = self.after = np.ones(len(step.growth), complex)
+        if self.grows:
+            self.leap, self.rest = _leap(step, size)
+            self.whole = np.broadcast_to(self.ahead, (count + 1, len(step.growth)))
+        else:
+            self.whole = _table(step, 0.0, float(size), count + 1)
+        self._tabulate(step)
+
+    def _tabulate(self, step: Step) -> None:
+        powers = _table(step, 0.0, 1.0, self.size)
+        self.inward, self.outward = powers[::-1].copy().view(float), powers.conj().view(float).T
+
+    def gather(self, u: Array) -> ComplexArray:
+        """Sums of the samples of blocks (count, size), turned to where the states of the block are, (count, N)."""
+        return (u @ self.inward).view(complex)
+
+    def spread(self, x: ComplexArray, y: Array) -> None:
+        """Add real parts of the states of blocks (count, N), turned to each sample, to `y` (count, size)."""
+        y += np.ascontiguousarray(x).view(float) @ self.outward
+
+    def carry(self, x: ComplexArray) -> None:
+        """Make of a state and what every block adds to it the states before the blocks, in place."""
+        if not self.grows:
+            np.cumsum(x, axis=0, out=x)
+            return
+        for k in range(1, len(x)):
+            x[k] += self.leap * x[k - 1] + self.rest * x[k - 1]
+
+
+class _Folded(_Turns):
+    """The same with half the products for the price of some sums, where no mode grows.
+
+    States are those in the middle of the block: seen from there a sample before turns by what one after turns back, so
+    that sums and differences of the two need one real table each, of cosines and of sines.
+    """
+
+    def _tabulate(self, step: Step) -> None:
+        turns = _table(step, 0.5, 1.0, self.size // 2)
+        self.ahead, self.after = turns[-1], turns[-1] ** 2
+        self.cos, self.sin = np.ascontiguousarray(turns.real), np.ascontiguousarray(turns.imag)
+
+    def gather(self, u: Array) -> ComplexArray:
+        half = self.size // 2
+        before, behind = u[:, half - 1 :: -1], u[:, half:]
+        x = np.empty((len(u), self.cos.shape[1]), complex)
+        x.real = (before + behind) @ self.cos
+        x.imag = (before - behind) @ self.sin
+        return x
+
+    def spread(self, x: ComplexArray, y: Array) -> None:
+        half = self.size // 2
+        even, odd = np.ascontiguousarray(x.real) @ self.cos.T, np.ascontiguousarray(x.imag) @ self.sin.T
+        y[:, half:] += even - odd
+        even += odd
+        y[:, half - 1 :: -1] += even
+
+
+def _turns(step: Step, size: int, samples: int) -> _Turns:
+    """Tables for blocks of so many samples, made even, and pieces of the record."""
+    size, modes = size + size % 2, len(step.growth)
+    count = max(32, min(_SAMPLES // size, _STATES // max(1, modes)))
+    kind = _Turns if step.growth.any() or modes < _FOLD else _Folded
+    return kind(step, size, min(count, -(-samples // size)))
+
+
+def _leap(step: Step, size: int) -> tuple[ComplexArray, ComplexArray]:
+    """`lambda^size` and what its rounding leaves, which would add up over the blocks where modes grow."""
+    turn = size * (step.phase[0].astype(np.longdouble) + step.phase[1])
+    fine = np.exp(size * step.growth.astype(np.longdouble)) * (np.cos(turn) + 1j * np.sin(turn))
+    leap = fine.astype(complex)
+    return leap, (fine - leap).astype(complex)
+
+
+def _table(step: Step, first: float, gap: float, count: int) -> ComplexArray:
+    """`lambda^k` for `k = first, first + gap, ..`, shape (count, N): doubling."""
+    levels = 2.0 ** np.arange(np.ceil(np.log2(count)))
+    start, *factors = step.powers(np.concatenate([[first], gap * levels])).T
+    table = np.empty((count, len(start)), complex)
+    table[0] = start
+    for level, factor in enumerate(factors):
+        known = 1 << level
+        np.multiply(table[: min(known, count - known)], factor, out=table[known : 2 * known])
+    return table
+
+
+def _responses(step: Step, b: ComplexArray, turns: _Turns) -> Array:
+    """Outputs of a block from its inputs, by output and input: Toeplitz matrices of the impulse response."""
+    ports, size = len(step.c), turns.size
+    response = np.zeros((ports, ports, 2 * size))
+    response[:, :, size] = (step.c @ step.b1).real
+    later = np.zeros((ports * ports, size))
+    turns.spread((step.c[:, None] * (turns.ahead * b.T)).reshape(ports * ports, -1), later)
+    response[:, :, size + 1 :] = later.reshape(ports, ports, size)[:, :, :-1]
+    row, column, one = response.strides
+    return np.ndarray((ports, ports, size, size), float, response, size * one, (row, column, -one, one)).copy()
+
+
+# --- from block to block -----------------------------------------------------------------------------------------
+
+
+def _segments(
+    turns: _Turns, b: ComplexArray, u: Array, start: ComplexArray
+) -> Iterator[tuple[slice, Array, ComplexArray]]:
+    """Pieces of a record that fit a cache: where they are, inputs by blocks (m, count, size), states of these.
+
+    The states (count, N) are turned back to the first of a piece, `turns.whole` turns them on.
+    """
+    size, most = turns.size, len(turns.whole) - 1
+    inward = turns.whole[1:].conj() * (turns.after * b.T)[:, None]
+    start = start * turns.ahead
+    for first in range(0, u.shape[1], size * most):
+        here = slice(first, min(first + size * most, u.shape[1]))
+        blocks = _blocks(u[:, here], size)
+        count = blocks.shape[1]
+        sums = np.empty((count + 1, len(b)), complex)
+        sums[0] = start
+        np.multiply(turns.gather(blocks[0]), inward[0, :count], out=sums[1:])
+        for more, weights in zip(blocks[1:], inward[1:], strict=True):
+            sums[1:] += turns.gather(more) * weights[:count]
+        turns.carry(sums)
+        start = turns.whole[count] * sums[-1]
+        yield here, blocks, sums[:-1]
+
+
+def _blocks(u: Array, size: int) -> Array:
+    """Samples by blocks, shape (m, count, size), zeros after the last."""
+    ports, samples = u.shape
+    count = -(-samples // size)
+    if count * size > samples:
+        padded = np.zeros((ports, count * size))
+        padded[:, :samples] = u
+        u = padded
+    return np.ascontiguousarray(u).reshape(ports, count, size)
+
+
+def _all_states(step: Step, b: ComplexArray, u: Array, start: ComplexArray) -> ComplexArray:
+    """States at every sample, shape (N, T): what was carried, turned, and what the block itself has contributed."""
+    (ports, samples), N = u.shape, len(start)
+    turns = _turns(step, _SHORT, samples)
+    P = step.powers(np.arange(float(_SHORT)))
+    x = np.empty((N, samples), complex)
+    inside = np.zeros((N, ports, _SHORT, _SHORT), complex)
+    for mode in range(N):
+        for j in range(ports):
+            inside[mode, j] = toeplitz(np.zeros(_SHORT), np.r_[0.0, b[mode, j] * P[mode, :-1]])
+            inside[mode, j, range(_SHORT), range(_SHORT)] = step.b1[mode, j]
+    inside = np.moveaxis(inside, 1, 0)
+    for here, blocks, sums in _segments(turns, b, u, start):
+        carried = (sums * turns.whole[: len(sums)] / turns.ahead).T
+        for mode in range(N):
+            part = carried[mode][:, None] * P[mode]
+            for block, weights in zip(blocks, inside[:, mode], strict=True):
+                part += (block @ weights.view(float)).view(complex)
+            x[mode, here] = part.ravel()[: here.stop - here.start]
+    return x

@@ -1,0 +1,1 @@
+"""Numerical linear algebra that LAPACK and numpy lack."""

@@ -1,0 +1,518 @@
+"""Poles and residues of any linear system, each with an honest bound of its error.
+
+Three routes, one result: from state space by the blocks of a Schur form, from polynomials by polished roots,
+from zeros and poles by products.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, matrix_balance, schur
+from scipy.linalg.lapack import ztrsen, ztrsyl, ztrtrs
+
+from .. import _checks
+from ..exceptions import NotLosslessError, StructureError
+from .graphs import components
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+SAFETY = 32.0  # between a first-order error bound and what is called an error
+_PARALLEL = np.sqrt(_checks.EPS)  # eigenvectors that nearly coincide are those of a Jordan block
+
+
+@dataclass(frozen=True)
+class PoleResidueForm:
+    """Poles (N,), residue matrices (N, p, m), error bounds of both (N,), feedthrough (p, m).
+
+    `growth` (N,) is the coefficient of `1/(s - pole)^2`, or what stands for it in a higher pole: 0 where it is simple.
+    `gain` is the size that residues could have if nothing cancelled.  `resolvents` are those of the matrices that the
+    form was made of.
+    """
+
+    poles: ComplexArray
+    residues: ComplexArray
+    pole_error: Array
+    residue_error: Array
+    growth: Array
+    growth_error: Array
+    gain: float
+    feedthrough: Array
+    resolvents: tuple[Resolvent, ...] = ()
+
+
+class Resolvent(NamedTuple):
+    """`outputs (s - T)^{-1} inputs` of a triangular matrix, which is known up to `backward`."""
+
+    T: ComplexArray
+    inputs: ComplexArray
+    outputs: ComplexArray
+    backward: float
+
+    def at(self, points: ComplexArray) -> tuple[ComplexArray, Array]:
+        """Values at points, (N, p, m), and first-order bounds of their errors, (N,).  O(n^2) a point."""
+        n = len(self.T)
+        into = np.empty((len(points), n, self.inputs.shape[1]), complex)
+        out = np.empty((len(points), n, len(self.outputs)), complex)
+        for k, s in enumerate(points):
+            shifted = s * np.eye(n) - self.T
+            into[k] = ztrtrs(shifted, self.inputs)[0]
+            out[k] = ztrtrs(shifted, self.outputs.T, trans=1)[0]
+        return self.outputs @ into, self.backward * np.linalg.norm(into, axis=(1, 2)) * np.linalg.norm(out, axis=(1, 2))
+
+
+def clusters(poles: ComplexArray, radius: Array) -> list[NDArray[np.intp]]:
+    """Groups of poles whose disks of these radii overlap."""
+    near = np.abs(poles[:, None] - poles) <= radius[:, None] + radius
+    count, label = components(near)
+    return [np.flatnonzero(label == k) for k in range(count)]
+
+
+# --- state space -----------------------------------------------------------------------------------------------
+
+
+def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) -> PoleResidueForm:
+    """Poles and residues of `C (sI - A)^{-1} B + D`, with bounds for a backward error `n eps ||A||` of the balanced A.
+
+    Modes are first taken apart, each pole alone or, where eigenvectors nearly coincide, each cluster of poles as one
+    block.  So no rank decides what ports see: a part that none does has a residue of zero within its bound.  Only at
+    `rest`, the pole of rigid bodies, ranks tell the Jordan chains: 0, or 1 in discrete time.
+    """
+    A, B, C, D = (_checks.real_array(name, M, 2) for name, M in zip("ABCD", (A, B, C, D), strict=True))
+    for name, M in zip("ABC", (A, B, C), strict=True):
+        _checks.in_range(name, M)
+    A, B, C = _connected(A, B, C)
+    count, label = components(A != 0)
+    parts = [np.flatnonzero(label == k) for k in range(count)]
+    # parts that do not act on one another have units and rounding errors of their own
+    forms = [_from_coupled_states(A[np.ix_(part, part)], B[part], C[:, part], D, rest) for part in parts]
+    return _side_by_side(forms) if forms else _static(D)
+
+
+def _side_by_side(forms: list[PoleResidueForm]) -> PoleResidueForm:
+    """Sum of transfer functions with the same feedthrough, which counts once."""
+    return PoleResidueForm(
+        np.concatenate([form.poles for form in forms]),
+        np.concatenate([form.residues for form in forms]),
+        np.concatenate([form.pole_error for form in forms]),
+        np.concatenate([form.residue_error for form in forms]),
+        np.concatenate([form.growth for form in forms]),
+        np.concatenate([form.growth_error for form in forms]),
+        max(form.gain for form in forms),
+        forms[0].feedthrough,
+        tuple(part for form in forms for part in form.resolvents),
+    )
+
+
+def _from_coupled_states(A: Array, B: Array, C: Array, D: Array, rest: float) -> PoleResidueForm:
+    A, B, C = _balanced(A, B, C)
+    backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
+    T, Z = _schur_form(A)
+    given = Resolvent(T, Z.conj().T @ B, C @ Z, backward)
+    resolvent, sizes = _rest_first(given, rest)
+    backward = resolvent.backward
+    blocks = _spectral_blocks(resolvent, sizes, rest)
+    residue_error = _residue_errors(blocks, backward, B, C)
+    refined = [
+        _block_errors(block, backward / block.separation, error)
+        for block, error in zip(blocks, residue_error, strict=True)
+    ]
+    pole_error, growth, growth_error = np.array(refined).T
+    return PoleResidueForm(
+        np.array([block.center for block in blocks]),
+        np.array([block.outputs @ block.inputs for block in blocks]),
+        pole_error,
+        residue_error,
+        growth,
+        growth_error,
+        float(np.linalg.norm(B) * np.linalg.norm(C)),
+        D,
+        (given,),
+    )
+
+
+def _connected(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Leave out the states that no path of non-zero entries joins to an input and to an output."""
+    forward = _reached(A != 0, (B != 0).any(axis=1))
+    live = np.flatnonzero(forward & _reached((A != 0).T, (C != 0).any(axis=0)))
+    return A[np.ix_(live, live)], B[live], C[:, live]
+
+
+def _reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which nodes a walk along `links` (to row, from column) reaches from those at the start."""
+    reached = start
+    while True:
+        grown = reached | links[:, reached].any(axis=1)
+        if (grown == reached).all():
+            return grown
+        reached = grown
+
+
+def _balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Units of the states, powers of two, in which rows and columns are alike in size: those of B and C as well."""
+    # units do not touch the diagonal, which would hide small couplings from the balancing
+    own, _ = matrix_balance(A - np.diag(np.diag(A)), permute=False, separate=True)
+    rate = float(np.linalg.norm(own)) or 1.0
+    # the unit of input and output does not matter, nor that of time
+    whole = np.zeros((len(A) + max(len(C), B.shape[1]),) * 2)
+    whole[: len(A), : len(A)] = A - np.diag(np.diag(A))
+    whole[: len(A), len(A) : len(A) + B.shape[1]] = rate * B / np.abs(B).max()
+    whole[len(A) : len(A) + len(C), : len(A)] = rate * C / np.abs(C).max()
+    _, (scale, _) = matrix_balance(whole, permute=False, separate=True)
+    scale = scale[: len(A)]
+    A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
+    _checks.representable("the balanced state-space matrices", A, B, C)
+    return A, B, C
+
+
+def _static(D: Array) -> PoleResidueForm:
+    none = np.zeros(0)
+    return PoleResidueForm(none.astype(complex), np.zeros((0, *D.shape), complex), none, none, none, none, 0.0, D)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The part `outputs (s - center - N)^{-1} inputs` of a transfer function, with k poles around a center.
+
+    `separation` is the cosine between the left and the right invariant subspace, 1 for a normal matrix: what a
+    perturbation of `A` may be divided by to bound the motion of the center.
+    """
+
+    center: complex
+    N: ComplexArray
+    outputs: ComplexArray
+    inputs: ComplexArray
+    separation: float
+    index: int  # power of `N` that is zero
+    known: float = np.inf  # a bound of the error of its residue
+
+
+def _schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
+    try:
+        return schur(A, output="complex")
+    except np.linalg.LinAlgError:
+        raise StructureError(
+            "the eigenvalues of A were not found: its entries, after balancing, range over "
+            f"{np.abs(A[A != 0]).min():.1e} to {np.abs(A).max():.1e}; choose another unit of time, or other states"
+        ) from None
+
+
+def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> list[_Block]:
+    """One block for all eigenvalues at `rest`; else one for each, or for several that rounding does not tell apart."""
+    T, to_modes, from_modes, backward = resolvent
+    still = sum(sizes)
+    # of a triangular matrix: the eigenvalues come in the order of its diagonal
+    values, left, right = eig(T, left=True, right=True)
+    overlap = np.sum(left.conj() * right, axis=0)
+    separation = np.maximum(np.abs(overlap), _checks.EPS)
+    # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
+    radius = np.minimum(SAFETY * backward / separation, 4 * _checks.EPS**0.25 * np.linalg.norm(T))
+    blocks = []
+    if still:
+        block = _joint_block(T, to_modes, from_modes, np.arange(still))
+        N = np.triu(T[:still, :still], 1)
+        # the residue is the integral along a circle around all that is at rest, and nothing else
+        size = 0.5 * float(np.min(np.abs(values[still:] - rest), initial=2 * np.linalg.norm(T))) or 1.0
+        circle = rest + size * np.exp(1j * np.pi * (np.arange(4) + 0.5) / 4)
+        known = size * float(np.mean(resolvent.at(circle)[1]))
+        blocks.append(_Block(complex(rest), N, block.outputs, block.inputs, block.separation, len(sizes), known))
+    for group in clusters(values[still:], radius[still:]):
+        group = group + still
+        if len(group) == 1 and separation[group[0]] > len(T) * _PARALLEL:
+            l = group[0]
+            inputs = left[None, :, l].conj() @ to_modes / overlap[l]
+            outputs = from_modes @ right[:, [l]]
+            blocks.append(_Block(values[l], np.zeros((1, 1), complex), outputs, inputs, separation[l], 1))
+            continue
+        # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
+        while len(group):
+            worst = values[group[separation[group].argmin()]]
+            group = group[np.abs(values[group] - worst).argsort()]
+            blocks.append(_well_separated_block(T, to_modes, from_modes, group, backward))
+            group = group[len(blocks[-1].N) :]
+    return blocks
+
+
+def _rest_first(resolvent: Resolvent, rest: float) -> tuple[Resolvent, list[int]]:
+    """Bring the eigenvalues `rest` of a Schur form to its top, exactly; also the sizes of the steps of their chains.
+
+    Rounding scatters the eigenvalues of Jordan chains, and takes those of several apart at random; the dimensions of
+    the kernels of `T - rest` and of its powers remain.
+    """
+    T, inputs, outputs, backward = resolvent
+    n, size = len(T), float(np.linalg.norm(T))
+    near = np.abs(np.diag(T) - rest) <= 4 * _checks.EPS**0.25 * size
+    m = int(near.sum())
+    if m == 0:
+        return resolvent, []
+    S, Q, *_ = ztrsen(near.astype(np.int32), T, np.eye(n, dtype=complex), lwork=max(1, 2 * m * (n - m)))
+    V, left = np.eye(m, dtype=complex), S[:m, :m] - rest * np.eye(m)
+    sizes: list[int] = []
+    low = high = SAFETY * backward
+    while len(left):
+        _, sigma, Wh = np.linalg.svd(left)
+        # what is no more than the error of the steps before may be 0: the widest gap tells
+        ladder = np.concatenate([[size], np.maximum(sigma, backward), [backward]])
+        least, most = int(np.sum(sigma > high)), int(np.sum(sigma > low))
+        rank = least + int(np.argmax(ladder[least : most + 1] / ladder[least + 1 : most + 2]))
+        if rank == len(left):
+            break
+        high *= max(1.0, size / sigma[rank - 1]) if rank else 1.0
+        W = np.roll(Wh.conj().T, len(left) - rank, axis=1)
+        V[:, sum(sizes) :] = V[:, sum(sizes) :] @ W
+        sizes.append(len(left) - rank)
+        W = W[:, sizes[-1] :]
+        left = W.conj().T @ left @ W
+    k = sum(sizes)
+    if k == 0:
+        return resolvent, []
+    left, W = schur(left, output="complex") if k < m else (left, left)
+    V[:, k:] = V[:, k:] @ W
+    S[:, :m] = S[:, :m] @ V
+    S[:m] = V.conj().T @ S[:m]
+    # a step maps into those before it
+    step = np.concatenate([np.repeat(np.arange(len(sizes)), sizes), np.full(m - k, len(sizes))])
+    exact = np.where(step[:, None] < step, S[:m, :m], 0.0) + rest * np.eye(m)
+    exact[k:, k:] = left + rest * np.eye(m - k)
+    backward = max(backward, float(np.linalg.norm(S[:m, :m] - exact)))
+    S[:m, :m] = exact
+    Q[:, :m] = Q[:, :m] @ V
+    return Resolvent(S, Q.conj().T @ inputs, outputs @ Q, backward), sizes
+
+
+def _well_separated_block(
+    T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp], backward: float
+) -> _Block:
+    """Fewest of these eigenvalues, from the first on, whose block is about as well separated as that of all."""
+    whole = _joint_block(T, B, C, group)
+    values = np.diag(T)[group]
+    for k in range(1, len(group)):
+        gap = np.abs(values[:k, None] - values[k:]).min()
+        # nothing parts eigenvalues that coincide; what is parted here counts as apart in the errors of the residues
+        if gap > 2 * SAFETY * backward:
+            part = _joint_block(T, B, C, group[:k])
+            if part.separation >= 0.1 * whole.separation and gap > 2 * SAFETY * backward / part.separation:
+                return part
+    return whole
+
+
+def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
+    """Split a cluster of eigenvalues off an upper triangular matrix: reorder, then solve a Sylvester equation."""
+    n, k = len(T), len(group)
+    select = np.zeros(n, np.int32)
+    select[group] = 1
+    T, Q, values, _, separation, _, _ = ztrsen(select, T, np.eye(n, dtype=complex), lwork=max(1, 2 * k * (n - k)))
+    B, C = Q.conj().T @ B, C @ Q
+    outputs, inputs = C[:, :k], B[:k]
+    if k < n:
+        X, scale, _ = ztrsyl(T[:k, :k], T[k:, k:], T[:k, k:], isgn=-1)
+        inputs = inputs + X @ B[k:] / scale
+    center = values[:k].mean()
+    N = T[:k, :k] - center * np.eye(k)
+    # a single visible pole r/(s - p) among hidden ones has the moments r, r (p - center): move the center to it
+    residue, moment = outputs @ inputs, outputs @ N @ inputs
+    size = np.vdot(residue, residue).real
+    shift = np.vdot(residue, moment) / size if size > 0 else 0.0
+    if abs(shift) > np.abs(values[:k] - center).max():
+        shift = 0.0
+    return _Block(center + shift, N - shift * np.eye(k), outputs, inputs, max(separation, _checks.EPS), k)
+
+
+def _residue_errors(blocks: list[_Block], backward: float, B: Array, C: Array) -> Array:
+    """First-order bounds: the backward error tilts each block towards the others, more the nearer they are."""
+    center = np.array([block.center for block in blocks])
+    separation = np.array([block.separation for block in blocks])
+    spread = np.array([np.linalg.norm(block.N) for block in blocks])
+    count = np.array([len(block.N) for block in blocks])
+    index = np.array([block.index for block in blocks])
+    error = backward / separation
+    out_error = np.full(len(blocks), _checks.EPS * np.linalg.norm(C))
+    in_error = np.full(len(blocks), _checks.EPS * np.linalg.norm(B))
+    for j, other in enumerate(blocks):
+        gap = center - other.center
+        # modes at the same place mix freely: only their sum is used, so they do not disturb one another
+        apart = np.abs(gap) > SAFETY * (error + error[j])
+        resolvent = np.linalg.inv(np.where(apart, gap, 1.0)[:, None, None] * np.eye(count[j]) - other.N)
+        x, y = other.outputs @ resolvent, resolvent @ other.inputs
+        # X -> (c_i + N_i) X - X (c_j + N_j) is inverted by a series that ends where powers of N_i do
+        for power in range(index.max()):
+            reached = apart & (power < index)
+            out_error += np.where(reached, spread**power * np.linalg.norm(x, axis=(1, 2)) * error[j], 0.0)
+            in_error += np.where(reached, spread**power * np.linalg.norm(y, axis=(1, 2)) * backward, 0.0)
+            x, y = x @ resolvent, resolvent @ y
+    in_error = in_error / separation
+    out_size = np.array([np.linalg.norm(block.outputs) for block in blocks])
+    in_size = np.array([np.linalg.norm(block.inputs) for block in blocks])
+    return np.minimum(out_error * in_size + out_size * in_error + out_error * in_error, [b.known for b in blocks])
+
+
+def _block_errors(block: _Block, pole_error: float, residue_error: float) -> tuple[float, float, float]:
+    """Error of the pole; and of the coefficients of its higher powers, the one that stands out most, with its error."""
+    spread = float(np.linalg.norm(block.N))
+    if spread == 0.0:
+        return pole_error, 0.0, 0.0
+    size = float(np.linalg.norm(block.outputs) * np.linalg.norm(block.inputs))
+    residue = float(np.linalg.norm(block.outputs @ block.inputs))
+    # what ranks have put at rest is there
+    if residue > residue_error and np.diag(block.N).any():
+        moved = pole_error + (residue_error * spread + size * pole_error) / residue
+    else:
+        moved = pole_error
+    moments = []
+    x = spread * block.inputs
+    for power in range(1, len(block.N) + 1):
+        x = block.N @ x / spread
+        moments.append((float(np.linalg.norm(block.outputs @ x)), residue_error * spread + power * size * pole_error))
+    return moved, *max(moments, key=lambda moment: moment[0] - SAFETY * moment[1])
+
+
+# --- polynomials and zero-pole-gain ------------------------------------------------------------------------------
+
+
+def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
+    """Poles and residues of `num/den` (descending powers), in a time scaled to the size of the poles.
+
+    Roots are polished and carry the bound that the rounding of the coefficients implies.  Where roots of the
+    denominator coincide within it, a companion form takes clusters of them apart.
+    """
+    num = np.trim_zeros(_checks.real_array("the numerator", num, 1), "f")
+    den = np.trim_zeros(_checks.real_array("the denominator", den, 1), "f")
+    if len(den) == 0:
+        raise StructureError("the denominator is zero; a transfer function needs a non-zero denominator")
+    if len(num) > len(den):
+        raise NotLosslessError(
+            [
+                f"the transfer function is improper: numerator of degree {len(num) - 1} over degree {len(den) - 1}, "
+                "needed less"
+            ]
+        )
+    while len(num) and num[-1] == 0 and den[-1] == 0:
+        num, den = num[:-1], den[:-1]
+    order = len(den) - 1
+    scale = _time_scale(den)
+    powers = scale ** -np.arange(order + 1.0)
+    top = den[0]
+    den = den / top * powers
+    num = np.concatenate([np.zeros(order + 1 - len(num)), num]) / top * powers
+    _checks.representable("the coefficients of the transfer function", num, den)
+    feedthrough, num = num[0], (num - num[0] * den)[1:]
+    D = np.array([[feedthrough]])
+    if order == 0 or not num.any():
+        return _static(D)
+    poles, pole_error, derivative = _polished_roots(den)
+    distance = np.abs(poles[:, None] - poles) + np.diag(np.full(order, np.inf))
+    if np.all(distance > 2 * SAFETY * (pole_error[:, None] + pole_error)):
+        top_value = np.polyval(num, poles)
+        residues = top_value / derivative
+        size = np.abs(poles)
+        moved = np.abs(np.polyval(np.polyder(num), poles)) + np.abs(residues * np.polyval(np.polyder(den, 2), poles))
+        rounding = 2 * order * _checks.EPS * np.polyval(np.abs(num), size)
+        slope_rounding = 2 * order * _checks.EPS * np.polyval(np.polyder(np.abs(den)), size) * np.abs(residues)
+        error = (moved * pole_error + rounding + slope_rounding) / np.abs(derivative)
+        simple = np.zeros(order)
+        form = PoleResidueForm(
+            poles, residues[:, None, None], pole_error, error, simple, simple, float(np.abs(residues).max()), D
+        )
+    else:
+        A = np.diag(np.ones(order - 1), -1)
+        A[0] = -den[1:]
+        B = np.eye(order)[:, :1]
+        form = from_state_space(A, B, num[None, :], D)
+    # residues carry the unit of 1/time as the poles do
+    return PoleResidueForm(
+        form.poles * scale,
+        form.residues * scale,
+        form.pole_error * scale,
+        form.residue_error * scale,
+        form.growth * scale * scale,
+        form.growth_error * scale * scale,
+        form.gain * scale,
+        D,
+    )
+
+
+def _time_scale(den: Array) -> np.float64:
+    """Power of two near the geometric mean of the non-zero roots."""
+    nonzero = np.flatnonzero(den)
+    first, last = nonzero[0], nonzero[-1]
+    if first == last:
+        return np.float64(1.0)
+    mean = (np.log2(np.abs(den[last])) - np.log2(np.abs(den[first]))) / (last - first)
+    return np.float64(2.0) ** np.round(mean)
+
+
+def _polished_roots(den: Array) -> tuple[ComplexArray, Array, ComplexArray]:
+    """Roots after Newton steps, the bound of their error, and the derivative there."""
+    order = len(den) - 1
+    slope = np.polyder(den)
+    roots = np.roots(den).astype(complex)
+    for _ in range(3):
+        derivative = np.polyval(slope, roots)
+        step = np.polyval(den, roots) / np.where(derivative == 0, 1.0, derivative)
+        roots = roots - np.where(np.abs(step) < 0.1 * np.abs(roots), step, 0.0)
+    derivative = np.polyval(slope, roots)
+    rounding = 2 * order * _checks.EPS * np.polyval(np.abs(den), np.abs(roots))
+    # n times the first-order radius holds a root also where the slope itself is lost in rounding
+    error = rounding / np.maximum(np.abs(derivative), np.finfo(float).tiny)
+    return roots, error, derivative
+
+
+def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResidueForm:
+    """Poles and residues of `gain prod(s - z) / prod(s - p)`, by products: no polynomial is formed."""
+    gain = float(_checks.real_array("the gain", gain, 0))
+    zeros, poles = list(_checks.conjugate_closed("zeros", z)), list(_checks.conjugate_closed("poles", p))
+    if len(zeros) > len(poles):
+        raise NotLosslessError([f"the system is improper: {len(zeros)} zeros over {len(poles)} poles, needed less"])
+    close = 8 * max(1, len(poles)) * _checks.EPS
+    for zero in tuple(zeros):
+        match = [pole for pole in poles if abs(pole - zero) <= close * abs(zero)]
+        if match:
+            zeros.remove(zero)
+            poles.remove(match[0])
+    z, p = np.array(zeros, complex), np.array(poles, complex)
+    D = np.array([[gain if len(z) == len(p) else 0.0]])
+    if gain == 0 or len(p) == 0:
+        return _static(D)
+    gaps = np.abs(p[:, None] - p) + np.diag(np.full(len(p), np.inf))
+    repeated = gaps.min(axis=1) <= close * np.abs(p)
+    residues = np.empty(len(p), complex)
+    relative = np.empty(len(p))
+    for l, pole in enumerate(p):
+        others = np.delete(p, l)
+        # of a repeated pole this leaves the coefficient of its highest power
+        down = np.where(np.abs(pole - others) <= close * abs(pole), 1.0, pole - others)
+        up = pole - z
+        # interleaved so that long products neither over- nor underflow
+        ratio = np.concatenate([up[: len(down)], np.ones(max(0, len(down) - len(up)))]) / down
+        residues[l] = gain * np.prod(ratio) * np.prod(up[len(down) :])
+        sizes = np.concatenate([np.abs(z / np.where(up == 0, 1.0, up)), np.abs(others / down)])
+        relative[l] = _checks.EPS * (2 * len(p) + sizes.sum())
+    size, error = np.abs(residues), relative * np.abs(residues)
+    growth, growth_error = np.where(repeated, size, 0.0), np.where(repeated, error, 0.0)
+    pole_error = _checks.EPS * np.abs(p)
+    return PoleResidueForm(p, residues[:, None, None], pole_error, error, growth, growth_error, float(size.max()), D)
+
+
+def assemble(entries: list[list[PoleResidueForm]]) -> PoleResidueForm:
+    """One form from those of the entries; `decide` merges the poles they share."""
+    flat = [entry for row in entries for entry in row]
+    p, m = len(entries), len(entries[0])
+    residues = []
+    for place, entry in enumerate(flat):
+        block = np.zeros((len(entry.poles), p, m), complex)
+        block[:, place // m, place % m] = entry.residues[:, 0, 0]
+        residues.append(block)
+    return PoleResidueForm(
+        np.concatenate([entry.poles for entry in flat]),
+        np.concatenate(residues),
+        np.concatenate([entry.pole_error for entry in flat]),
+        np.concatenate([entry.residue_error for entry in flat]),
+        np.concatenate([entry.growth for entry in flat]),
+        np.concatenate([entry.growth_error for entry in flat]),
+        max(entry.gain for entry in flat),
+        np.array([entry.feedthrough[0, 0] for entry in flat]).reshape(p, m),
+    )

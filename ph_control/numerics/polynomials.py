@@ -1,0 +1,360 @@
+"""Coefficients of a lossless transfer function, and the modes back from them.
+
+`sum_l kappa_l s / (s^2 + x_l) = s N(s^2) / P(s^2)` with `x_l = d_l^2`.  Forwards every term is positive, so nothing
+cancels; mantissas and exponents are kept apart where doubles would overflow.  Backwards the roots of `P` and the
+residues there are computed with twice the digits: what remains is the rounding of the coefficients themselves.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _checks
+from .._frozen import Frozen
+from . import double_double as tf
+
+Array = NDArray[np.float64]
+Exponents = NDArray[np.int64]
+
+COEFFICIENT_LIMIT = 1e-4  # relative error of a frequency beyond which coefficients no longer tell it
+_LOWEST = -(2**60)  # stands for the exponent of 0
+_FAR = 1100  # binary places: a term that much smaller than another leaves no trace in their sum
+_PLAIN = 1000  # binary exponents that doubles surely hold
+_SMALLEST = -1074  # binary exponent of the smallest double
+_ROOM = np.finfo(np.longdouble).maxexp - 24  # binary exponents up to which plain numbers are used
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledCoefficients(Frozen):
+    """Numbers `mantissa * 2**exponent`, none negative, beyond the range of doubles.
+
+    Attributes
+    ----------
+    mantissa : ndarray, shape (N,)
+        From 1/2 to 1, or 0.
+    exponent : ndarray of int, shape (N,)
+        Binary exponents; 0 where the mantissa is 0.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> a, c = phc.modes([1e200, 2e200], [1.0, 1.0]).scaled_coefficients()
+    >>> a.log10().round(1)
+    array([800.6,  -inf, 400.7,  -inf])
+    """
+
+    mantissa: Array
+    exponent: Exponents
+
+    @classmethod
+    def _of(cls, values: Array, shift: Exponents | int = 0) -> ScaledCoefficients:
+        """`values * 2**shift`."""
+        mantissa, exponent = np.frexp(values)
+        # a long double may round up to 1
+        mantissa, carry = np.frexp(mantissa.astype(float))
+        exponent = exponent + carry
+        return cls(mantissa, np.where(mantissa == 0, 0, exponent.astype(np.int64) + shift))
+
+    def log10(self) -> Array:
+        """Decimal logarithms: what to plot, or to print.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            `-inf` for 0.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> a, _ = phc.modes(1e100, 1.0).scaled_coefficients()
+        >>> a.log10().round(9)
+        array([200., -inf])
+        """
+        with np.errstate(divide="ignore"):
+            return np.log10(self.mantissa) + self.exponent * np.log10(2.0)
+
+    def to_doubles(self) -> Array:
+        """Return the numbers as doubles.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Infinite or 0 where a number leaves the range of doubles; `fit_doubles` tells whether any does.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> a, c = phc.modes(2.0, 1.0).scaled_coefficients()
+        >>> a.to_doubles(), c.to_doubles()
+        (array([4., 0.]), array([2.]))
+        """
+        with np.errstate(over="ignore", under="ignore"):
+            return np.ldexp(self.mantissa, np.clip(self.exponent, -5000, 5000).astype(np.int32))
+
+    @property
+    def fit_doubles(self) -> bool:
+        """Whether doubles hold all of them with all their digits."""
+        live = self.exponent[self.mantissa > 0]
+        return bool(np.all((live > -1021) & (live <= 1024)))
+
+
+def transfer_coefficients(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:
+    """`(a_0 .. a_{2n-1})`, odd ones 0, and `(c_1, c_3 .. c_{2n-1})` of `sum_l kappa_l s / (s^2 + x_l)`."""
+    P, N = sum_of_fractions(x, kappa)
+    mantissa, exponent = np.zeros(2 * len(x)), np.zeros(2 * len(x), np.int64)
+    mantissa[0::2], exponent[0::2] = P.mantissa[:-1], P.exponent[:-1]
+    return ScaledCoefficients(mantissa, exponent), ScaledCoefficients(N.mantissa[::-1].copy(), N.exponent[::-1].copy())
+
+
+def plain_coefficients(d: Array, r: Array) -> tuple[Array, Array] | None:
+    """As `transfer_coefficients`, in doubles, of modes `d` ascending; None where a number on the way may be too large.
+
+    With `e` so small that its square is nothing, `P + i e N = prod (s^2 + x_l + i e kappa_l)`: a product of complex
+    numbers, in whose real and imaginary parts all terms are positive still.
+    """
+    n = len(d)
+    if n == 0:
+        return None
+    # bounds of binary logarithms: of the frequencies, of the largest weight, of all coefficients
+    reach = max(abs(math.log2(d[0])), abs(math.log2(d[-1])))
+    weight = math.log2(max(r.tolist()) or 1.0)
+    largest = n * (2 * reach + 1)
+    if largest > _PLAIN / 2:
+        x = 2 * np.log2(d)
+        largest = float(max(np.logaddexp2(0, x).sum(), -np.minimum(0, x).sum()))
+    small = int(3 * reach + weight) + 40 + n.bit_length()
+    # on the way, the smallest weight may be the smallest double beside the largest
+    if largest + reach + abs(weight) + n.bit_length() + small > min(_PLAIN, _ROOM + _SMALLEST):
+        return None
+    wide, epsilon = d.astype(np.longdouble), 0.5**small
+    factors = np.zeros(n + n % 2, np.clongdouble)
+    factors.real[:n], factors.imag[:n] = wide * wide, wide * (r * epsilon)
+    first, second = factors[0::2], factors[1::2]
+    pairs = np.empty((len(first), 3), np.clongdouble)
+    pairs[:, 0], pairs[:, 1], pairs[:, 2] = first * second, first + second, 1.0
+    whole = functools.reduce(np.convolve, pairs)[n % 2 :]
+    a = np.zeros(2 * n)
+    a[0::2] = whole.real[:n]
+    return a, whole.imag[n - 1 :: -1].astype(float) / epsilon
+
+
+def sum_of_fractions(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:
+    """Denominator and numerator of `sum_l kappa_l / (s^2 + x_l)`, ascending powers of `s^2`; `x, kappa >= 0`.
+
+    Binary tree of sums `(P1 P2, N1 P2 + N2 P1)` in scaled time and in the platform's long double: O(n^2).  Every
+    coefficient is right to the last place, or to a few where long double is double.
+    """
+    if len(x) == 0:
+        return ScaledCoefficients._of(np.ones(1)), ScaledCoefficients._of(np.zeros(0))
+    x, kappa = np.asarray(x, np.longdouble), np.asarray(kappa, np.longdouble)
+    live, weights = x[x > 0], kappa[kappa > 0]
+    # powers of two, so that scaling rounds nothing
+    unit = round(float(np.mean(np.log2(live)))) if len(live) else 0
+    gain = int(np.frexp(weights.max(initial=1.0))[1])
+    log_x = np.log2(live) - unit
+    lowest = np.minimum(log_x, 0).sum() + np.log2(weights).min(initial=gain) - gain
+    highest = np.logaddexp2(0, log_x).sum() + np.log2(len(x))
+    x, kappa, one = np.ldexp(x, -unit), np.ldexp(kappa, -gain), np.ones(1, np.longdouble)
+    leaves: list[Any] = [(np.append(a, one), b * one) for a, b in zip(x, kappa, strict=True)]
+    if lowest > -_ROOM and highest < _ROOM:
+        P, N = (ScaledCoefficients._of(values) for values in _tree(leaves, np.convolve, np.add))
+    else:
+        leaves = [(ScaledCoefficients._of(p), ScaledCoefficients._of(q)) for p, q in leaves]
+        P, N = _tree(leaves, _product, _sum)
+    powers = np.arange(len(x), -1, -1)
+    return _shifted(P, unit * powers), _shifted(N, unit * powers[1:] + gain)
+
+
+def _tree(pairs: list[Any], product: Callable[[Any, Any], Any], plus: Callable[[Any, Any], Any]) -> tuple[Any, Any]:
+    """Add fractions `N/P` two by two."""
+
+    def add(first: tuple[Any, Any], second: tuple[Any, Any]) -> tuple[Any, Any]:
+        (P1, N1), (P2, N2) = first, second
+        return product(P1, P2), plus(product(N1, P2), product(N2, P1))
+
+    while len(pairs) > 1:
+        pairs = [add(*pairs[i : i + 2]) if i + 1 < len(pairs) else pairs[i] for i in range(0, len(pairs), 2)]
+    return pairs[0]
+
+
+def _shifted(s: ScaledCoefficients, shift: Exponents | int) -> ScaledCoefficients:
+    return ScaledCoefficients(s.mantissa, np.where(s.mantissa == 0, 0, s.exponent + shift))
+
+
+def _sum(a: ScaledCoefficients, b: ScaledCoefficients) -> ScaledCoefficients:
+    return _column_sums(np.stack([a.mantissa, b.mantissa]), np.stack([a.exponent, b.exponent]))
+
+
+def _product(a: ScaledCoefficients, b: ScaledCoefficients) -> ScaledCoefficients:
+    """Product of two polynomials: sums along the antidiagonals of the table of all products."""
+    if len(a.mantissa) > len(b.mantissa):
+        a, b = b, a
+    mantissa = np.multiply.outer(a.mantissa, b.mantissa)
+    return _column_sums(_sheared(mantissa), _sheared(np.add.outer(a.exponent, b.exponent)))
+
+
+def _sheared(table: NDArray[Any]) -> NDArray[Any]:
+    """Shift row i of a table by i places to the right, filling with 0."""
+    rows, columns = table.shape
+    padded = np.zeros((rows, rows + columns), table.dtype)
+    padded[:, :columns] = table
+    return padded.ravel()[: rows * (rows + columns - 1)].reshape(rows, rows + columns - 1)
+
+
+def _column_sums(mantissa: Array, exponent: Exponents) -> ScaledCoefficients:
+    exponent = np.where(mantissa > 0, exponent, _LOWEST)
+    top = exponent.max(axis=0)
+    terms = np.ldexp(mantissa, np.clip(exponent - top, -_FAR, 0).astype(np.int32))
+    return ScaledCoefficients._of(terms.sum(axis=0), top)
+
+
+def cofactors(d: Array) -> Array:
+    """Coefficients of `prod_{j != l} (x + d_j^2)`, ascending in x, one row for each l: shape (n, n).
+
+    The polynomial of all modes but one, for each of them: sums of products of positive numbers along a tree that is
+    walked from the root to the leaves.  O(n^2 log n).
+    """
+    rows = _cofactor_rows(np.asarray(d, float) ** 2, np.ones(1))
+    return np.array(rows).reshape(len(rows), len(rows))
+
+
+def _cofactor_rows(x: Array, outside: Array) -> list[Array]:
+    """Products over all of `x` but one, times the polynomial `outside`."""
+    if len(x) <= 1:
+        return [outside] * len(x)
+    half = len(x) // 2
+    low, high = (_from_roots(part) for part in (x[:half], x[half:]))
+    return _cofactor_rows(x[:half], np.convolve(outside, high)) + _cofactor_rows(x[half:], np.convolve(outside, low))
+
+
+def _from_roots(x: Array) -> Array:
+    """`prod (t + x_j)`, ascending."""
+    polynomials = [np.array([a, 1.0]) for a in x]
+    while len(polynomials) > 1:
+        pairs = [polynomials[i : i + 2] for i in range(0, len(polynomials), 2)]
+        polynomials = [np.convolve(pair[0], pair[1]) if len(pair) == 2 else pair[0] for pair in pairs]
+    return polynomials[0]
+
+
+# --- how many digits coefficients carry, and the way back --------------------------------------------------------
+
+
+def amplification(d: Array) -> Array:
+    """Relative error of each frequency over that of the coefficients: `prod_{j != l} (d_l^2 + d_j^2)/|d_l^2 - d_j^2|`.
+
+    Infinite for a repeated frequency.  Times `eps`, what a companion matrix or a transfer function in doubles can
+    promise at best.
+    """
+    x, y = d[:, None], d
+    with np.errstate(divide="ignore", over="ignore"):
+        # sum and difference of squares in a form that neither cancels nor overflows
+        larger, smaller = np.maximum(x, y), np.minimum(x, y)
+        ratio = smaller / larger
+        factors = np.log2(1 + ratio**2) - np.log2((larger - smaller) / larger) - np.log2(1 + ratio)
+        np.fill_diagonal(factors, 0.0)
+        return np.exp2(np.minimum(factors.sum(axis=1), 1e4))
+
+
+def digits(d: Array) -> float:
+    """Decimal digits of the frequencies that survive the rounding of the coefficients to doubles; at least 0."""
+    worst = float(amplification(d).max(initial=1.0))
+    return max(0.0, -float(np.log10(worst) + np.log10(_checks.EPS)))
+
+
+def modes_from_coefficients(a: Array, c: Array) -> tuple[Array, Array, Array, Array] | None:
+    """Frequencies and residues of `s sum c_k s^{2k} / (s^{2n} + sum a_k s^{2k})`, each with its error.
+
+    Parameters are the coefficients of ascending even powers, n of each, with `a > 0`.  The errors are what a relative
+    error `eps` of every coefficient moves them by, to first order.  None if the roots of the denominator are not n
+    distinct numbers on the imaginary axis, or are not told apart by these errors.
+    """
+    n = len(a)
+    unit = round(float(np.log2(a[0])) / (2 * n))
+    powers = 2 * unit * np.arange(n, -1, -1)
+    with np.errstate(over="ignore", under="ignore"):
+        P, N = np.ldexp(np.append(a, 1.0), -powers), np.ldexp(c, -powers[1:])
+    if not (np.isfinite(P).all() and P.min() > 0 and np.isfinite(N).all()):
+        return None
+    y = _simple_positive_roots(P)
+    if y is None:
+        return None
+    slope, numerator = _value(_derivative(P), y), _value(_exactly(N), y)
+    kappa = tf.divide(numerator, slope)
+    size = y[0]
+    error_y = _checks.EPS * np.polyval(P[::-1], size) / np.abs(slope[0])
+    curvature = np.abs(_value(_derivative(P, 2), y)[0])
+    moved = np.abs(_value(_derivative(N), y)[0]) + np.abs(kappa[0]) * curvature
+    rounding = np.polyval(np.abs(N)[::-1], size) + np.abs(kappa[0]) * np.polyval(np.polyder(P[::-1]), size)
+    error_kappa = (moved * error_y + _checks.EPS * rounding) / np.abs(slope[0])
+    d, error_d = _square_root(y), 0.5 * error_y / np.sqrt(size)
+    order = np.argsort(d)
+    # with c scaled by one power less than a, residues have kept their unit
+    kappas = (kappa[0] + kappa[1])[order], error_kappa[order]
+    return np.ldexp(d[order], unit), kappas[0], np.ldexp(error_d[order], unit), kappas[1]
+
+
+def _exactly(values: Array) -> tf.Pair:
+    return values, np.zeros_like(values)
+
+
+def _derivative(coefficients: Array, times: int = 1) -> tf.Pair:
+    """Ascending coefficients of a derivative, as pairs of doubles."""
+    pair = _exactly(coefficients)
+    for _ in range(times):
+        k = np.arange(1.0, len(pair[0]))
+        pair = tf.multiply((pair[0][1:], pair[1][1:]), _exactly(k)) if len(k) else _exactly(np.zeros(1))
+    return pair
+
+
+def _value(coefficients: tf.Pair, y: tf.Pair) -> tf.Pair:
+    """Polynomial (ascending) at `-y`, by Horner's rule with twice the digits."""
+    minus = (-y[0], -y[1])
+    one = np.ones_like(y[0])
+    total = (0 * one, 0 * one)
+    for high, low in zip(coefficients[0][::-1], coefficients[1][::-1], strict=True):
+        total = tf.add(tf.multiply(total, minus), (high * one, low * one))
+    return total
+
+
+def _simple_positive_roots(P: Array) -> tf.Pair | None:
+    """The n roots `-y` of a polynomial with positive coefficients, if a change of sign shows each of them."""
+    n = len(P) - 1
+    alternating = P * (-1.0) ** np.arange(n + 1)
+    start = np.sort(np.roots(alternating[::-1]).real)
+    if len(start) < n or start[0] <= 0:
+        return None
+    y = _exactly(np.maximum.accumulate(start * (1 + 1e-9 * np.arange(n))))
+    slope = _derivative(P)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for _ in range(60):
+            newton = tf.divide(_value(_exactly(P), y), _value(slope, y))
+            # the other roots repel (Ehrlich and Aberth), so that no two approximations run into one root
+            gaps = y[0] - y[0][:, None]
+            np.fill_diagonal(gaps, np.inf)
+            factor = 1 + newton[0] * np.sum(1 / gaps, axis=1)
+            step = (newton[0] / factor, newton[1] / factor)
+            y = tf.add(y, step)
+            if not (np.isfinite(y[0]).all() and y[0].min() > 0):
+                return None
+            if np.all(np.abs(step[0]) <= 1e-20 * y[0]):
+                break
+        order = np.argsort(y[0])
+        y = (y[0][order], y[1][order])
+        radius = 4 * _checks.EPS * y[0]
+        below, above = (np.sign(_value(_exactly(P), tf.add(y, (side, 0 * side)))[0]) for side in (-radius, radius))
+    apart = np.all(np.diff(y[0]) > 2 * (radius[1:] + radius[:-1]))
+    return y if apart and np.all(below * above < 0) else None
+
+
+def _square_root(y: tf.Pair) -> Array:
+    root = np.sqrt(y[0])
+    square = tf.two_prod(root, root)
+    rest: Array = ((y[0] - square[0]) - square[1] + y[1]) / (2 * root)
+    return root + rest

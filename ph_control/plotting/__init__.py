@@ -1,0 +1,1 @@
+"""The numbers of a picture, and the picture from them."""

@@ -1,0 +1,239 @@
+"""What all pictures share: style, axes, legends, and lines of more samples than a picture has points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any, TypedDict
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib import RcParams
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatter
+from numpy.typing import NDArray
+
+from .. import _checks
+from .._units import SECONDS, hertz_size, rate
+from ..exceptions import StructureError
+
+Array = NDArray[np.float64]
+
+DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
+STYLES = ("-", "--", "-.", ":")
+BAND: dict[str, Any] = {"alpha": 0.22, "linewidth": 0.0, "zorder": 1.5}
+ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
+# beneath what is held against it, and wide enough to be seen on both sides of it where they are equal
+MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
+SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
+DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
+_PER_INCH = 12.5  # letters of a legend, with some room between its columns
+MINOR = 0.35  # opacity of the grid lines between the main ones
+
+
+class FrameStyle(TypedDict, total=False):
+    """Keywords that every picture takes, with the meaning they have in python-control."""
+
+    title: str | None
+    grid: bool
+    show_legend: bool | None
+    legend_loc: str | bool | None
+    rcParams: dict[str, Any] | None
+
+
+class MarkStyle(FrameStyle, total=False):
+    """Those of pictures whose systems have a colour."""
+
+    color: Any
+
+
+class LineStyle(MarkStyle, total=False):
+    """Those of pictures whose systems have lines."""
+
+    linestyle: str | None
+    linewidth: float | None
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a picture is to look, as the keywords that all pictures take say it."""
+
+    title: str | None = None
+    grid: bool = True
+    show_legend: bool | None = None
+    legend_loc: str | bool | None = None
+    rcParams: dict[str, Any] | None = None
+    line: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, style: Mapping[str, Any], known: type = LineStyle) -> Look:
+        """Style of these keywords, which `known` lists; one that is None stays what it is."""
+        unknown = [name for name in style if name not in known.__annotations__]
+        if unknown:
+            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; of style: {', '.join(known.__annotations__)}")
+        given = {name: value for name, value in style.items() if value is not None}
+        frame = {name: given.pop(name) for name in FrameStyle.__annotations__ if name in given}
+        _refuse_unknown_look(given, frame)
+        return cls(**frame, line=given)
+
+    def context(self) -> AbstractContextManager[None]:
+        """Settings of matplotlib while the picture is drawn: those of python-control, then those given."""
+        settings: Any = dict(ct.config.defaults["ctrlplot.rcParams"]) | (self.rcParams or {})
+        return plt.rc_context(settings)
+
+    def curve(self, k: int) -> dict[str, Any]:
+        """Properties of the line of the k-th system; broken lines after the first, so that equal ones are all seen."""
+        return {"linestyle": STYLES[k % len(STYLES)], "linewidth": 1.4, "zorder": 3, **self.line}
+
+    def lattice(self, axis: Axes, *, minor: str | None = None) -> None:
+        """Grid lines at the ticks, and paler ones at the minor ticks of one axis."""
+        if self.grid:
+            axis.grid(True, which="major", linewidth=0.5, alpha=0.6)
+            if minor is not None:
+                axis.grid(True, which="minor", axis=minor, linewidth=0.3, alpha=MINOR)  # type: ignore[arg-type]
+
+    def legend(self, axis: Axes, least: int = 2) -> Any:
+        """Legend outside the data, or where it was asked to be; none for fewer entries than `least`."""
+        if self.show_legend is False or (self.legend_loc is False and self.show_legend is None):
+            return None
+        least = 1 if self.show_legend or isinstance(self.legend_loc, str) else least
+        if not isinstance(self.legend_loc, str):
+            return legend_above(axis, least)
+        place: Any = self.legend_loc
+        return axis.legend(loc=place) if len(axis.get_legend_handles_labels()[1]) >= least else None
+
+    def entitle(self, figure: Figure, ax: Any, default: str) -> None:
+        """Title of the figure; on axes of one's own only if it was asked for."""
+        if self.title is not None or ax is None:
+            figure.suptitle(plain(default if self.title is None else self.title))
+
+
+def _refuse_unknown_look(line: Mapping[str, Any], frame: Mapping[str, Any]) -> None:
+    """Refuse what matplotlib would refuse in the middle of a picture."""
+    _checks.flags(**{name: frame[name] for name in ("grid", "show_legend") if name in frame})
+    place = frame.get("legend_loc")
+    if isinstance(place, str) and place not in Legend.codes:
+        raise StructureError(f"legend_loc is {place!r}; it must be one of {', '.join(map(repr, Legend.codes))}")
+    try:
+        Line2D([], [], **line)
+        RcParams(dict(frame.get("rcParams", {})))
+    except (ValueError, TypeError, KeyError, OSError) as error:  # python-control raises the last on being iterated
+        raise StructureError(f"matplotlib does not know this style: {error}") from None
+
+
+def new_axes(ax: Any, shape: tuple[int, int], size: tuple[float, float], **options: Any) -> tuple[Figure, NDArray[Any]]:
+    """Axes of the given shape in a new figure, or those that were passed."""
+    if ax is not None:
+        return given_axes(ax, shape)
+    figure, axes = plt.subplots(*shape, squeeze=False, layout="constrained", figsize=size, **options)
+    figure.align_ylabels()
+    return figure, axes
+
+
+def given_axes(ax: Any, shape: tuple[int, int], meaning: str = "") -> tuple[Figure, NDArray[Any]]:
+    """Axes that were passed, in the shape that the picture needs."""
+    axes = np.array(ax, dtype=object)
+    if axes.size != np.prod(shape):
+        raise StructureError(
+            f"ax has {axes.size} axes; needed {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
+        )
+    wrong = [one for one in axes.flat if not isinstance(one, Axes)]
+    if wrong:
+        raise StructureError(f"ax holds {_checks.shown(wrong[0])}; pass axes of matplotlib, as plt.subplots makes them")
+    axes = axes.reshape(shape)
+    return axes[0, 0].figure, axes
+
+
+def stacked(ax: Any, heights: list[float], *, share: str = "first", meaning: str = "") -> tuple[Figure, NDArray[Any]]:
+    """One column of axes; the second, or all of them, share the abscissa of the first, or none does."""
+    if ax is not None:
+        return given_axes(ax, (len(heights), 1), meaning)
+    tall = 0.8 + 2.3 * len(heights) if share == "none" else 1.2 + 0.75 * sum(heights)
+    figure = plt.figure(figsize=(7.2, tall), layout="constrained")
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    panels = [figure.add_subplot(grid[0])]
+    for k in range(1, len(heights)):
+        shared = share == "all" or (share == "first" and k == 1)
+        panels.append(figure.add_subplot(grid[k], sharex=panels[0] if shared else None))
+        if shared:
+            panels[k - 1].tick_params(labelbottom=False)
+    figure.align_ylabels(panels)
+    return figure, np.array(panels, dtype=object)[:, None]
+
+
+def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
+    """Label of an axis of decibels."""
+    unit = _checks.unit_text(gain_unit)
+    return labelled(quantity, f"dB re 1 {unit}" if unit else "dB")
+
+
+class PlainLogFormatter(LogFormatter):
+    """Labels such as 20 in place of powers of ten times a digit, where the axis has labels between powers of ten."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Label of a tick, if it is to have one."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def labelled(quantity: str, unit: str | None) -> str:
+    """Label of an axis, with its unit in brackets if it has one."""
+    return plain(f"{quantity} [{unit}]" if _checks.unit_text(unit) else quantity)
+
+
+def frequency_axis(Hz: bool, time_unit: str | None) -> tuple[float, str]:
+    """Size of the unit of frequency in rad per unit time, and its name."""
+    _checks.flags(Hz=Hz)
+    if not Hz:
+        return 1.0, rate(time_unit)
+    if time_unit is not None and time_unit not in SECONDS:
+        raise StructureError(
+            f"Hz needs a known unit of time, one of {', '.join(SECONDS)}; time_unit is {time_unit!r}: use Hz=False"
+        )
+    return hertz_size(time_unit), "Hz"
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib shows as it is: two dollar signs would make a formula of what is between them."""
+    return str(text).replace("$", r"\$")
+
+
+def legend_above(axis: Axes, least: int = 2) -> Any:
+    """Legend outside the data, where no line can hide behind it; none for fewer entries than `least`."""
+    handles, labels = axis.get_legend_handles_labels()
+    if len(labels) < least:
+        return None
+    room = _PER_INCH * axis.figure.bbox.width / axis.figure.dpi
+    columns = next((count for count in (4, 2) if _letters(labels, count) < room), 1)
+    return axis.legend(
+        handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns,
+        frameon=False, borderaxespad=0.2,
+    )  # fmt: skip
+
+
+def _letters(labels: list[str], columns: int) -> int:
+    """Width of a legend: matplotlib fills column by column, each as wide as its longest entry."""
+    parts = np.array_split(np.array(labels, dtype=object), columns)
+    return sum(max(map(len, part)) for part in parts if len(part))
+
+
+def extremes(time: Array, values: Array, limit: int) -> tuple[Array, Array]:
+    """At most about `limit` samples that draw the same line: the least and the greatest of each short bin, in order.
+
+    A bin without any number is a gap.
+    """
+    if len(values) <= limit:
+        return time, values
+    size = -(-2 * len(values) // limit)
+    padding = -len(values) % size
+    bins = np.concatenate([values, np.full(padding, np.nan)]).reshape(-1, size)
+    first = size * np.arange(len(bins))
+    low = first + np.argmin(np.where(np.isnan(bins), np.inf, bins), axis=1)
+    high = first + np.argmax(np.where(np.isnan(bins), -np.inf, bins), axis=1)
+    # argmin and argmax of an empty bin are its first sample, a NaN
+    kept = np.unique(np.concatenate([low, high]))
+    return time[kept], values[kept]

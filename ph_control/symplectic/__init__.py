@@ -1,0 +1,1 @@
+"""Symplectic forms, Williamson's normal form, Darboux coordinates and Casimirs."""

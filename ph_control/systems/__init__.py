@@ -1,0 +1,1 @@
+"""The classes that are a `control.StateSpace`, and conversions between them."""

@@ -1,0 +1,248 @@
+"""What the system classes share: a `control.StateSpace` whose matrices are locked views, made when first looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import control as ct
+import numpy as np
+from control.nlsys import NonlinearIOSystem
+from numpy.typing import NDArray
+
+from .. import _checks
+from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
+from ..exceptions import StructureError
+from ..modal.modal_form import ModalForm, imaginary
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
+_LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
+
+
+class View:
+    """A matrix computed on first access, kept, and locked against rebinding and writing."""
+
+    def __init__(self, compute: Callable[[Any], Any]) -> None:
+        self.compute = compute
+        self.__doc__ = compute.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, system: Any, owner: type | None = None) -> Any:
+        if system is None:
+            return self
+        if self.name not in system._views:
+            value = self.compute(system)
+            system._views[self.name] = _checks.readonly(value) if isinstance(value, np.ndarray) else value
+        return system._views[self.name]
+
+    def __set__(self, system: Any, value: Any) -> None:
+        raise AttributeError(
+            f"{self.name} of a {type(system).__name__} cannot be changed: the system would no longer be lossless; "
+            f"make a new one with {system._factory}, or a free StateSpace with control.ss(sys)"
+        )
+
+
+class LosslessSystem(ct.StateSpace):
+    """Base of the system classes: names and sizes at once, matrices and modes on demand.
+
+    A subclass gives `A`, `B`, `C` as views, its `modes`, the call `_factory` that makes it, and `__reduce__`.
+    """
+
+    _factory: str
+    _integrated = False  # whether the transfer function is that of the modes, or that divided by s
+    _views: dict[str, Any]
+    _state_index: dict[str, int] | None
+
+    def _setup(self, nstates: int, nports: int, names: dict[str, Any]) -> None:
+        if "dt" in names:
+            raise StructureError(
+                "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
+            )
+        if not names:
+            self._with_default_names(nstates, nports)
+            return
+        self._views = {}
+        sizes = {"inputs": nports, "outputs": nports, "states": nstates}
+        _checks.signal_names(names, **sizes)
+        for kind, count in sizes.items():
+            if names.get(kind) is None and names.get(kind[:-1]) is None:
+                names[kind] = count
+        # StateSpace.__init__ would build and store dense matrices; its base class keeps the names and the timebase
+        NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **names)
+        # the functions are those of the class; of its own a system would have to hold itself, and outlive its last use
+        del self.updfcn, self.outfcn
+
+    def _with_default_names(self, nstates: int, nports: int) -> None:
+        """As python-control does it, whose steps are taken once for all; states are named when somebody asks."""
+        fixed, own = _unnamed()
+        self.__dict__.update(fixed)
+        for key, value in own:
+            self.__dict__[key] = value.copy()
+        self.name = self._name_or_default()
+        if nports != self.ninputs:
+            self.set_inputs(nports)
+            self.set_outputs(nports)
+        self.nstates, self._state_index = nstates, None
+
+    @property
+    def state_index(self) -> dict[str, int]:
+        """Names of the states, each with its place."""
+        if self._state_index is None:
+            self.set_states(self.nstates)
+        assert self._state_index is not None
+        return self._state_index
+
+    @state_index.setter
+    def state_index(self, index: dict[str, int]) -> None:
+        self._state_index = index
+
+    def updfcn(self, t: float, x: Any, u: Any, params: Any) -> Array:
+        """Derivative of the state, as python-control asks for it."""
+        return np.asarray(self.A @ np.atleast_1d(x) + self.B @ np.atleast_1d(u))
+
+    def outfcn(self, t: float, x: Any, u: Any, params: Any) -> Array:
+        """Output, as python-control asks for it."""
+        return np.asarray(self.C @ np.atleast_1d(x))
+
+    @View
+    def D(self) -> Array:
+        """Feedthrough, zeros of shape (m, m), read-only."""
+        return np.zeros((self.ninputs, self.ninputs))
+
+    @property
+    def modes(self) -> ModalForm:
+        """Modal form: the truth behind the matrices."""
+        raise NotImplementedError
+
+    @property
+    def n(self) -> int:
+        """Number of degrees of freedom; there are 2n states."""
+        return int(self.nstates) // 2
+
+    def _converted(self, **names: Any) -> Any:
+        """Return the port-Hamiltonian system that `ph` makes of this one."""
+        raise NotImplementedError
+
+    def _full_port_hamiltonian(self) -> Any:
+        """Return a port-Hamiltonian system of the same size with the same transfer function."""
+        raise NotImplementedError
+
+    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+        """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
+
+        Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
+        """
+        return self.modes.evaluate(_checks.complex_points("the points", x))
+
+    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
+        """Frequency response as data, a rounding to the right of the imaginary axis.
+
+        There the phase of a lossless response jumps by a little less than half a turn, which would leave open which way
+        it went: up at a zero, down at a pole.  What unwraps it, as `control.bode_plot` does, goes the same way.
+        """
+        response = super().frequency_response(omega, squeeze)
+        values, across = response.frdata, -1j if self._integrated else 1.0
+        level = np.isfinite(values) & ((values.imag if self._integrated else values.real) == 0)
+        size = np.where(level, _ASIDE * np.abs(values), 0.0)
+        response.frdata = values + across * size * self.modes._rising(response.omega, self._integrated)
+        return response
+
+    def bode_plot(self, *args: Any, **kwargs: Any) -> Any:
+        """Bode plot of python-control; as `control.bode_plot`, with phases that start between -180 and 180 degrees."""
+        if ct.config.defaults.get("freqplot.initial_phase") is None:
+            kwargs.setdefault("initial_phase", 0)
+        try:
+            return super().bode_plot(*args, **kwargs)
+        except AttributeError as error:  # python-control hands what it does not know to the lines of matplotlib
+            raise TypeError(str(error)) from None
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues of A, shape (2n,): `±i d`, and 0 twice for each degree of freedom without a frequency."""
+        return self._poles(self.modes.d)
+
+    def _poles(self, d: Array) -> ComplexArray:
+        return imaginary(np.concatenate([-d[::-1], np.zeros(2 * (self.n - len(d))), d]))
+
+    def zeros(self) -> ComplexArray:
+        """Zeros; all on the imaginary axis.  See `ModalForm.zeros`."""
+        return self.modes.zeros.copy()
+
+    def _names(self) -> dict[str, Any]:
+        """Names of the system and its signals, as its factory takes them."""
+        return {
+            "name": self.name,
+            "inputs": self.input_labels,
+            "outputs": self.output_labels,
+            "states": self.state_labels,
+        }
+
+    def _equations(self) -> str:
+        A, B, C = (latex_matrix(matrix) for matrix in (self.A, self.B, self.C))
+        return rf"\dot x = {A} x + {B} u, \quad y = {C} x"
+
+    def _repr_latex_(self) -> str | None:
+        return f"$${self._equations()}$$" if fits_in_a_formula(self) else None
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks: names, equations of a system no larger than `statesp.latex_maxsize`, and its modes."""
+        equations = html_formula(self._equations()) if fits_in_a_formula(self) else ""
+        shown = modes_table(self.modes) if self._modes_at_hand() else html_heading(f"{self.n} degrees of freedom")
+        return html_heading(self._repr_info_()) + equations + shown
+
+    def __str__(self) -> str:
+        if self.n <= _LOOKED_AT:
+            return str(super().__str__())
+        text = f"<{type(self).__name__}>: {self.name}\nInputs ({self.ninputs}): {self.input_labels}"
+        text += f"\nOutputs ({self.noutputs}): {self.output_labels}\nStates ({self.nstates})"
+        if not self._modes_at_hand():
+            return text
+        with np.printoptions(threshold=6):
+            return f"{text}\n\nd = {self.modes.d}\nr = {self.modes.r}"
+
+    @property
+    def rigid_modes(self) -> int:
+        """Number of rigid-body modes: free momenta, which no spring holds."""
+        return len(self.modes.rigid)
+
+    def _modes_at_hand(self) -> bool:
+        """Whether modes may be shown: to look at a large system must not cost the spectrum of its Q."""
+        return self.n <= _LOOKED_AT or getattr(self, "_modes", self) is not None
+
+    def _label_repr(self, show_count: bool | None = None) -> str:
+        """Names as keywords, those that are given by default left out; python-control does not quote quotes."""
+        parts = [] if self._generic_name_check() else [f"name={self.name!r}"]
+        for kind, letter in (("states", "x"), ("outputs", "y"), ("inputs", "u")):
+            labels = getattr(self, f"{kind[:-1]}_labels")
+            if labels != [f"{letter}[{k}]" for k in range(len(labels))]:
+                parts.append(f"{kind}={labels}")
+        return ", ".join(parts)
+
+    def _repr_of(self, *arrays: NDArray[Any]) -> str:
+        """A call of the factory that evaluates to the same system."""
+        text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
+        labels = self._label_repr()
+        return text + (f",\n{labels})" if labels else ")")
+
+
+@cache
+def _unnamed() -> tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]]:
+    """Attributes that python-control gives to a system without states: those that never change, and those that may."""
+    blank = LosslessSystem.__new__(LosslessSystem)
+    blank._setup(0, 1, {"name": "blank"})
+    own = [(key, value) for key, value in vars(blank).items() if isinstance(value, dict)]
+    return {key: value for key, value in vars(blank).items() if not isinstance(value, dict)}, own
+
+
+def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:
+    """Names given, completed by those of the source; python-control takes `input` for `inputs` and so on."""
+    kept = {} if source._generic_name_check() else {"name": source.name}
+    for kind in kinds:
+        if names.get(kind) is None and names.get(kind[:-1]) is None:
+            kept[kind] = getattr(source, kind[:-1] + "_labels")
+    return kept | {key: value for key, value in names.items() if value is not None or key not in kept}

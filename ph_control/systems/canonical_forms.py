@@ -1,0 +1,481 @@
+"""Controllable and observable Hamiltonian canonical forms, and transfer functions.
+
+All three are views of the pairs `(d, v)`: companion matrices and polynomials made of positive products.
+They compute on modal coordinates; the coefficients are for looking at and for handing on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import _checks
+from ..exceptions import ConditioningWarning, StructureError
+from ..modal.modal_form import ModalForm
+from ..numerics.polynomials import cofactors, digits
+from ..symplectic.forms_and_williamson import symplectic_inverse
+from .base import LosslessSystem, View, inherited_names
+from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian, ph
+
+Array = NDArray[np.float64]
+
+_ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix should carry
+
+
+class _CanonicalForm(LosslessSystem):
+    """What both forms share: the parameters, their modes, and the coefficients."""
+
+    def __init__(self, d: ArrayLike, v: ArrayLike, **names: Any) -> None:
+        self._d, self._v = _checks.hamiltonian_parameters(d, v)
+        self._setup(len(self._v), 1, names)
+
+    @property
+    def d(self) -> Array:
+        """Natural frequencies in the order given, shape (n,); of a semidefinite energy (2n,), `(d_1, d_2)`."""
+        return self._d
+
+    @property
+    def v(self) -> Array:
+        """Williamson input vector `v = S B`, shape (2n,)."""
+        return self._v
+
+    @View
+    def _modal(self) -> ModalForm:
+        n = self.n
+        q, p = self._v[:n], self._v[n:]
+        if len(self._d) == n:
+            order = np.argsort(self._d, kind="stable")
+            nu, rigid, r = (q + 1j * p)[order, None], np.zeros((0, 1)), (q * q + p * p)[order]
+            return _in_range(ModalForm._of(self._d[order], nu, rigid, r))
+        d1, d2 = self._d[:n], self._d[n:]
+        free = (d1 == 0) | (d2 == 0)
+        # a squeeze that makes both halves of the energy of a mode alike
+        d, squeeze = d1[~free] * np.sqrt(d2[~free] / d1[~free]), (d1[~free] / d2[~free]) ** 0.25
+        order = np.argsort(d, kind="stable")
+        nu = (q[~free] * squeeze + 1j * p[~free] / squeeze)[order, None]
+        still = np.sqrt(d1[free]) * q[free] + np.sqrt(d2[free]) * p[free]
+        return _in_range(ModalForm._of(d[order], nu, still[:, None]))
+
+    @property
+    def modes(self) -> ModalForm:
+        """Modal form: frequencies ascending, with their weights."""
+        modal: ModalForm = self._modal
+        return modal
+
+    @View
+    def _coefficients(self) -> tuple[Array, Array]:
+        a, c = self.modes.coefficients()
+        return _checks.readonly(a), _checks.readonly(c)
+
+    @property
+    def a(self) -> Array:
+        """Coefficients `(a_0 .. a_{2n-1})` of the characteristic polynomial, shape (2n,); odd ones are exactly 0."""
+        a: Array = self._coefficients[0]
+        return a
+
+    @property
+    def c(self) -> Array:
+        """Coefficients `(c_1, c_3 .. c_{2n-1})` of the numerator, shape (n,), as `ModalForm.coefficients`."""
+        c: Array = self._coefficients[1]
+        return c
+
+    @property
+    def digits(self) -> float:
+        """Decimal digits of the frequencies that survive in a companion matrix of doubles; 0 for repeated ones."""
+        # a pole at 0 costs none: its coefficients are exactly 0
+        return digits(self.modes.d)
+
+    def _companion(self) -> Array:
+        """Companion matrix with the coefficients in its last row."""
+        warn_of_lost_digits(self.n, self.digits, "companion matrix", stacklevel=5)
+        A = np.eye(len(self.a), k=1)
+        A[-1:] = 0.0 - self.a
+        return A
+
+    def _readout(self) -> Array:
+        """Row `[0, c_{2n-1}, 0, c_{2n-3} .. 0, c_1]`."""
+        row = np.zeros(2 * self.n)
+        row[1::2] = self.c[::-1]
+        return row
+
+    def _unit(self) -> Array:
+        """Column `(0 .. 0, 1)`."""
+        return np.eye(2 * self.n, 1, k=1 - 2 * self.n)
+
+    def port_hamiltonian(self, S: ArrayLike | None = None, **names: Any) -> PortHamiltonian:
+        """Port-Hamiltonian system `(S^T diag(d, d) S, S^{-1} v)` with the same transfer function, of the same size.
+
+        Parameters
+        ----------
+        S : array_like, shape (2n, 2n), optional
+            Symplectic matrix; default the identity.
+        **names
+            `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+        Returns
+        -------
+        PortHamiltonian
+            Linked with this system by `controllable_morphism` or `observable_morphism`; isomorphic to it iff the
+            parameters are canonical.
+
+        Raises
+        ------
+        StructureError
+            If `S` is not symplectic.
+
+        Notes
+        -----
+        The map `phi_S` of the paper's representation theorem (i).  `ph(sys)` gives the minimal system instead.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> phc.ch([1.0, 2.0], [1.0, 0.0, 0.0, 0.0]).port_hamiltonian().n
+        2
+        """
+        n = self.n
+        weights = np.concatenate([self._d, self._d]) if len(self._d) == n else self._d
+        if S is None:
+            return PortHamiltonian(np.diag(weights), self._v, **inherited_names(self, names, "inputs", "outputs"))
+        matrix = _checks.symplectic_matrix(S, 2 * n)
+        Q = matrix.T @ (weights[:, None] * matrix)
+        B = symplectic_inverse(matrix) @ self._v
+        return PortHamiltonian(0.5 * (Q + Q.T), B, **inherited_names(self, names, "inputs", "outputs"))
+
+    def _full_port_hamiltonian(self) -> PortHamiltonian:
+        return self.port_hamiltonian()
+
+    def _converted(self, **names: Any) -> PortHamiltonian:
+        modes = self.modes.minimal()
+        return PortHamiltonian._from_modes(modes, **inherited_names(self, names, "inputs", "outputs"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (type(self), self._d.copy(), self._v.copy(), self._names())
+
+    def _repr_eval_(self) -> str:
+        return self._repr_of(self._d, self._v)
+
+
+class ControllableHamiltonian(_CanonicalForm):
+    """Controllable Hamiltonian canonical form `s' = g1(d) s + e_{2n} u`, `y = g2(d, v) s`.
+
+    Controllable by construction, and always the preimage of a port-Hamiltonian system; observable iff that is
+    canonical.  Use `ch` to make one.
+
+    Parameters
+    ----------
+    d : array_like, shape (n,) or (2n,)
+        Natural frequencies, positive, rad per unit time; or `(d_1, d_2)`, not negative, of a semidefinite energy
+        `diag(d_1, d_2)`.
+    v : array_like, shape (2n,)
+        Williamson input vector.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Raises
+    ------
+    StructureError
+        If the sizes do not fit, or a frequency is not positive.
+
+    See Also
+    --------
+    ch, ObservableHamiltonian
+
+    Notes
+    -----
+    `g1` is the companion matrix of `prod (s^2 + d_l^2)`, `g2 = [0, c_{2n-1}, 0, c_{2n-3} .. 0, c_1]`.  The matrices are
+    computed when first looked at, O(n^2); a `ConditioningWarning` says if fewer than six digits of the frequencies
+    survive in them.  Frequency and time responses never use them.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> sys = phc.ch([1.0, 2.0], [1.0, 1.0, 0.0, 0.0])
+    >>> sys.A
+    array([[ 0.,  1.,  0.,  0.],
+           [ 0.,  0.,  1.,  0.],
+           [ 0.,  0.,  0.,  1.],
+           [-4.,  0., -5.,  0.]])
+    >>> sys.C
+    array([[0., 6., 0., 3.]])
+    """
+
+    _factory = "ch(d, v)"
+
+    @View
+    def A(self) -> Array:
+        """Companion matrix `g1(d)`, shape (2n, 2n), read-only."""
+        return self._companion()
+
+    @View
+    def B(self) -> Array:
+        """Input matrix `e_{2n}`, shape (2n, 1), read-only."""
+        return self._unit()
+
+    @View
+    def C(self) -> Array:
+        """Output matrix `g2(d, v)`, shape (1, 2n), read-only."""
+        return self._readout()[None, :]
+
+
+class ObservableHamiltonian(_CanonicalForm):
+    """Observable Hamiltonian canonical form `s' = g1(d)^T s + g2(d, v)^T u`, `y = e_{2n}^T s`.
+
+    Observable by construction: every motion of a port-Hamiltonian system with these parameters is one of it.
+    The converse holds iff that system is canonical.  Use `oh` to make one.
+
+    Parameters
+    ----------
+    d, v, **names
+        As for `ControllableHamiltonian`.
+
+    Raises
+    ------
+    StructureError
+        As `ControllableHamiltonian`.
+
+    See Also
+    --------
+    oh, ControllableHamiltonian
+
+    Notes
+    -----
+    The transpose of the controllable form.  With a repeated `d` the matrix has Jordan blocks: some initial states
+    then give free motions that grow with time, which no port-Hamiltonian system has.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.oh([1.0, 2.0], [1.0, 1.0, 0.0, 0.0]).B.T
+    array([[0., 6., 0., 3.]])
+    """
+
+    _factory = "oh(d, v)"
+
+    @View
+    def A(self) -> Array:
+        """Transposed companion matrix `g1(d)^T`, shape (2n, 2n), read-only."""
+        return self._companion().T.copy()
+
+    @View
+    def B(self) -> Array:
+        """Input matrix `g2(d, v)^T`, shape (2n, 1), read-only."""
+        return self._readout()[:, None]
+
+    @View
+    def C(self) -> Array:
+        """Output matrix `e_{2n}^T`, shape (1, 2n), read-only."""
+        return self._unit().T.copy()
+
+
+def ch(d: Any, v: ArrayLike | None = None, **names: Any) -> ControllableHamiltonian:
+    """Make a controllable Hamiltonian canonical form, from its parameters or from a lossless system.
+
+    Parameters
+    ----------
+    d : array_like, shape (n,) or (2n,), or a system
+        Natural frequencies (see `ControllableHamiltonian`); or, without `v`, any one-port that `ph` takes.
+    v : array_like, shape (2n,), optional
+        Williamson input vector.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; signal names of a given system are kept.
+
+    Returns
+    -------
+    ControllableHamiltonian
+        Of the size of a given port-Hamiltonian system or canonical form; minimal for any other.
+
+    Raises
+    ------
+    StructureError
+        If the parameters do not fit, or the system has several ports.
+    NotLosslessError
+        If the system has no port-Hamiltonian form.
+
+    Notes
+    -----
+    The preimage under the paper's representation theorem (i).  O(n^3) for a system given by `Q` and `B`, else O(n).
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.ch(phc.frenkel_kontorova(2)).a.round(12)
+    array([1., 0., 3., 0.])
+    """
+    return _make(ControllableHamiltonian, d, v, names)
+
+
+def oh(d: Any, v: ArrayLike | None = None, **names: Any) -> ObservableHamiltonian:
+    """Make an observable Hamiltonian canonical form, from its parameters or from a lossless system.
+
+    Parameters
+    ----------
+    d, v, **names
+        As for `ch`.
+
+    Returns
+    -------
+    ObservableHamiltonian
+        As `ch`.
+
+    Raises
+    ------
+    StructureError, NotLosslessError
+        As `ch`.
+
+    Notes
+    -----
+    The image under the paper's representation theorem (ii).  Cost as `ch`.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> sys = phc.oh(phc.ch([1.0, 2.0], [1.0, 1.0, 0.0, 0.0]))
+    >>> sys.d, sys.v
+    (array([1., 2.]), array([1., 1., 0., 0.]))
+    """
+    return _make(ObservableHamiltonian, d, v, names)
+
+
+def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -> Any:
+    if v is not None:
+        return kind(d, v, **names)
+    source = d
+    if isinstance(source, ct.InputOutputSystem):
+        names = inherited_names(source, names, "inputs", "outputs")
+    if isinstance(source, _CanonicalForm):
+        return kind(source.d, source.v, **names)
+    sys = full_port_hamiltonian(source)
+    if sys.ninputs != 1:
+        raise StructureError(
+            f"the system has {sys.ninputs} ports; canonical forms are those of one port: pick one with "
+            "ph(sys.Q, sys.B[:, k])"
+        )
+    modes = sys.modes
+    d, nu, still = modes.d, modes.nu[:, 0], np.zeros(sys.n - len(modes.d))
+    if len(still) == 0:
+        return kind(d, np.concatenate([nu.real, nu.imag]), **names)
+    moved = np.eye(1, len(still))[0] * np.linalg.norm(modes.rigid)
+    doubled = np.concatenate([still, d, still + 1.0, d])
+    return kind(doubled, np.concatenate([still, nu.real, moved, nu.imag]), **names)
+
+
+def _in_range(modes: ModalForm) -> ModalForm:
+    """Refuse a modal form of one port whose weights leave the range of doubles."""
+    what = "the modal weights of this d and v"
+    with np.errstate(over="ignore"):
+        _checks.representable(what, modes.r, modes.kappa, nonzero=modes.nu[:, 0] != 0)
+        _checks.representable(what, modes.rigid**2, nonzero=modes.rigid != 0)
+    return modes
+
+
+def _restore(kind: type[Any], d: Array, v: Array, names: dict[str, Any]) -> Any:
+    self: Any = object.__new__(kind)
+    # the constructor of a subclass may take other arguments
+    _CanonicalForm.__init__(self, d, v, **names)
+    return self
+
+
+def warn_of_lost_digits(n: int, kept: float, what: str, *, stacklevel: int) -> None:
+    """Warn where so many digits of the frequencies are not enough."""
+    if kept < _ENOUGH:
+        warnings.warn(
+            f"the {what} of {n} modes carries {kept:.1f} decimal digits: rounding to doubles loses the others; work "
+            "with the system itself, whose responses use d and v, or with ph(sys)",
+            ConditioningWarning,
+            stacklevel=stacklevel,
+        )
+
+
+def tf(sys: Any, **names: Any) -> ct.TransferFunction:
+    """Transfer function of a lossless system; of one port all coefficients have full relative accuracy.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, or any that `ph` takes
+        System to convert.
+    **names
+        `name`, `inputs`, `outputs` as for `control.tf`; those of the system are kept.
+
+    Returns
+    -------
+    control.TransferFunction
+        Minimal: equal frequencies are merged, and modes that no port reaches dropped.
+
+    Raises
+    ------
+    StructureError
+        If a coefficient exceeds the range of doubles.
+    NotLosslessError
+        If the system has no port-Hamiltonian form.
+
+    Warns
+    -----
+    ConditioningWarning
+        If fewer than six digits of the frequencies survive the rounding of the coefficients: no transfer function
+        in doubles carries more, `control.tf` included.
+
+    Notes
+    -----
+    One port: products of positive numbers only, O(n^2).  More ports: `sum_l R_l prod_{j != l} (s^2 + d_j^2)` for each
+    entry, where residues of either sign may cancel; O(n^2 m^2).
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.tf(phc.lc_circuit([1.0, 0.25], [1.0, 1.0])).num_list[0][0]
+    array([2., 0., 5., 0.])
+    """
+    source = sys if isinstance(sys, LosslessSystem) else ph(sys)
+    _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs, states=0)
+    for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
+        if names.get(kind) is None and names.get(kind[:-1]) is None:
+            names[kind] = getattr(source, label)
+    modes = source.modes.minimal()
+    warn_of_lost_digits(modes.n, digits(modes.d), "transfer function", stacklevel=3)
+    if modes.nports == 1:
+        a, c = modes.coefficients()
+        numerator, denominator = np.zeros(max(1, 2 * modes.n)), np.concatenate([[1.0], a[::-1]])
+        numerator[0 : 2 * modes.n : 2] = c
+        # of the double pole that stands for a rigid-body mode one is cancelled
+        shift = 1 if len(modes.rigid) else 0
+        numerator, denominator = numerator[: len(numerator) - shift], denominator[: len(denominator) - shift]
+        if source._integrated and modes.n and not numerator[-1]:
+            numerator = numerator[:-1]
+        elif source._integrated:
+            denominator = np.append(denominator, 0.0)
+        return ct.tf(numerator, denominator, **names)
+    numerators, denominator = _matrix_coefficients(modes)
+    if source._integrated:
+        denominator = np.append(denominator, 0.0)
+    return ct.tf(numerators, [[denominator] * modes.nports for _ in range(modes.nports)], **names)
+
+
+def _matrix_coefficients(modes: ModalForm) -> tuple[list[list[Array]], Array]:
+    """Numerators and the common denominator of several ports, descending."""
+    rest = np.unique(modes.d)
+    frequencies = np.concatenate([np.zeros(min(1, len(modes.rigid))), rest])
+    rows = cofactors(frequencies)
+    size = 2 * len(rows)
+    even, odd = modes._symmetric_residues
+    place = np.searchsorted(rest, modes.d) + len(rows) - len(rest)
+    # symmetric and skew parts of the residues, and the size of what they are made of
+    parts = np.zeros((3, len(rows), *even.shape[1:]))
+    size_of = np.abs(modes.nu)[:, :, None] * np.abs(modes.nu)[:, None, :] * modes.d[:, None, None]
+    for part, values in zip(parts, (even, odd * modes.d[:, None, None], size_of), strict=True):
+        np.add.at(part, place, values)
+    if len(modes.rigid):
+        parts[0, 0], parts[2, 0] = modes.rigid.T @ modes.rigid, np.abs(modes.rigid).T @ np.abs(modes.rigid)
+    symmetric, skew, terms = np.einsum("plij,lk->pijk", parts, rows)
+    terms_of_skew = np.einsum("lij,lk->ijk", parts[2] * frequencies[:, None, None], rows)
+    table = np.zeros((*even.shape[1:], size))
+    for start, total, scale in ((1, symmetric, terms), (0, skew, terms_of_skew)):
+        # where all cancel, what is left is rounding
+        table[:, :, start::2] = np.where(np.abs(total) > 8 * size * _checks.EPS * scale, total, 0.0)
+    single = ModalForm._of(rest, np.ones((len(rest), 1), complex), np.ones((size // 2 - len(rest), 1)))
+    denominator = np.concatenate([[1.0], single.coefficients()[0][::-1]])
+    return [[entry[::-1] for entry in line] for line in table], denominator

@@ -1,0 +1,448 @@
+"""Known systems in physical coordinates: LC circuits, chains of masses and springs, mass and stiffness matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_solve, eigh, solve_triangular
+from scipy.linalg.lapack import dpotri, dpstrf
+
+from .. import _checks
+from ..exceptions import StructureError
+from ..numerics import definiteness as _definite
+from .port_hamiltonian import PortHamiltonian, ph
+
+Array = NDArray[np.float64]
+
+_ROUNDED = 1e-9  # part of the energy of a motion that is called rounding of a stiffness where it is negative
+_FAINT = 1e-10  # the same, where it is positive, provided that
+_GAP = 1e3  # times more is the next
+_FEW = 64  # modes that are looked at, in a large structure; more are not rigid
+_MARGIN = 10.0  # between a negative energy and the positive ones that are rounding too
+
+_LARGEST = 10**6  # masses of a chain: its matrices are dense
+
+
+def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
+    """Circuit of n parallel branches, in each an inductor in series with a capacitor, across a voltage source.
+
+    The paper's non-dissipative circuit, and Foster's second form of a lossless admittance: branch l has the
+    natural frequency `1 / sqrt(L_l C_l)` and contributes `(s / L_l) / (s^2 + 1 / (L_l C_l))`.
+
+    Parameters
+    ----------
+    C : array_like, shape (n,), or a number
+        Capacitances, positive, farad.  A number is the capacitance of every branch.
+    L : array_like, shape (n,), or a number
+        Inductances, positive, henry.  A number is the inductance of every branch.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default the input is `V`, the output `I`
+        and the states are `Q_1 .. Q_n, phi_1 .. phi_n`.
+
+    Returns
+    -------
+    PortHamiltonian
+        From source voltage (V) to source current (A).  States: charges (C) and flux linkages (Wb).
+
+    Raises
+    ------
+    StructureError
+        If a value is not positive and finite, or the sizes differ.
+
+    Notes
+    -----
+    `H = sum_l Q_l^2 / (2 C_l) + phi_l^2 / (2 L_l)`, `B = (0 .. 0, 1 .. 1)`.  Branches with equal products `L C`
+    resonate as one: the system is then not canonical.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> circuit = phc.lc_circuit([1.0, 0.25], [1.0, 4.0 / 9.0])
+    >>> circuit.d, circuit.modes.kappa
+    (array([1., 3.]), array([1.  , 2.25]))
+    """
+    capacitance = _positive("C", C, "a capacitance")
+    inductance = _positive("L", L, "an inductance")
+    n = max(capacitance.size, inductance.size)
+    if {capacitance.size, inductance.size} - {1, n}:
+        raise StructureError(
+            f"C has {capacitance.size} entries and L has {inductance.size}; give one of each for every branch, or a "
+            "number for all"
+        )
+    energy = np.concatenate([np.ones(n) / capacitance, np.ones(n) / inductance])
+    port = np.repeat([0.0, 1.0], n)
+    return ph(np.diag(energy), port, **_named(names, ["V"], ["I"], _numbered("Q", n) + _numbered("phi", n)))
+
+
+def spring_chain(
+    masses: ArrayLike,
+    stiffnesses: ArrayLike = 1.0,
+    *,
+    ground: ArrayLike = 0.0,
+    port: int | Sequence[int] = 0,
+    **names: Any,
+) -> PortHamiltonian:
+    """Chain of masses, each tied to the next by a spring, and to the ground by another where wanted.
+
+    Parameters
+    ----------
+    masses : array_like, shape (n,)
+        Masses, positive, kg.
+    stiffnesses : array_like, shape (n - 1,), or a number
+        Stiffnesses of the springs between neighbours, not negative, N/m.  A number is the stiffness of each.
+    ground : array_like, shape (n,), or a number
+        Stiffnesses of the springs from each mass to the ground, not negative, N/m; default none.  Without any the
+        chain floats: its Hamiltonian is only positive semidefinite, and the system has a pole at 0.
+    port : int, or a sequence of int
+        The mass on which the force acts and whose velocity is the output, counted from 0; several make a system
+        with as many ports.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default the input is `F`, the output `v`
+        (several ports: `F_1, F_2 ..` and `v_1, v_2 ..` in the order of `port`) and the states are
+        `q_1 .. q_n, p_1 .. p_n`.
+
+    Returns
+    -------
+    PortHamiltonian
+        From force (N) to velocity (m/s).  States: displacements (m) and momenta (kg m/s).
+
+    Raises
+    ------
+    StructureError
+        If a mass is not positive, a stiffness is negative, the sizes do not fit, or there is no mass `port`.
+
+    Notes
+    -----
+    `H = sum_i p_i^2 / (2 m_i) + k_i (q_{i+1} - q_i)^2 / 2 + g_i q_i^2 / 2`, `B` the unit vector of the momentum of
+    the mass `port`.  The matrices are dense.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> wall_to_wall = phc.spring_chain([1.0, 1.0], 4.0, ground=[1.0, 1.0])
+    >>> wall_to_wall.d
+    array([1., 3.])
+    >>> round(phc.spring_chain([1.0, 3.0]).modes.kappa_0, 12)  # the whole chain as one rigid body: 1 / (1 + 3)
+    0.25
+    """
+    mass = _positive("masses", masses, "a mass")
+    n = mass.size
+    between = _stiffness("stiffnesses", stiffnesses, n - 1, f"the {n - 1} springs between {n} masses")
+    to_ground = _stiffness("ground", ground, n, f"the {n} masses")
+    Q = np.zeros((2 * n, 2 * n))
+    Q[:n, :n] = np.diag(to_ground) + _laplacian(between)
+    Q[n:, n:] = np.diag(1.0 / mass)
+    ports = _port_indices(port, n)
+    B = np.zeros((2 * n, len(ports)))
+    B[n + np.array(ports), np.arange(len(ports))] = 1.0
+    inputs, outputs = (["F"], ["v"]) if len(ports) == 1 else (_numbered("F", len(ports)), _numbered("v", len(ports)))
+    return ph(Q, B, **_named(names, inputs, outputs, _numbered("q", n) + _numbered("p", n)))
+
+
+def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
+    """Chain of n unit masses and unit springs, the first mass tied to the origin, the last one free.
+
+    The paper's positive definite Frenkel-Kontorova model,
+    `H = sum_i p_i^2 / 2 + sum_i (q_{i+1} - q_i)^2 / 2 + q_1^2 / 2`, with the force on, and the velocity of, the first
+    mass.
+
+    Parameters
+    ----------
+    n : int
+        Number of masses, at least 1; 2 in the paper.
+    **names
+        As for `spring_chain`.
+
+    Returns
+    -------
+    PortHamiltonian
+        From force to velocity.  States: `q_1 .. q_n, p_1 .. p_n`.
+
+    Raises
+    ------
+    StructureError
+        If `n` is not a positive whole number.
+
+    Notes
+    -----
+    Natural frequencies `2 sin((2 l - 1) pi / (2 (2 n + 1)))`, `l = 1 .. n`; all are reached: the system is canonical.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.frenkel_kontorova().d.round(6)
+    array([0.618034, 1.618034])
+    """
+    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n <= _LARGEST:
+        raise StructureError(
+            f"n is {_checks.shown(n)}; the number of masses is a whole number, at least 1 and at most {_LARGEST}"
+        )
+    return spring_chain(np.ones(n), 1.0, ground=np.eye(1, int(n))[0], **names)
+
+
+def from_second_order(
+    M: ArrayLike, K: ArrayLike, b: ArrayLike, *, condense: bool = False, rtol: float | None = None, **names: Any
+) -> PortHamiltonian:
+    """Undamped structure `M q'' + K q = b u` with the velocity at the force, `y = b^T q'`, as its output.
+
+    Parameters
+    ----------
+    M : array_like, shape (n, n)
+        Mass matrix, symmetric positive definite.
+    K : array_like, shape (n, n)
+        Stiffness matrix, symmetric positive semidefinite; its kernel makes rigid-body modes.
+    b : array_like, shape (n,) or (n, m)
+        Where the forces act, one column for each port.
+    condense : bool
+        Eliminate motions without kinetic energy (the kernel of `M`: zero rows, or combinations of degrees of freedom),
+        on which no force may act.  They follow the others without delay, so nothing is lost: `K` is replaced by its
+        Schur complement.
+    rtol : float, optional
+        Modes with `w^2` of at most `rtol` times the largest are rigid.  By default those that the rounding of `K` may
+        have made of rigid ones: see Notes.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default as for `spring_chain`, `q_i, p_i` with
+        the numbers, from 1, of the degrees of freedom that have mass; where combinations of them are eliminated, `q_i`
+        stands for the i-th together with what moves the same mass.
+
+    Returns
+    -------
+    PortHamiltonian
+        From force to velocity.  States: displacements and momenta `p = M q'`.
+
+    Raises
+    ------
+    StructureError
+        If a matrix is not square, symmetric and of the size of the others, `K` is indefinite, or `M` is singular and
+        cannot be, or is not to be, condensed: the message names the massless degrees of freedom.
+
+    Notes
+    -----
+    `Q = diag(K, M^{-1})`, `B = (0, b)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The natural frequencies
+    are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  All is dense: O(n^3).
+
+    Where entries of `K` are rounded, as by an exporter, its rigid-body modes get a small `w^2` of either sign.  By
+    default a mode is rigid if its energy is less than ten times the most negative one (which is refused beyond 1e-9),
+    or less than 1e-10 and a thousand times less than that of the next; all relative to what the entries of `K` would
+    store if nothing cancelled.  `K` is then cleared of them: the number of rigid modes is `rigid_modes` of the system.
+    A suspension as soft as that needs `rtol=0`.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.from_second_order([[1, 0], [0, 1]], [[5, -4], [-4, 5]], [1, 0]).d
+    array([1., 3.])
+    >>> floating = phc.from_second_order([[1, 0], [0, 3]], [[1, -1], [-1, 1]], [1, 0])
+    >>> round(floating.modes.kappa_0, 12)  # as one rigid body: 1 / (1 + 3)
+    0.25
+    """
+    _checks.flags(condense=condense)
+    mass, stiffness = _square("M", M), _square("K", K)
+    if mass.shape != stiffness.shape:
+        raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
+    force = _forces(b, len(mass))
+    if rtol is not None:
+        _checks.relative_tolerance(rtol)
+    mass, stiffness, force, kept = _with_mass(mass, stiffness, force, condense)
+    stiffness = _with_exact_kernel(mass, stiffness, rtol)
+    n, ports = force.shape
+    Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
+    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse(mass), force
+    inputs, outputs = (["F"], ["v"]) if ports == 1 else (_numbered("F", ports), _numbered("v", ports))
+    states = [f"{letter}_{k + 1}" for letter in "qp" for k in kept]
+    _checks.in_range("the matrix diag(K, inverse of M)", Q)
+    B = _checks.port_matrix(B, 2 * n, name="b")
+    return PortHamiltonian._from_matrices(Q, B, **_named(names, inputs, outputs, states))
+
+
+def _square(name: str, value: ArrayLike) -> Array:
+    """Check of a mass or stiffness matrix what O(n^2) steps can: square, symmetric, not surely indefinite."""
+    array = _checks.real_array(name, value, 2)
+    n = len(array)
+    if array.shape != (n, n) or n == 0:
+        raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
+    return _symmetric(_checks.symmetric_matrix(array, name=name, even=False))
+
+
+def _symmetric(A: Array) -> Array:
+    return 0.5 * (A + A.T)
+
+
+def _forces(b: ArrayLike, n: int) -> Array:
+    array = _checks.real_array("b", b)
+    if array.ndim not in (1, 2) or array.shape[0] != n or array.size == 0:
+        raise StructureError(
+            f"b has shape {array.shape}; with {n} degrees of freedom it must be ({n},) or ({n}, ports)"
+        )
+    return array.reshape(n, -1)
+
+
+def _with_mass(M: Array, K: Array, b: Array, condense: bool) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Mass, stiffness, forces and numbers of the degrees of freedom that have mass."""
+    n, without = len(M), np.flatnonzero(np.diag(M) == 0)
+    remedy = "from_second_order(M, K, b, condense=True) eliminates them statically, or give them mass"
+    if len(without) and not condense:
+        raise StructureError(
+            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({_listed(without)}, counted from "
+            f"1); {remedy}"
+        )
+    if _definite.cholesky_factor(M) is not None:
+        return M, K, b, np.arange(n)
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
+    _definite.refuse_indefinite("M", smallest, tolerance)
+    if smallest > tolerance:
+        return M, K, b, np.arange(n)
+    _, pivots, rank, _ = dpstrf(_definite.unit_diagonal(M)[0], tol=2 * tolerance, lower=1)
+    kept, massless = np.sort(pivots[:rank]) - 1, np.sort(pivots[rank:]) - 1
+    if rank == 0:
+        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
+    if not condense:
+        raise StructureError(
+            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
+            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
+            f"{remedy}"
+        )
+    return *_condensed(M, K, b, kept, massless), kept
+
+
+def _condensed(
+    M: Array, K: Array, b: Array, kept: NDArray[np.intp], massless: NDArray[np.intp]
+) -> tuple[Array, Array, Array]:
+    """Mass, stiffness and forces on `x = q_kept + X q_massless`, all that moves mass: `M q = M[:, kept] x`."""
+    mass = M[np.ix_(kept, kept)]
+    X = _solve(mass, M[np.ix_(kept, massless)])
+    coupling, inner, moved = (K[np.ix_(*rows)] for rows in ((kept, massless), (massless, massless), (kept, kept)))
+    inner = _symmetric(inner - X.T @ coupling - coupling.T @ X + X.T @ moved @ X)
+    coupling = coupling - moved @ X
+    where = _listed(massless)
+    loaded = np.abs(b[massless] - X.T @ b[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(b[kept]))
+    if loaded.any():
+        raise StructureError(
+            f"a force acts on degrees of freedom without mass ({_listed(massless[loaded.any(axis=1)])}, counted from "
+            "1), which would make their velocity depend on the rate of the force; move the force, or give them mass"
+        )
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
+    if smallest <= tolerance:
+        raise StructureError(
+            f"the degrees of freedom without mass ({where}, counted from 1) cannot be eliminated: the smallest "
+            f"eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > {tolerance:.1e}; one "
+            "of their motions meets no spring"
+        )
+    W = _solve_root(inner, coupling.T)
+    return mass, _symmetric(moved - W.T @ W), b[kept]
+
+
+def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
+    """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused.
+
+    What rounding of entries `K_ij`, in units of `sqrt(K_ii K_jj)`, can make of `w^2` is that part of
+    `(|shape|^T sqrt(diag K))^2`, the energy of a mode if nothing cancelled: a measure free of units.
+    """
+    found = _definite.definite_factor(K)
+    if rtol is None and found is not None and found[1] < 1 / _FAINT:
+        return K
+    n = len(K)
+    few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
+    squares, shapes = eigh(K, M, subset_by_index=few)
+    part = squares / np.maximum((np.abs(shapes).T @ np.sqrt(np.abs(np.diag(K)))) ** 2, _checks.TINY)
+    allowed = _ROUNDED if rtol is None else max(rtol, 8 * n * _checks.EPS)
+    if part.min() < -allowed:
+        raise StructureError(
+            f"K is indefinite: the energy of one motion is {part.min():.3g} of what its springs hold one by one, "
+            f"allowed >= {-allowed:.1e} for the rounding of K; a stored energy cannot be negative, so check the signs "
+            "in K, or say with rtol how far it is rounded"
+        )
+    if rtol is not None:
+        rigid = squares <= rtol * float(squares.max())
+    else:
+        rigid = part <= max(_MARGIN * -part.min(), 0.0)
+        order = np.argsort(part)
+        size = np.maximum(np.abs(part[order]), n * _checks.EPS)
+        # rounding leaves a gap above what it makes of rigid modes
+        gap = np.flatnonzero((size[:-1] <= _FAINT) & (size[1:] >= _GAP * size[:-1]))
+        rigid[order[: gap.max(initial=-1) + 1]] = True
+    if np.abs(part[rigid]).max(initial=0.0) <= 2 * _checks.EPS:
+        return K
+    still = shapes[:, rigid]
+    momenta, forces = M @ still, K @ still
+    change = forces @ momenta.T
+    return _symmetric(K - change - change.T + momenta @ (still.T @ forces) @ momenta.T)
+
+
+def _inverse(M: Array) -> Array:
+    """Inverse of a positive definite matrix, exactly symmetric."""
+    scaled, scale = _definite.unit_diagonal(M)
+    lower, _ = dpotri(np.linalg.cholesky(scaled), lower=1, overwrite_c=1)
+    lower = np.tril(lower) / scale / scale[:, None]
+    return lower + np.tril(lower, -1).T
+
+
+def _solve(A: Array, right: Array) -> Array:
+    """`A^{-1} right` for a positive definite `A`."""
+    scaled, scale = _definite.unit_diagonal(A)
+    return cho_solve((np.linalg.cholesky(scaled), True), right / scale[:, None]) / scale[:, None]
+
+
+def _solve_root(A: Array, right: Array) -> Array:
+    """`X` with `X^T X = right^T A^{-1} right` for a positive definite `A`."""
+    scaled, scale = _definite.unit_diagonal(A)
+    return solve_triangular(np.linalg.cholesky(scaled), right / scale[:, None], lower=True)
+
+
+def _listed(indices: NDArray[np.intp]) -> str:
+    shown = ", ".join(str(k + 1) for k in indices[:8])
+    return shown + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")
+
+
+def _laplacian(stiffness: Array) -> Array:
+    """Stiffness matrix of springs between neighbours: `sum_i k_i (e_{i+1} - e_i) (e_{i+1} - e_i)^T`."""
+    inner = np.concatenate([[0.0], stiffness, [0.0]])
+    return np.diag(inner[:-1] + inner[1:]) - np.diag(stiffness, 1) - np.diag(stiffness, -1)
+
+
+def _positive(name: str, value: ArrayLike, what: str) -> Array:
+    array = np.atleast_1d(_checks.real_array(name, value))
+    if array.ndim != 1 or array.size == 0:
+        raise StructureError(f"{name} has shape {array.shape}; it must be a number or a vector with at least one entry")
+    if array.min() <= 0:
+        worst = int(array.argmin())
+        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; {what} is > 0")
+    with np.errstate(over="ignore"):
+        _checks.representable(f"the reciprocals of {name}", 1.0 / array)
+    return array
+
+
+def _stiffness(name: str, value: ArrayLike, count: int, of: str) -> Array:
+    array = _checks.real_array(name, value)
+    if array.ndim == 0:
+        array = np.full(count, float(array))
+    if array.shape != (count,):
+        raise StructureError(f"{name} has shape {array.shape}; it must be a number or ({count},), one for {of}")
+    if count and array.min() < 0:
+        worst = int(array.argmin())
+        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; a stiffness is not negative")
+    return array
+
+
+def _port_indices(port: Any, n: int) -> list[int]:
+    several = isinstance(port, Sequence) or (isinstance(port, np.ndarray) and port.ndim)
+    ports = list(port) if several and not isinstance(port, str | bytes) else [port]
+    if not ports:
+        raise StructureError("port is empty; name at least one mass")
+    for index in ports:
+        if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < n:
+            raise StructureError(f"port is {_checks.shown(port)}; masses are counted from 0 to {n - 1}")
+    return [int(index) for index in ports]
+
+
+def _numbered(letter: str, count: int) -> list[str]:
+    return [f"{letter}_{k}" for k in range(1, count + 1)]
+
+
+def _named(names: dict[str, Any], inputs: list[str], outputs: list[str], states: list[str]) -> dict[str, Any]:
+    """The user's names, and these where the user gave none; python-control takes `input` as well as `inputs`."""
+    defaults = {"inputs": inputs, "outputs": outputs, "states": states}
+    return names | {key: value for key, value in defaults.items() if names.get(key, names.get(key[:-1])) is None}
