@@ -1,8 +1,13 @@
-"""The folders of the package are in one order: a file imports from its own folder, the root and lower folders only."""
+"""The folders of the package are in one order: a file imports from its own folder, the root and lower folders only.
+
+The page on the architecture and its picture show the folders as they are.
+"""
 
 from __future__ import annotations
 
 import ast
+import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -16,6 +21,9 @@ ORDER = (
     "identification.search", "identification.diagnosis", "identification.structure", "identification.fit",
     "identification.validation", "cli",
 )  # fmt: skip
+
+DOCS = PACKAGE.parent / "docs"
+PAGE = (DOCS / "architecture.md").read_text(encoding="utf-8")
 
 FILES = 18  # in a folder, at most
 
@@ -87,6 +95,17 @@ def violations(found: list[tuple[str, str, str]]) -> list[str]:
     return wrong
 
 
+def existing_folders() -> list[str]:
+    """Folders of the package that hold modules, by their path in it."""
+    folders = {str(file.parent.relative_to(PACKAGE)) for file in PACKAGE.rglob("*.py") if file.name != "__init__.py"}
+    return sorted(folders - {"."})
+
+
+def named_folders(page: str) -> list[str]:
+    """Folders in the first column of a table."""
+    return re.findall(r"^\| `([a-z_/]+)/` \|", page, flags=re.M)
+
+
 def test_every_folder_imports_only_from_lower_ones():
     assert violations(imports(PACKAGE)) == []
 
@@ -102,6 +121,25 @@ def test_every_folder_is_in_the_order_and_says_what_is_inside():
         name = _name(file, PACKAGE)
         assert name == "identification" or (folder(name) in ORDER and (not name or folder(name))), name
         assert ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))), name
+
+
+def test_the_page_on_the_architecture_names_every_folder_and_no_other():
+    assert sorted(named_folders(PAGE)) == existing_folders()
+
+
+def test_every_file_on_the_page_exists():
+    files = re.findall(r"\| `([a-z_/]+\.pyi?)` \|", PAGE)
+    assert "exceptions.py" in files
+    assert [name for name in files if not (PACKAGE / name).is_file()] == []
+
+
+def test_the_picture_has_every_folder_and_is_what_its_script_draws():
+    drawing = runpy.run_path(str(DOCS / "architecture.py"))
+    boxes = [name.replace(".", "/") for name in drawing["FOLDERS"] if name != PACKAGE.name]
+    assert sorted(boxes) == existing_folders()
+    in_order = [name.replace(".", "/") for name in ORDER if name.replace(".", "/") in boxes]
+    assert boxes == in_order[::-1]
+    assert (DOCS / "architecture.svg").read_text(encoding="utf-8") == drawing["picture"]()
 
 
 def test_modules_are_imported_by_name_in_two_places_only():

@@ -16,10 +16,22 @@ def stated(file: str, pattern: str) -> list[str]:
 VERSION = stated("pyproject.toml", r'^version = "(.+)"$')
 
 
-def test_the_citation_and_the_newest_entry_of_the_changelog_are_of_this_version():
-    assert len(VERSION) == 1
-    assert stated("CITATION.cff", r"^version: (.+)$") == VERSION
-    assert stated("CHANGELOG.md", r"^## \[(\d.*?)\]")[:1] == VERSION
+def test_the_citation_is_of_the_newest_release_in_the_changelog():
+    released = stated("CHANGELOG.md", r"^## \[(\d.*?)\] - \d{4}-\d\d-\d\d$")
+    assert stated("CITATION.cff", r"^version: (.+)$") == released[:1]
+    dates = stated("CHANGELOG.md", r"^## \[\d.*?\] - (.*)$")
+    assert stated("CITATION.cff", r"^date-released: (.+)$") == dates[:1]
+    assert dates == sorted(dates, reverse=True)
+
+
+def test_this_is_the_newest_release_or_a_development_version_after_it():
+    (version,) = VERSION
+    (newest, *_) = stated("CHANGELOG.md", r"^## \[(\d.*?)\]")
+    if version != newest:
+        number, _, development = version.partition(".dev")
+        assert development.isdecimal()
+        assert [int(part) for part in number.split(".")] > [int(part) for part in newest.split(".")]
+        assert stated("CHANGELOG.md", r"^## \[(.*?)\]")[:1] == ["Unreleased"]
 
 
 @pytest.mark.parametrize(
