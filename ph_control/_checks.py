@@ -34,12 +34,12 @@ def readonly(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def shown(value: Any) -> str:
-    """Text of a value for a message: its type where the text would be long, or cannot be made."""
+    """Text of a value for a message: its type where the text would be long or have several lines, or cannot be made."""
     try:
         text = repr(value)
     except ValueError:  # an integer of thousands of digits
         return type(value).__name__
-    return text if len(text) < 40 else type(value).__name__
+    return text if len(text) < 40 and "\n" not in text else type(value).__name__
 
 
 def labels(value: Any) -> list[str]:
@@ -439,6 +439,14 @@ def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
     if not (isinstance(value, str) and value in allowed):
         raise StructureError(f"{name} is {value!r}; it must be one of {', '.join(map(repr, allowed))}")
     return str(value)
+
+
+def whole_number(name: str, value: Any, least: int | None = None) -> int:
+    """Check a whole number, of at least `least` where that is given."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not (least is None or value >= least):
+        bound = "" if least is None else f" of at least {least}"
+        raise StructureError(f"{name} is {shown(value)}; it must be a whole number{bound}")
+    return int(value)
 
 
 def is_flag(value: Any) -> bool:

@@ -71,6 +71,9 @@ def test_what_is_no_order_no_label_and_no_map_is_refused(record):
         phc.order_selection((u, y), np.array([2])[0:1].reshape(()), dt=0.1)
     with pytest.raises(phc.StructureError, match="range of doubles"):
         phc.excitation((u, y), ([1.0], [1e300]), dt=0.1)
+    for value in (np.array([[50]]), 2.5, 0, True):
+        with pytest.raises(phc.StructureError, match=r"omega_num is .* whole number of at least 1"):
+            phc.bode_plot(plant, omega_num=value)
     with pytest.raises(phc.StructureError, match="label is"):
         phc.compare((u, y), plant, dt=0.1, labels=np.array(2))
     with pytest.raises(phc.StructureError, match="workers is"):

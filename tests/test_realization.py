@@ -429,6 +429,12 @@ def test_one_degree_of_freedom():
     assert (minreal(reachable).n, lift(reachable, 1).n, lift(reachable, 2).n) == (1, 1, 2)
 
 
+def test_a_decomposition_is_compared_with_an_array_as_a_whole():
+    parts = kalman_decomposition(phc.ph(np.eye(2), [0.0, 1.0]))
+    for array in (np.zeros(3), np.zeros(3, dtype=[("a", float)]), np.array([None] * 3)):
+        assert (parts == array) is False and (array == parts) is False and parts != array
+
+
 def test_equal_frequencies_given_by_modes_turn_onto_one():
     r = np.array([1.0, 2.0, 3.0, 4.0])
     modes = ModalForm(np.array([1.0, 1.0, 1.0, 2.0]), np.sqrt(r)[:, None] * np.exp(1j * r)[:, None], np.zeros((0, 1)))

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import DIGITS, EPS, foster_zeros, largest_error, on_axis
+from scipy.sparse import eye_array
 from scipy.stats import kstest, norm, truncnorm
 
 import ph_control as phc
@@ -408,6 +409,9 @@ def test_samples_give_their_modes_one_by_one():
     for outside in (3, -4):
         with pytest.raises(IndexError, match=f"sample {outside} of 3"):
             samples[outside]
+    for index in (eye_array(3).tocsr(), 0.5, np.eye(2)):
+        with pytest.raises(phc.StructureError, match=r"index is .* whole number"):
+            samples[index]
 
 
 def test_samples_are_locked_copies():

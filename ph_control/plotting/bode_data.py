@@ -202,6 +202,8 @@ def bode_data(
     data_label: str | None,
 ) -> BodeData:
     """Compute what `bode_plot` draws; its arguments, and the size of the unit of frequencies in rad per unit time."""
+    if omega_num is not None:
+        _checks.whole_number("omega_num", omega_num, 1)
     systems = as_systems(sysdata, tabulated=True)
     labels = labels_of(sysdata, systems, label)
     models = models_around(confidence, sysdata, systems, "magnitude_band", "phase_band")

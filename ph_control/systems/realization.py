@@ -52,6 +52,8 @@ class KalmanDecomposition(Sequence[Any]):
     See `kalman_decomposition`.
     """
 
+    __array_ufunc__ = None  # it is compared with an array as a whole, not entry by entry
+
     reachable: PortHamiltonian
     hidden: PortHamiltonian
     _transformation: Callable[[], Array]

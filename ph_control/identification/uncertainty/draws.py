@@ -270,7 +270,7 @@ class ModeSamples(Frozen):
         return len(self.d)
 
     def __getitem__(self, index: int) -> ModalForm:
-        if not -len(self) <= index < len(self):
+        if not -len(self) <= _checks.whole_number("index", index) < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
         return from_frequencies(self.d[index], self.r[index])
 
