@@ -327,7 +327,7 @@ def test_a_large_constant_of_the_sensor_changes_nothing_where_an_offset_is_fitte
         shifted = phc.pem((u, y + constant), order, dt=0.2, offset=True)
         assert np.abs(shifted.d - d).max() <= 5 * shifted.stderr["d"].max()
         # the minimum is found to a part of the standard errors
-        assert np.abs(shifted.d - plain.d).max() <= 1e-3 * plain.stderr["d"].max()
+        assert np.abs(shifted.d - plain.d).max() <= 3e-3 * plain.stderr["d"].max()
         assert np.abs(shifted.r - plain.r).max() <= 1e-3 * plain.stderr["r"].max()
         assert abs(shifted.experiments[0].offset - plain.experiments[0].offset - constant) <= deviation * 1e-3
 

@@ -13,9 +13,9 @@ from matplotlib.colors import to_rgb
 
 import ph_control as phc
 from ph_control import NotLosslessError, StructureError
-from ph_control.analysis.energy import energy_plot
 from ph_control.identification.uncertainty.draws import ModeSamples
 from ph_control.plotting import time_data as transients
+from ph_control.plotting.energy_plot import energy_plot
 from ph_control.plotting.mode_data import PoleZeroMap, kappa_intervals, pole_zero_maps, strips
 from ph_control.plotting.mode_plot import modes_plot, pole_zero_plot
 from ph_control.plotting.time_data import response_of, transient_data

@@ -410,7 +410,7 @@ def test_the_tests_of_influence_are_those_of_dense_regressions():
 
 
 def test_a_long_record_worked_in_pieces_gives_the_statistics_of_one_worked_whole(monkeypatch):
-    from ph_control.identification.diagnosis import residual_data, residual_tests
+    from ph_control.identification.uncertainty import residual_data, residual_tests
 
     rng = np.random.default_rng(4)
     e, u = lfilter([1.0], [1.0, -0.5], rng.standard_normal((2, 700)))

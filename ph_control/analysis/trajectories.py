@@ -77,7 +77,9 @@ def _phase_space_states(
     root = np.sqrt(d)[:, None]
     if 2 * len(d) == sys.nstates:
         rows = E / root
-        return symplectic_inverse(np.concatenate([rows.real, rows.imag])) @ np.concatenate([x.real, x.imag])
+        z: Array = symplectic_inverse(np.concatenate([rows.real, rows.imag])) @ np.concatenate([x.real, x.imag])
+        z[:, 0] = z0  # S^-1 S z0 rounds with the condition of S
+        return z
     U, W = _input_integrals(u, rule)
     X = ((E @ sys.B) @ U - root * (x - x0[:, None])) / (1j * d[:, None])
     X0 = np.outer(E0 @ z0, rule.h * np.arange(u.shape[1])) + (E0 @ sys.B) @ W
