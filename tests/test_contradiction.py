@@ -16,10 +16,10 @@ from ph_control.identification.diagnosis.damping import contradiction, sentence
 from ph_control.identification.regression.free import FreeProjection
 from ph_control.identification.regression.free_rows import FreeRecord, FreeResponse, FreeTransform
 from ph_control.identification.regression.frequency_rows import FrequencyRows
-from ph_control.identification.regression.modal_regressors import Hold
 from ph_control.identification.regression.spectral_rows import Spectrum
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem, refine
+from ph_control.modal.discretization import Hold
 
 D = np.array([0.5, 1.9, 2.6])
 H = 0.1

@@ -12,10 +12,10 @@ import ph_control as phc
 from ph_control.identification.excitation.excitation import examine_fit, excitation
 from ph_control.identification.excitation.excited_band import excited_band
 from ph_control.identification.excitation.remedy import multisine
-from ph_control.identification.regression.modal_regressors import Hold
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.identification.uncertainty.fisher import Information, information_at
+from ph_control.modal.discretization import Hold
 
 EPS = np.finfo(float).eps
 GOLDEN = (np.sqrt(5) - 1) / 2

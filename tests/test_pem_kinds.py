@@ -16,10 +16,10 @@ from scipy.signal import lfilter
 
 import ph_control as phc
 import ph_control.identification.fit.pem as pem_module
-from ph_control.identification.regression.modal_regressors import Hold
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.screening import Screen
+from ph_control.modal.discretization import Hold
 
 D, R = np.array([0.7, 2.0, 5.5]), np.array([1.0, 0.4, 0.2])
 QUANTITIES = ("velocity", "displacement", "acceleration")

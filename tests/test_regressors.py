@@ -9,9 +9,10 @@ from reference import EPS, dense_simulation
 import ph_control as phc
 from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.grouped import Modal, Shared, gram
-from ph_control.identification.regression.modal_regressors import Hold, regressors
+from ph_control.identification.regression.modal_regressors import regressors
 from ph_control.identification.regression.time_rows import Experiment, TimeEvaluation
 from ph_control.identification.regression.variable_projection import Problem
+from ph_control.modal.discretization import Hold
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 BLOCKS = ["forced", "cosine", "sine"]
@@ -52,7 +53,7 @@ def test_slopes_are_the_derivatives_of_the_columns(method, intersample, block):
 def test_frequency_of_a_phase_turns_a_mode_by_that_phase(phase, h, method):
     hold = Hold(h, method)
     d = hold.frequency_of(np.array([phase]))
-    assert np.isclose(-np.angle(hold.step(d).multiplier[0]), phase, rtol=1e-12)
+    assert np.isclose(-np.angle(hold.multiplier(-1j * d)[0]), phase, rtol=1e-12)
 
 
 # --- every kind of sensor -------------------------------------------------------------------------------------------

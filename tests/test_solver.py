@@ -5,10 +5,11 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import ph_control as phc
-from ph_control.identification.regression.modal_regressors import Hold, regressors
+from ph_control.identification.regression.modal_regressors import regressors
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.steps import TimeSearch
+from ph_control.modal.discretization import Hold
 
 
 def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method="exact", from_rest=False):

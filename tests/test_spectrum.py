@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from reference import EPS
 
-from ph_control.identification.regression.modal_regressors import QUANTITIES, Hold, output_weight, regressors
+from ph_control.identification.regression.modal_regressors import QUANTITIES, output_weight, regressors
 from ph_control.identification.regression.spectral_rows import SmoothColumns, Spectrum, Window
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem
+from ph_control.modal.discretization import Hold
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 D, KAPPA = np.array([0.31, 0.9, 1.7]), np.array([1.0, 0.4, 0.7])
@@ -29,7 +30,7 @@ def experiment_of(samples=200, hold=("exact", "zoh"), quantity="velocity", drive
 
 def _ends(one, free):
     """What the columns belong to, from `c (x_0 - x_T)` by the recursion itself, the record going round at its end."""
-    step = one.hold.step(D)
+    step = one.hold.step(-1j * D)
     lam, b0, b1 = step.multiplier, step.b0[:, 0], step.b1[:, 0]
     x = free.astype(complex)
     weight = output_weight(D, one.quantity)[0]

@@ -6,10 +6,10 @@ from reference import EPS
 from scipy.signal import lfilter
 
 import ph_control as phc
-from ph_control.identification.regression.modal_regressors import Hold
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.identification.uncertainty.covariance import uncertainty
+from ph_control.modal.discretization import Hold
 
 D, R = np.array([0.7, 2.0, 3.5]), np.array([1.0, 0.4, 0.2])
 N = len(D)

@@ -14,10 +14,9 @@ from .. import _checks
 from .._display import Report
 from .._units import common_unit
 from ..exceptions import StructureError
-from ..modal.propagation import INTERSAMPLE, METHODS
+from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..symplectic.forms_and_williamson import apply_form
 from ..systems.port_hamiltonian import PortHamiltonian
-from .trajectories import Rule
 
 Array = NDArray[np.float64]
 
@@ -132,7 +131,7 @@ def energy_balance(
         raise StructureError(f"this is a {type(sys).__name__}; the energy is that of a PortHamiltonian: use ph(sys)")
     if not isinstance(response, ct.TimeResponseData):
         raise StructureError(f"this is a {type(response).__name__}; pass the response that forced_response gives")
-    rule = getattr(response, "rule", None) or Rule(0.0, "exact", "foh")
+    rule = getattr(response, "rule", None) or Hold(0.0, "exact", "foh")
     method = rule.method if method is None else _checks.choice("method", method, METHODS)
     intersample = rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERSAMPLE)
     t, h = _checks.time_vector(response.time)

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import ResolutionWarning, StructureError
-from ..modal.discrete import check_method
-from ..modal.propagation import INTERSAMPLE
+from ..modal.discretization import INTERSAMPLE, Hold, check_method
 from ..systems.base import LosslessSystem, inherited_names
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
 from .time_grid import listed
-from .trajectories import Rule, check_finite, companion_step, trajectory
+from .trajectories import check_finite, companion_step, trajectory
 
 Array = NDArray[np.float64]
 
@@ -81,7 +80,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
             f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or use "
             "control.sample_system"
         )
-    rule = Rule(
+    rule = Hold(
         _checks.sampling_step(h, name="h"),
         check_method(method),
         _checks.choice("intersample", intersample, INTERSAMPLE),
@@ -96,7 +95,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
     return ct.ss(F, G, sys.C, D, rule.h, **inherited_names(sys, names, "inputs", "outputs", "states"))
 
 
-def _companion(sys: Any, rule: Rule) -> tuple[Array, Array, Array]:
+def _companion(sys: Any, rule: Hold) -> tuple[Array, Array, Array]:
     """`F`, `G` and `D` of a canonical form, each entry right to the last place."""
     step = companion_step(sys, rule)
     warn_of_lost_digits(sys.n, step.digits(), "sampled matrix", stacklevel=4)
@@ -104,7 +103,7 @@ def _companion(sys: Any, rule: Rule) -> tuple[Array, Array, Array]:
     return step.matrices()[0], step.shifted()[:, None], ahead[:, 1:]
 
 
-def _matrices(sys: LosslessSystem, rule: Rule) -> tuple[Array, Array, Array]:
+def _matrices(sys: LosslessSystem, rule: Hold) -> tuple[Array, Array, Array]:
     """`F`, `G` and `D` of any other system."""
     size, ports = sys.nstates, sys.ninputs
     rest = np.zeros(size)
@@ -133,7 +132,7 @@ def _pulse(ports: int, port: int, k: int) -> Array:
     return u
 
 
-def _one_step(sys: LosslessSystem, u: Array, z: Array, rule: Rule) -> Array:
+def _one_step(sys: LosslessSystem, u: Array, z: Array, rule: Hold) -> Array:
     _, states = trajectory(sys, u, z, rule, states=True)
     assert states is not None
     return states[:, 1]

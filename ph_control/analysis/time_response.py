@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..modal.propagation import INTERSAMPLE, METHODS
+from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..systems.base import LosslessSystem
 from .time_grid import Instants, default_time_vector
-from .trajectories import Rule, check_finite, trajectory
+from .trajectories import check_finite, trajectory
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -427,7 +427,7 @@ class _Problem:
         _checks.choice("method", method, METHODS)
         _checks.choice("intersample", intersample, INTERSAMPLE)
         # Euler's rule takes the input at the start of a step, whatever it does until the next
-        self.sys, self.u, self.rule = sys, u, Rule(at.h, method, "zoh" if method == "euler" else intersample)
+        self.sys, self.u, self.rule = sys, u, Hold(at.h, method, "zoh" if method == "euler" else intersample)
         self.z0 = _initial_state(initial_state, sys.nstates)
 
     def outputs(self) -> Array:
@@ -451,7 +451,7 @@ class _Response(TimeResponseData):
     """Response whose instants and states are made when first looked at; without a function for them no states."""
 
     def __init__(
-        self, compute: Callable[[], Array] | None, sys: LosslessSystem, at: Instants, rule: Rule, y: Array,
+        self, compute: Callable[[], Array] | None, sys: LosslessSystem, at: Instants, rule: Hold, y: Array,
         **described: Any,
     ) -> None:  # fmt: skip
         self._compute: Callable[[], Array] | None = None

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..modal.propagation import Step, discretize, simulate
+from ..modal.discretization import Hold
+from ..modal.modal_form import imaginary
+from ..modal.propagation import discretize, simulate
 from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import apply_form, symplectic_inverse
 from ..systems.affine import AffineHamiltonian
@@ -31,15 +33,7 @@ ComplexArray = NDArray[np.complex128]
 _DIGITS = 10.0  # of the largest value of a state that modes must leave, so that they give those of a canonical form
 
 
-class Rule(NamedTuple):
-    """How to step through time: step, method and what the input does between samples."""
-
-    h: float
-    method: str
-    intersample: str
-
-
-def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Rule, *, states: bool) -> tuple[Array, Array | None]:
+def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Hold, *, states: bool) -> tuple[Array, Array | None]:
     """Outputs (m, T) and, on request, states (2n, T) of a system for input samples (m, T) and an initial state."""
     if isinstance(sys, PortHamiltonian):
         return _port_hamiltonian(sys, u, z0, rule, states)
@@ -58,19 +52,19 @@ def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Rule, *, states: 
 
 
 def _port_hamiltonian(
-    sys: PortHamiltonian, u: Array, z0: Array, rule: Rule, states: bool
+    sys: PortHamiltonian, u: Array, z0: Array, rule: Hold, states: bool
 ) -> tuple[Array, Array | None]:
     d, E, E0 = sys._energy
     x0 = np.zeros(len(d) + len(E0), complex)
     if z0.any():
         x0 = np.concatenate([(E @ z0) / np.sqrt(d), E0 @ z0])
     modes = sys.modes
-    y, x = simulate(discretize(modes, *rule), u, x0, states=states)
+    y, x = simulate(discretize(modes, rule), u, x0, states=states)
     return y, None if x is None else _phase_space_states(sys, x[: len(d)], x0[: len(d)], z0, u, rule)
 
 
 def _phase_space_states(
-    sys: PortHamiltonian, x: ComplexArray, x0: ComplexArray, z0: Array, u: Array, rule: Rule
+    sys: PortHamiltonian, x: ComplexArray, x0: ComplexArray, z0: Array, u: Array, rule: Hold
 ) -> Array:
     """Phase-space trajectory (2n, T) from that of the oscillating modes; rigid-body motion is integrated."""
     d, E, E0 = sys._energy
@@ -86,7 +80,7 @@ def _phase_space_states(
     return z0[:, None] + apply_form((E.conj().T @ X).real + E0.T @ X0) + sys.B @ U
 
 
-def _input_integrals(u: Array, rule: Rule) -> tuple[Array, Array]:
+def _input_integrals(u: Array, rule: Hold) -> tuple[Array, Array]:
     """First and second integral of the input over time, by the rule of the method; shape (m, T) each."""
     h = rule.h
     now, then = u[:, :-1], u[:, 1:]
@@ -122,7 +116,7 @@ def _poles(sys: Any) -> _Poles:
     )
 
 
-def companion_step(sys: Any, rule: Rule) -> CompanionStep:
+def companion_step(sys: Any, rule: Hold) -> CompanionStep:
     """One step of a canonical form in its own coordinates."""
     d, kappa = _poles(sys)
     return CompanionStep(
@@ -131,11 +125,11 @@ def companion_step(sys: Any, rule: Rule) -> CompanionStep:
 
 
 def _controllable(
-    sys: ControllableHamiltonian, u: Array, s0: Array, rule: Rule, states: bool
+    sys: ControllableHamiltonian, u: Array, s0: Array, rule: Hold, states: bool
 ) -> tuple[Array, Array | None]:
     """In modal coordinates `w' = -i d w + u`, `y = sum kappa Re w`: defined for every `d`, repeated ones included."""
     d, kappa = _poles(sys)
-    step = Step.of(d, np.ones((sys.n, 1), complex), kappa[None, :].astype(complex), *rule)
+    step = rule.step(imaginary(-d), None, kappa[None, :].astype(complex))
     W = _cofactor_map(d)
     y, w = simulate(step, u, W @ s0, states=states)
     if w is None:
@@ -146,7 +140,7 @@ def _controllable(
 
 
 def _observable(
-    sys: ObservableHamiltonian, u: Array, s0: Array, rule: Rule, states: bool
+    sys: ObservableHamiltonian, u: Array, s0: Array, rule: Hold, states: bool
 ) -> tuple[Array, Array | None]:
     """In modal coordinates `w' = -i d w + kappa u`, `y = sum Re w`, where the frequencies are apart."""
     d, kappa = _poles(sys)
@@ -154,7 +148,7 @@ def _observable(
     struck, L = bool(s0.any()) and np.array_equal(s0, sys.B[:, 0]), _lagrange_map(d)
     start = kappa.astype(complex) if struck else L @ s0 if s0.any() else np.zeros(sys.n, complex)
     error = np.abs(start) if struck or not s0.any() else np.abs(L) @ np.abs(s0)
-    step = Step.of(d, kappa[:, None].astype(complex), np.ones((1, sys.n), complex), *rule)
+    step = rule.step(imaginary(-d), kappa[:, None].astype(complex))
     y, w = simulate(step, u, start, states=states)
     exact = cache(lambda: companion_step(sys, rule).states(u[0], None if struck else s0))
     if s0.any() and not struck:
@@ -204,7 +198,7 @@ def _lagrange_map(d: Array) -> ComplexArray:
         return ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1)) * (-1j) ** (np.arange(2 * n) - 1)
 
 
-def check_finite(y: Array, z: Array | None, growth: float, rule: Rule) -> None:
+def check_finite(y: Array, z: Array | None, growth: float, rule: Hold) -> None:
     """Refuse a response that left the range of doubles."""
     if np.isfinite(y).all() and (z is None or np.isfinite(z).all()):
         return

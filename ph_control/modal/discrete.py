@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.pole_residue import SAFETY, PoleResidueForm
-from .propagation import INTERSAMPLE, METHODS, phi_functions
+from .discretization import INTERSAMPLE, Hold, check_method
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def sampling_rule(sys: Any, method: str | None, intersample: str) -> tuple[float, str, str]:
-    """Step, method and hold of a discrete-time system, or why they do not tell the continuous one."""
+def sampling_rule(sys: Any, method: str | None, intersample: str) -> Hold:
+    """How a discrete-time system was sampled, or why they do not tell the continuous one."""
     if method is None:
         raise NotLosslessError(
             [
@@ -34,39 +34,17 @@ def sampling_rule(sys: Any, method: str | None, intersample: str) -> tuple[float
         raise StructureError("method='euler' uses the input at the start of each step only; intersample must be 'zoh'")
     if isinstance(sys.dt, bool):
         raise StructureError(f"dt of the system is {sys.dt}; a sampling step in seconds is needed to go back")
-    return _checks.sampling_step(sys.dt), method, intersample
-
-
-_OTHER_NAMES = {
-    "tustin": ("midpoint", "foh"),
-    "bilinear": ("midpoint", "foh"),
-    "zoh": ("exact", "zoh"),
-    "foh": ("exact", "foh"),
-}
-
-
-def check_method(method: Any) -> str:
-    """Check the name of a rule of stepping; those of python-control are explained."""
-    if isinstance(method, str) and method in _OTHER_NAMES:
-        rule, hold = _OTHER_NAMES[method]
-        raise StructureError(f"method is {method!r}; here that is method={rule!r} with intersample={hold!r}")
-    return _checks.choice("method", method, METHODS)
+    return Hold(_checks.sampling_step(sys.dt), method, intersample)
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def continuous(form: PoleResidueForm, h: float, method: str, intersample: str) -> PoleResidueForm:
+def continuous(form: PoleResidueForm, hold: Hold) -> PoleResidueForm:
     """Poles and residues in continuous time of a system that was sampled by a rule, with their errors."""
-    keep = _inside(form, method)
+    keep, h = _inside(form, hold.method), hold.h
     z = form.poles[keep]
-    s: ComplexArray
-    rate: Array
-    if method == "exact":
-        s, rate = np.asarray(np.log(z) / h, complex), 1 / (h * np.abs(z))
-    elif method == "midpoint":
-        s, rate = 2 / h * (z - 1) / (z + 1), 4 / h / np.abs(z + 1) ** 2
-    else:
-        s, rate = (z - 1) / h, np.full(z.shape, 1 / h)
-    now, then = _input_factors(s, h, method, intersample)
+    s = hold.pole(z)
+    rate = 1 / np.abs(z * hold.log_derivative(s))
+    now, then = hold.weights(s)
     factor = now + z * then
     residues = form.residues[keep] / factor[:, None, None]
     size = 1 / np.abs(factor)
@@ -110,14 +88,3 @@ def _inside(form: PoleResidueForm, method: str) -> NDArray[np.bool_]:
             ]
         )
     return ~lost
-
-
-def _input_factors(s: ComplexArray, h: float, method: str, intersample: str) -> tuple[ComplexArray, ComplexArray]:
-    """What one step makes of the input at its start and at its end, as in `propagation.input_weights`."""
-    if method == "euler":
-        return np.full(s.shape, h, complex), np.zeros(s.shape, complex)
-    if method == "midpoint":
-        weight = h / (1 - 0.5 * h * s)
-        return (weight, 0 * weight) if intersample == "zoh" else (0.5 * weight, 0.5 * weight)
-    phi_1, phi_2 = phi_functions(h * s)
-    return (h * phi_1, 0 * phi_1) if intersample == "zoh" else (h * (phi_1 - phi_2), h * phi_2)

@@ -30,6 +30,7 @@ from ..numerics.pole_residue import (
 from ..numerics.polynomials import COEFFICIENT_LIMIT, modes_from_coefficients
 from ..symplectic.forms_and_williamson import apply_form
 from .discrete import continuous, sampling_rule
+from .discretization import Hold
 from .modal_form import ModalForm, imaginary
 from .propagation import transfer_function
 
@@ -78,15 +79,15 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
     return _confirmed(_poles_and_residues(sys, 0.0 if rule is None else 1.0), rule)
 
 
-def _confirmed(form: PoleResidueForm, rule: tuple[float, str, str] | None) -> Judged:
+def _confirmed(form: PoleResidueForm, rule: Hold | None) -> Judged:
     """Decide, and hold what was found against the matrices that it was found in."""
-    judged = decide(form if rule is None else continuous(form, *rule))
+    judged = decide(form if rule is None else continuous(form, rule))
     if form.resolvents:
         _confirm(judged.modes, form, rule)
     return judged
 
 
-def _confirm(modes: ModalForm, form: PoleResidueForm, rule: tuple[float, str, str] | None) -> None:
+def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None:
     """Refuse modes that do not have the transfer function of the matrices."""
     rest = 0.0 if rule is None else 1.0
     distance = np.abs(form.poles[form.poles != rest] - rest)

@@ -1,4 +1,4 @@
-"""Modes through time: discretisation and block propagation.
+"""Modes through time, in blocks of samples.
 
 A recursion `x_{k+1} = lambda x_k + b u_k`, `y_k = Re(c x_k) + D u_k` with one complex state per mode is cut
 into blocks of samples.  Inside a block the input acts through a Toeplitz matrix and the state through powers of
@@ -9,21 +9,16 @@ to them, turned back to a common instant.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
-from ..exceptions import StructureError
-from ..numerics import double_double as tf
+from .discretization import Hold, Step
 from .modal_form import ModalForm, imaginary
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-METHODS = ("exact", "midpoint", "euler")
-INTERSAMPLE = ("zoh", "foh")
 
 _SHORT = 32  # samples of a block of states
 _SAMPLES = 1 << 14  # held at once
@@ -31,130 +26,30 @@ _STATES = 1 << 13  # held at once
 _FOLD = 40  # modes from which on folding pays
 
 
-@dataclass(frozen=True)
-class Step:
-    """One time step of all modes: `x_{k+1} = lambda x_k + b0 u_k + b1 u_{k+1}`, `y = Re(c x)`.
-
-    `lambda = exp(growth + i phase)` with the phase as a pair of doubles, so that high powers keep their phase.
-    Shapes: `growth`, `phase` (N,); `b0`, `b1` (N, m); `c` (m, N).
-    """
-
-    growth: Array
-    phase: tf.Pair
-    b0: ComplexArray
-    b1: ComplexArray
-    c: ComplexArray
-
-    @classmethod
-    def of(cls, d: Array, b: ComplexArray, c: ComplexArray, h: float, method: str, intersample: str) -> Step:
-        """One step of `x' = -i d x + b u`, `y = Re(c x)`."""
-        return cls(*step_factors(d, h, method), *input_weights(d, b, h, method, intersample), c)
-
-    def powers(self, k: Array) -> ComplexArray:
-        """`lambda^k` for integers k, shape (N, len(k))."""
-        rotation = tf.cis_multiples(self.phase, k)
-        return rotation * np.exp(np.multiply.outer(self.growth, k)) if self.growth.any() else rotation
-
-    @property
-    def multiplier(self) -> ComplexArray:
-        """The numbers `lambda`, shape (N,)."""
-        return self.powers(np.ones(1))[:, 0]
+def discretize(modes: ModalForm, hold: Hold) -> Step:
+    """One step of the modes; the rigid-body modes follow the oscillating ones."""
+    return hold.step(*_equations(modes))
 
 
-def discretize(modes: ModalForm, h: float, method: str = "exact", intersample: str = "zoh") -> Step:
-    """Discretise the modes with step `h`; the rigid-body modes follow the oscillating ones.
-
-    exact: `lambda = exp(-i d h)` and the exact integral of a held (zoh) or linearly interpolated (foh) input.
-    midpoint: the implicit midpoint rule, input at the middle of the step, `lambda = (1 - i d h/2)/(1 + i d h/2)`.
-    euler: `x_{k+1} = (1 - i d h) x_k + h nu u_k`, not lossless: the energy grows by `1 + (d h)^2` a step.
-    """
-    return Step.of(*_equations(modes), h, method, intersample)
-
-
-def _equations(modes: ModalForm) -> tuple[Array, ComplexArray, ComplexArray]:
-    """`d`, `b` and `c` of `x' = -i d x + b u`, `y = Re(c x)`; the rigid-body modes follow the oscillating ones."""
+def _equations(modes: ModalForm) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """`p`, `b` and `c` of `x' = p x + b u`, `y = Re(c x)`."""
     d = np.concatenate([modes.d, np.zeros(len(modes.rigid))])
     b = np.concatenate([modes.nu, modes.rigid])
-    return d, b, np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
+    return imaginary(-d), b, np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
 
 
-def transfer_function(modes: ModalForm, points: ComplexArray, rule: tuple[float, str, str] | None) -> ComplexArray:
-    """Transfer function of the modes, sampled by `(h, method, intersample)` or not, term by term; shape (N, m, m)."""
-    if rule is None:
-        d, b, c = _equations(modes)
-        poles, later = imaginary(-d), np.zeros_like(b)
+def transfer_function(modes: ModalForm, points: ComplexArray, hold: Hold | None) -> ComplexArray:
+    """Transfer function of the modes, sampled or not, term by term; shape (N, m, m)."""
+    if hold is None:
+        poles, b, c = _equations(modes)
+        later = np.zeros_like(b)
     else:
-        step = discretize(modes, *rule)
+        step = discretize(modes, hold)
         poles, b, later, c = step.multiplier, step.b0, step.b1, step.c
     # the real part of a sum over half of the poles is a sum over all
     z = np.stack([points, points.conj()])[..., None, None]
     half, conjugate = c @ ((b + later * z) / (z - poles[:, None]))
     return 0.5 * (half + conjugate.conj())
-
-
-def step_factors(d: Array, h: float, method: str) -> tuple[Array, tf.Pair]:
-    """Logarithm of the multiplier: growth and phase per step."""
-    zero = np.zeros_like(d)
-    if method == "exact":
-        p, e = tf.two_prod(d, np.full_like(d, h))
-        return zero, (-p, -e)
-    if method == "midpoint":
-        hi, lo = _arctan(0.5 * h, d)
-        return zero, (-2.0 * hi, -2.0 * lo)
-    hi, lo = _arctan(h, d)
-    return 0.5 * np.log1p((h * d) ** 2), (-hi, -lo)
-
-
-def _arctan(h: float, d: Array) -> tf.Pair:
-    """`arctan(h d)` as a pair of doubles, as far as the platform's long double reaches."""
-    fine = np.arctan(np.longdouble(h) * d.astype(np.longdouble))
-    hi = fine.astype(float)
-    return hi, (fine - hi).astype(float)
-
-
-def input_weights(
-    d: Array, b: ComplexArray, h: float, method: str, intersample: str
-) -> tuple[ComplexArray, ComplexArray]:
-    """Weights of `u_k` and `u_{k+1}` in one step of `x' = -i d x + b u`."""
-    z = imaginary(-h * d)
-    if method == "euler":
-        if intersample == "foh":
-            raise StructureError(
-                "method='euler' uses the input at the start of each step only, so intersample must be 'zoh'; "
-                "use method='exact' or 'midpoint' for interpolated inputs"
-            )
-        return h * b, 0 * b
-    if method == "midpoint":
-        weight = (h / (1.0 - 0.5 * z))[:, None] * b
-        return (weight, 0 * b) if intersample == "zoh" else (0.5 * weight, 0.5 * weight)
-    rest = imaginary(step_factors(d, h, "exact")[1][1])
-    if intersample == "zoh":
-        return (h * phi_function(z, rest))[:, None] * b, 0 * b
-    phi_1, phi_2 = phi_functions(z, rest)
-    return (h * (phi_1 - phi_2))[:, None] * b, (h * phi_2)[:, None] * b
-
-
-def phi_function(z: ComplexArray, rest: ComplexArray | float = 0.0) -> ComplexArray:
-    """`phi_1 = (e^z - 1)/z` without cancellation near 0.
-
-    `rest` is the low part of `z`, which many turns in one step need to keep the phase.
-    """
-    # not expm1, whose complex version loses digits in some releases of numpy
-    half, low = 0.5 * np.where(z == 0, 1.0, z), 0.5 * rest
-    return np.where(z == 0, 1.0, np.exp(half) * np.exp(low) * (np.sinh(half) + low * np.cosh(half)) / half)
-
-
-def phi_functions(z: ComplexArray, rest: ComplexArray | float = 0.0) -> tuple[ComplexArray, ComplexArray]:
-    """`phi_1` and `phi_2 = (e^z - 1 - z)/z^2`, without cancellation near 0."""
-    phi_1 = phi_function(z, rest)
-    phi_2 = (phi_1 - 1.0) / np.where(z == 0, 1.0, z)
-    small = np.abs(z) < 0.5
-    if small.any():
-        series, near = np.ones(int(small.sum()), complex), z[small]
-        for k in range(17, 2, -1):
-            series = 1.0 + near * (series / k)
-        phi_2[small] = 0.5 * series
-    return phi_1, phi_2
 
 
 def simulate(

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
+from ...modal.discretization import Hold
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.frequency_rows import modal_columns
-from ..regression.modal_regressors import Hold, regressors
+from ..regression.modal_regressors import regressors
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._units import common_unit, in_unit
 from ...exceptions import IdentificationError, StructureError
-from ...modal.modal_form import ModalForm
-from ...modal.propagation import INTERSAMPLE, METHODS
+from ...modal.discretization import INTERSAMPLE, METHODS, Hold
+from ...modal.modal_form import ModalForm, imaginary
 from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
 from ..data.time_record import Record
-from ..regression.modal_regressors import QUANTITIES, Hold, regressors
+from ..regression.modal_regressors import QUANTITIES, regressors
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem, Projection
 from ..uncertainty.fisher import Combination, Information, joint_information, model_information
@@ -304,7 +304,7 @@ def _of_order(problem: Experiment, n: int, noise: float) -> Excitation:
 
 def _apparent_frequencies(d: Array, hold: Hold) -> Array:
     """Frequencies at which sampled modes are seen: warped by the method, folded at the Nyquist frequency."""
-    high, low = hold.step(d).phase
+    high, low = hold.step(imaginary(-d)).phase
     return np.abs(np.remainder(high + low + np.pi, 2 * np.pi) - np.pi) / hold.h
 
 

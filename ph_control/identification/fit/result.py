@@ -16,6 +16,7 @@ from ..._frozen import Frozen, ReadOnlyMapping
 from ..._units import common_unit, unit_for, with_unit
 from ...exceptions import StructureError
 from ...io.codecs import save
+from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm
 from ...plotting.bode_plot import bode_plot
 from ...plotting.fit_plot import fit_plot
@@ -23,7 +24,6 @@ from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record, as_record
 from ..diagnosis.damped_model import DampedModel, HypothesisTest
-from ..regression.modal_regressors import Hold
 from ..regression.prediction import (
     FittedExperiment,
     chosen_experiment,

@@ -11,7 +11,7 @@ from ..._units import SECONDS
 from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict, system_to_dict
 from ...io.json_format import Fields
-from ...modal.propagation import INTERSAMPLE, METHODS
+from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.damped_model import DampedModel, HypothesisTest

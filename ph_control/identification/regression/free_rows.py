@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ..._checks import EPS
-from ...modal.propagation import phi_functions
+from ...modal.discretization import Hold
 from .frequency_rows import FrequencyRows
-from .modal_regressors import Hold, phi_3
 from .spectral_rows import Bins, Spectrum
 from .time_rows import Experiment
 
@@ -73,27 +72,13 @@ class _Step:
     multiplier: ComplexArray
     b0: ComplexArray
     b1: ComplexArray
-    slopes: tuple[ComplexArray, ComplexArray, ComplexArray]
+    slopes: tuple[ComplexArray, ...]
 
     @classmethod
     def of(cls, p: ComplexArray, hold: Hold) -> _Step:
-        h, z = hold.h, hold.h * p
-        zero = np.zeros_like(z)
-        if hold.method == "euler":
-            return cls(1.0 + z, h + zero, zero, (h + zero, zero, zero))
-        if hold.method == "midpoint":
-            inverse = 1.0 / (1.0 - 0.5 * z)
-            later = 0.5 if hold.intersample == "foh" else 0.0
-            b, db = h * inverse, 0.5 * h * h * inverse**2
-            slopes = (np.asarray(h * inverse**2), (1 - later) * db, later * db)
-            return cls((1.0 + 0.5 * z) * inverse, (1 - later) * b, later * b, slopes)
-        phi_1, phi_2 = phi_functions(z)
-        lam = np.exp(z)
-        b, db = h * phi_1, h * h * (phi_1 - phi_2)
-        if hold.intersample == "zoh":
-            return cls(lam, b, zero, (np.asarray(h * lam), db, zero))
-        b1, db1 = h * phi_2, h * h * (phi_2 - 2.0 * phi_3(z, phi_2))
-        return cls(lam, b - b1, b1, (np.asarray(h * lam), db - db1, db1))
+        now, then, *slopes = hold.weights_and_derivatives(p)
+        multiplier = hold.multiplier(p)
+        return cls(multiplier, now, then, (multiplier * hold.log_derivative(p), *slopes))
 
 
 def _of_real(values: ComplexArray) -> Array:

@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modal.discretization import Hold, Step
 from ...modal.modal_form import imaginary
-from ...modal.propagation import Step, input_weights, phi_functions, step_factors
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -26,85 +26,6 @@ ComplexArray = NDArray[np.complex128]
 QUANTITIES = ("velocity", "displacement", "acceleration")
 
 SHORT = 32  # samples in a group
-
-_LARGEST_GROWTH = 1e50  # of a mode over a record, where the method makes modes grow
-
-
-@dataclass(frozen=True)
-class Hold:
-    """How the continuous modes meet the samples: step, method and behaviour of the input between samples."""
-
-    h: float
-    method: str = "exact"
-    intersample: str = "zoh"
-
-    def step(self, d: Array) -> Step:
-        """One step of the modes `x' = -i d x + u`, `y = Re x`."""
-        one = np.ones((len(d), 1), complex)
-        weights = input_weights(d, one, self.h, self.method, self.intersample)
-        return Step(*step_factors(d, self.h, self.method), *weights, one.T)
-
-    def frequency_of(self, phase: Array) -> Array:
-        """Natural frequency whose mode turns by `phase` (rad) in one step."""
-        if self.method == "midpoint":
-            return 2.0 / self.h * np.tan(0.5 * phase)
-        return np.tan(phase) / self.h if self.method == "euler" else phase / self.h
-
-    def largest_phase(self, samples: int) -> float:
-        """Largest phase per step of a mode; Euler's modes grow, and must not overflow within the record."""
-        if self.method == "euler":
-            return float(np.arccos(np.exp(-np.log(_LARGEST_GROWTH) / samples)))
-        return np.pi
-
-    def log_derivative(self, d: Array) -> ComplexArray:
-        """Derivative of `log lambda` by `d`."""
-        if self.method == "exact":
-            return imaginary(np.full(len(d), -self.h))
-        if self.method == "midpoint":
-            return imaginary(-self.h / (1.0 + (0.5 * self.h * d) ** 2))
-        return imaginary(-self.h * np.ones(len(d))) / (1.0 - 1j * self.h * d)
-
-    def weight_derivatives(self, d: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Derivatives by `d` of the weights of `u_k` and `u_{k+1}`."""
-        h = self.h
-        z = imaginary(-h * d)
-        zero = np.zeros_like(z)
-        if self.method == "euler":
-            return zero, zero
-        if self.method == "midpoint":
-            slope = -0.5j * h * h / (1.0 - 0.5 * z) ** 2
-            return (slope, zero) if self.intersample == "zoh" else (0.5 * slope, 0.5 * slope)
-        return self._exact_derivatives(z, *phi_functions(z))
-
-    def _exact_derivatives(
-        self, z: ComplexArray, phi_1: ComplexArray, phi_2: ComplexArray
-    ) -> tuple[ComplexArray, ComplexArray]:
-        """`phi_1' = phi_1 - phi_2` and `phi_2' = phi_2 - 2 phi_3`, and `z' = -i h`."""
-        h = self.h
-        first = -1j * h * h * (phi_1 - phi_2)
-        if self.intersample == "zoh":
-            return first, np.zeros_like(z)
-        second = -1j * h * h * (phi_2 - 2.0 * phi_3(z, phi_2))
-        return first - second, second
-
-    def step_and_derivatives(self, d: Array) -> tuple[Step, ComplexArray, ComplexArray]:
-        """One step of the modes, and the derivatives of its weights: `step` and `weight_derivatives` in one go."""
-        if self.method != "exact":
-            return self.step(d), *self.weight_derivatives(d)
-        z = imaginary(-self.h * d)
-        growth, phase = step_factors(d, self.h, "exact")
-        phi_1, phi_2 = phi_functions(z, imaginary(phase[1]))
-        later = (self.h * phi_2 if self.intersample == "foh" else np.zeros_like(z))[:, None]
-        now = (self.h * phi_1)[:, None] - later
-        return Step(growth, phase, now, later, np.ones((1, len(d)), complex)), *self._exact_derivatives(z, phi_1, phi_2)
-
-
-def phi_3(z: ComplexArray, phi_2: ComplexArray) -> ComplexArray:
-    """`(phi_2 - 1/2)/z`, by its series near 0."""
-    series = np.ones_like(z)
-    for k in range(18, 3, -1):
-        series = 1.0 + z / k * series
-    return np.where(np.abs(z) < 0.5, series / 6.0, (phi_2 - 0.5) / np.where(z == 0, 1.0, z))
 
 
 def output_weight(d: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
@@ -134,8 +55,12 @@ class Kernel:
 
     def __init__(self, d: Array, hold: Hold, quantity: str = "velocity") -> None:
         self.n = len(d)
-        self._step, db0, self._db1 = hold.step_and_derivatives(d)
-        self._turn = hold.log_derivative(d)
+        p = imaginary(-d)
+        now, then, *slopes = hold.weights_and_derivatives(p)
+        self._step = Step(*hold.log_multiplier(p), now[:, None], then[:, None], np.ones((1, len(d)), complex))
+        # derivatives by the frequency: the pole moves down the axis
+        db0, self._db1 = (-1j * slope for slope in slopes)
+        self._turn = -1j * hold.log_derivative(p)
         self._powers = self._step.powers(np.arange(SHORT + 1.0))
         lam, b0, b1 = self._powers[:, 1], self._step.b0[:, 0], self._step.b1[:, 0]
         self._b1 = b1

@@ -16,11 +16,12 @@ from ..._frozen import Frozen
 from ..._units import with_unit
 from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
+from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
-from .modal_regressors import Hold, output_weight
+from .modal_regressors import output_weight
 from .time_rows import Experiment
 from .variable_projection import Problem
 

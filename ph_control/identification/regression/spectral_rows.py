@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modal.modal_form import imaginary
 from .modal_regressors import output_weight
 from .time_rows import Evaluation, Experiment
 
@@ -56,7 +57,7 @@ class Spectrum:
 
     def place(self, d: Array) -> Array:
         """Frequencies in bins, as the samples show them."""
-        high, low = self.experiment.hold.step(d).phase
+        high, low = self.experiment.hold.step(imaginary(-d)).phase
         return np.abs(high + low) * self.length / (2 * np.pi)
 
     def frequency(self, place: Array) -> Array:
@@ -76,7 +77,7 @@ class Spectrum:
         and `i (g_+ - g_-)`, kept as the pair `g_+`, `g_-` stacked in front.
         """
         one = self.experiment
-        step = one.hold.step(d)
+        step = one.hold.step(imaginary(-d))
         lam = self._off_bin(d, step.multiplier)[..., None]
         b0, b1 = step.b0[..., 0, None], step.b1[..., 0, None]
         weight = output_weight(d, one.quantity)[0][..., None]
@@ -122,7 +123,7 @@ class SmoothColumns:
 
     def __init__(self, spectrum: Spectrum, d: Array, bins: Bins) -> None:
         one, T = spectrum.experiment, spectrum.length
-        self._one, self._d, self._step = one, d, one.hold.step(d)
+        self._one, self._d, self._step = one, d, one.hold.step(imaginary(-d))
         place = spectrum.place(d)
         centre = np.rint(place).astype(int)
         self._at_centre = bins == centre[:, None]
@@ -149,7 +150,8 @@ class SmoothColumns:
     @cached_property
     def _weights(self) -> tuple[tuple[Array | ComplexArray, ...], tuple[ComplexArray, ...]]:
         """Weights of the output, and of the input now and a sample later; and their derivatives."""
-        step, (db0, db1) = self._step, self._one.hold.weight_derivatives(self._d)
+        step, slopes = self._step, self._one.hold.weights_and_derivatives(imaginary(-self._d))[2:]
+        db0, db1 = (-1j * slope for slope in slopes)
         weight, slope = output_weight(self._d, self._one.quantity)
         return (weight[:, None], step.b0, step.b1), (slope[:, None], db0[:, None], db1[:, None])
 
@@ -187,7 +189,7 @@ class SmoothColumns:
     @cached_property
     def slopes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Derivatives of `forced`, `plus` and `minus` by the frequency of each mode."""
-        turn = self._one.hold.log_derivative(self._d)[:, None]
+        turn = -1j * self._one.hold.log_derivative(imaginary(-self._d))[:, None]
         moving = 2 * turn * self._step.multiplier[:, None]
         right_slope, left_slope = moving * self._right**2, moving.conj() * self._left**2
         zero, zero_slope = 1 - self._back, -self._length * turn * self._back

@@ -16,8 +16,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modal.discretization import Hold
 from .grouped import Modal, Shared, gram
-from .modal_regressors import SHORT, Hold, Kernel, in_groups
+from .modal_regressors import SHORT, Kernel, in_groups
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

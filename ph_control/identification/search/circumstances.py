@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ...modal.modal_form import imaginary
 from ..regression.modal_regressors import output_weight
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem, Projection
@@ -156,7 +157,7 @@ def input_noise(at: Projection) -> tuple[float, float]:
 
 def _response(one: Experiment, d: Array, kappa: Array, phase: Array) -> ComplexArray:
     """Frequency response from sample to sample at some phases per step."""
-    step, z = one.hold.step(d), np.exp(1j * phase)
+    step, z = one.hold.step(imaginary(-d)), np.exp(1j * phase)
     weight = kappa * output_weight(d, one.quantity)[0]
     found = np.full(len(phase), kappa.sum() if one.quantity == "acceleration" else 0.0, complex)
     for w, lam, b0, b1 in zip(weight, step.multiplier, step.b0[:, 0], step.b1[:, 0], strict=True):

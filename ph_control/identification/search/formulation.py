@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
+from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm
-from ...modal.propagation import INTERSAMPLE, METHODS
 from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
-from ..regression.modal_regressors import QUANTITIES, Hold
+from ..regression.modal_regressors import QUANTITIES
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ..regression.free import Band, FreeProjection, refine_free
 from ..regression.free_rows import FreeRecord, FreeResponse, FreeRows, FreeTransform
 from ..regression.frequency_rows import FrequencyRows
-from ..regression.modal_regressors import Hold
 from ..regression.spectral_rows import Bins, Spectrum
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem
@@ -189,7 +188,7 @@ def _local(spectrum: Spectrum, left: ComplexArray, half: int, centres: Bins) -> 
     explained = np.einsum("cmk,ck->cm", columns, _solved(columns, E))
     gain = np.sum(np.abs(E) ** 2, axis=1) - np.sum(np.abs(E - explained) ** 2, axis=1)
     multiplier = np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T))
-    p = _pole_of(multiplier, hold)
+    p = hold.pole(multiplier)
     kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < spectrum.experiment.ceiling)
     return p[kept], gain[kept] * (2.0 / T)
 
@@ -201,13 +200,6 @@ def _solved(columns: ComplexArray, target: ComplexArray) -> ComplexArray:
     ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2).real
     gram = gram + np.where(ridge > 0, ridge, 1.0)[:, None, None] * np.eye(columns.shape[2])
     return np.asarray(np.linalg.solve(gram, transposed @ target[:, :, None])[:, :, 0])
-
-
-def _pole_of(multiplier: ComplexArray, hold: Hold) -> ComplexArray:
-    """Pole whose mode is multiplied by this in one step."""
-    if hold.method == "midpoint":
-        return np.asarray(2.0 / hold.h * (multiplier - 1.0) / (multiplier + 1.0))
-    return np.asarray((multiplier - 1.0) / hold.h if hold.method == "euler" else np.log(multiplier) / hold.h)
 
 
 class Responses:

@@ -8,11 +8,11 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, matrix_balance, toeplitz
+from scipy.linalg import matrix_balance, toeplitz
 
 from ... import _checks
 from ...exceptions import StructureError
-from ..regression.modal_regressors import Hold
+from ...modal.discretization import Hold
 
 Array = NDArray[np.float64]
 
@@ -98,37 +98,14 @@ def sampled_system(model: Any, label: str, h: float, hold: Hold) -> SampledSyste
 
 def _discretised(A: Array, b: Array, c: Array, D: float, label: str, hold: Hold) -> SampledSystem:
     """Weights of `u_k` and `u_{k+1}` in a step; the second is moved into the state, as `x = w + then u`."""
-    if (hold.method, hold.intersample) == ("euler", "foh"):
-        raise StructureError("method='euler' uses the input at the start of each step only; intersample must be 'zoh'")
-    n, h = len(A), hold.h
-    F: Any
-    now: Any
-    now, then = h * b, 0 * b
-    if hold.method == "exact":
-        M = np.zeros((n + 2, n + 2))
-        M[:n, :n], M[:n, n], M[n, n + 1] = h * A, h * b, 1.0
-        with np.errstate(over="ignore", invalid="ignore"):
-            E = expm(M)
-        F, now = E[:n, :n], E[:n, n]
-        if hold.intersample == "foh":
-            then = E[:n, n + 1]
-            now = now - then
-    elif hold.method == "midpoint":
-        left = np.eye(n) - 0.5 * h * A
-        try:
-            F, now = np.linalg.solve(left, np.eye(n) + 0.5 * h * A), np.linalg.solve(left, h * b)
-        except np.linalg.LinAlgError:
-            raise StructureError(
-                f"model {label!r} is unstable: it has a pole at 2/h = {2 / h:.6g}, where the midpoint rule has no "
-                "step; use method='exact'"
-            ) from None
-        if hold.intersample == "foh":
-            now = then = 0.5 * now
-    else:
-        F = np.eye(n) + h * A
+    try:
+        F, *weights = hold.step_of_matrices(A, b[:, None])
+    except StructureError as error:
+        raise StructureError(f"model {label!r} cannot be simulated: {error}") from None
+    now, then = (weight[:, 0] for weight in weights)
     if not (np.isfinite(F).all() and np.isfinite(now).all()):
         raise StructureError(
-            f"model {label!r} is unstable: within one step of {h:.6g} its state leaves the range of doubles; check its "
-            "unit of time"
+            f"model {label!r} is unstable: within one step of {hold.h:.6g} its state leaves the range of doubles; "
+            "check its unit of time"
         )
     return SampledSystem(F, now + F @ then, c, D + float(c @ then), -then)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._units import common_unit
 from ...exceptions import StructureError
-from ...modal.propagation import INTERSAMPLE, METHODS
+from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.data_frames import is_data_frame
 from ..data.experiments import as_experiments
 from ..data.frequency_record import FrequencyRecord

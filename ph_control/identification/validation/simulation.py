@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ... import _checks
 from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
-from ...modal.modal_form import ModalForm
+from ...modal.discretization import Hold
+from ...modal.modal_form import ModalForm, imaginary
 from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem
 from ...systems.canonical_forms import ObservableHamiltonian
@@ -22,7 +23,6 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.fitted_directions import Directions, of_record, of_response, same_data
 from ..fit.result import PEMResult
-from ..regression.modal_regressors import Hold
 from ..regression.prediction import estimated_state, response_on
 from ..uncertainty.residual_data import factor_of
 from .linear_simulation import STEP_TOLERANCE, sampled_system
@@ -252,7 +252,7 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
     d = modes.d[modes.nu.any(axis=1) | everything]
     k = np.arange(float(samples))
     repeats = np.arange(len(d)) - np.searchsorted(d, d)
-    motions = hold.step(d).powers(k) * (k / samples) ** (repeats if everything else 0 * repeats)[:, None]
+    motions = hold.step(imaginary(-d)).powers(k) * (k / samples) ** (repeats if everything else 0 * repeats)[:, None]
     if everything:
         powers = 2 * len(modes.rigid)
     else:
