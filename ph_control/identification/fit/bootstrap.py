@@ -18,7 +18,7 @@ from ..regression.frequency_rows import FrequencyRows
 from ..regression.prediction import state_from_amplitudes
 from ..regression.time_rows import Experiment, Rows
 from ..regression.variable_projection import Problem, Projection, refine
-from ..search.formulation import check_workers, rounding_floor
+from ..search.formulation import check_workers
 from ..search.path import mapped
 from ..uncertainty.draws import ModeSamples, draws_from, tail_of
 from .refit import problem_of
@@ -229,7 +229,7 @@ class Resampled:
 
 def _refuse_off_minimum(at: Projection, variance: float) -> None:
     """Refuse an estimate from which refits would go elsewhere; of noise-free data the minimum is not told."""
-    if at.loss <= rounding_floor(at.problem) or not len(at.d):
+    if at.loss <= at.problem.rounding or not len(at.d):
         return
     scale = np.sqrt(np.diag(at.gram))
     scale = np.where(scale > 0, scale, 1.0)

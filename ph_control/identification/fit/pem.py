@@ -13,7 +13,7 @@ from ... import _checks
 from ..diagnosis.damping import DampingWatch, beside
 from ..regression.variable_projection import LAST, Problem, refine
 from ..search.criteria import CRITERIA, beside_input_noise, criteria, preference, significant
-from ..search.formulation import Callback, Formulation, check_workers, reporter, rounding_floor
+from ..search.formulation import Callback, Formulation, check_workers, reporter
 from ..search.free_path import FreeStep
 from ..search.holdout import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
@@ -172,7 +172,7 @@ def _found(
 ) -> Found:  # fmt: skip
     """Search, selection, and the last refinement."""
     problem, search, rtol = posed.problem, posed.search, posed.rtol
-    floor, report = rounding_floor(problem), reporter(problem, largest, callback)
+    floor, report = problem.rounding, reporter(problem, largest, callback)
     automatic = order == "auto"
     watch = DampingWatch(problem, stop_of(lambda step: preference(problem, step, criterion)))
     posed, path = posed.path(
@@ -223,7 +223,7 @@ def _cut_short(posed: Formulation) -> Found:
         raise KeyboardInterrupt
     end = replace(refine(posed.problem, step.d, rtol=LAST, max_iterations=1), converged=False)
     row, start = _row(posed.problem, step), _start("forward", step, posed.problem.samples)
-    floor = rounding_floor(posed.problem)
+    floor = posed.problem.rounding
     return Found(end, (row,), (start,), step.iterations, True, floor, end.projection.d, posed)
 
 

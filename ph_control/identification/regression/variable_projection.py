@@ -52,6 +52,12 @@ class Problem:
         return sum(one.samples for one in self.experiments)
 
     @cached_property
+    def rounding(self) -> float:
+        """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
+        largest = max(one.largest for one in self.experiments)
+        return float(self.samples * (EPS * self.samples * largest) ** 2)
+
+    @cached_property
     def driven(self) -> bool:
         """Whether any experiment shows the residues."""
         return any(one.driven for one in self.experiments)

@@ -137,7 +137,7 @@ class Formulation:
         together: bool = False, stop: Callable[[list[Step]], bool] | None = None,
     ) -> tuple[Formulation, list[Step]]:  # fmt: skip
         """One mode after the other, from the guess on, under the circumstances that the data prefer: these, and all."""
-        search, floor = self.search, rounding_floor(self.problem)
+        search, floor = self.search, self.problem.rounding
         steps = [search.step(guess, self.rtol, report(len(guess)))]
 
         def pauses(more: list[Step]) -> bool:
@@ -415,12 +415,6 @@ def reporter(problem: Problem, largest: int, callback: Callback | None) -> Calla
         return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
 
     return report
-
-
-def rounding_floor(problem: Problem) -> float:
-    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
-    largest = max(one.largest for one in problem.experiments)
-    return float(problem.samples * (_checks.EPS * problem.samples * largest) ** 2)
 
 
 def check_workers(workers: Any) -> None:

@@ -42,7 +42,7 @@ def free_unknowns(problem: Problem, n: int) -> int:
 
 def criterion(problem: Problem, loss: float, unknowns: int) -> float:
     """BIC, but for what is the same for all models."""
-    loss = max(loss / problem.samples, np.finfo(float).tiny)
+    loss = max(loss, problem.rounding, np.finfo(float).tiny) / problem.samples
     return float(problem.samples * np.log(loss) + unknowns * np.log(problem.samples))
 
 
