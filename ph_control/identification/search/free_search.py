@@ -215,7 +215,7 @@ class Responses:
         """All points."""
         return self._responses
 
-    def all_rows(self, through: bool) -> Sequence[FreeRows]:
+    def all_rows(self, through: bool) -> Sequence[FreeResponse]:
         """All points."""
         return self._responses
 

@@ -18,11 +18,11 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from ..data.frequency_record import FrequencyRecord
-from ..regression.damped import DampedResponse
 from ..regression.frequency_rows import FrequencyRows
-from ..regression.variable_projection import Problem
-from .damped_search import DampedSearch, damped_data
+from ..regression.variable_projection import Problem, refine
 from .formulation import Formulation
+from .free_path import FreeStep
+from .response_search import ResponseSearch
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ _TAILS = 5.0  # degrees of freedom of the t distribution
 _ROUNDS = 8  # of fit and law in turn
 _SETTLED = 1e-3  # relative change of the weights
 _RATIOS = 49  # of a to b that are tried first
+_MUCH = 0.1  # of the weighted squares of a response
+_ROUGH = 1e-6  # relative decrease of the loss at which a refinement may end
 _FEWEST = 20  # points to spare below which no law is estimated
 
 
@@ -71,25 +73,27 @@ def reweighted(
 ) -> tuple[Formulation, Any, NoiseLaw]:
     """The fit repeated with the weights of its own noise, until both agree; as it was, if its noise may be constant.
 
-    `again` searches anew, or only from the frequencies that it is given.
+    `again` searches anew, or only from the frequencies that it is given.  As it was, too, where the noise is rounding,
+    or no lossless model explains the response so weighted: what it leaves then is no noise.
     """
-    constant = NoiseLaw(NoiseKind.CONSTANT, 1.0)
-    before, result = np.ones(posed.problem.samples // 2), (posed, found, constant)
+    first = posed, found, NoiseLaw(NoiseKind.CONSTANT, 1.0)
+    before = np.ones(posed.problem.samples // 2)
     # points of large gain, were they taken as equally sure, would draw the model through themselves and leave nothing
     # that tells of their noise; nor would weak modes stand out of noise as large as theirs
     problem, d = posed.weighted(_balanced(posed.problem)).problem, found.all_d
     for place in range(_ROUNDS):
-        if place:
-            problem, d = posed.problem, found.d
-        law, gains = estimated_law(problem, d)
+        law, gains, step = estimated_law(problem, d)
         if law.kind is NoiseKind.CONSTANT or found.interrupted:
-            return (posed, found, constant) if place == 0 else result
+            return first
         variances = law.floor**2 + (law.share * np.concatenate(gains)) ** 2
         if place and np.all(np.abs(variances - before) <= _SETTLED * variances):
             break
         before = variances
         posed = posed.weighted([1.0 / (law.floor**2 + (law.share * gain) ** 2) for gain in gains])
+        if not place and _is_misfit(posed.problem, step.at.d):
+            return first
         found = again(posed, None if place < 2 else found.d)
+        problem, d = posed.problem, found.d
     return posed, found, law
 
 
@@ -99,33 +103,34 @@ def _balanced(problem: Problem) -> list[Array]:
     return [1.0 / (one + np.median(np.concatenate(squares))) for one in squares]
 
 
-def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array]]:
-    """Law of the noise about damped modes near these frequencies, and their gain at all points."""
-    responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-    search = DampedSearch(problem, damped_data(problem))
-    at = search.refined(d)
+def _is_misfit(problem: Problem, d: Array) -> bool:
+    """Whether lossless modes leave much of a response that damped ones at these frequencies explain."""
+    search = ResponseSearch(problem)
+    return refine(problem, d, rtol=_ROUGH).projection.loss - search.damped(d).loss > _MUCH * search.power
+
+
+def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], FreeStep]:
+    """Law of the noise about damped modes near these frequencies, their gain at all points, and these modes."""
+    search = ResponseSearch(problem)
+    step = search.damped(d)
     squares, shares, gains = [], [], []
-    for rows, left, own in zip(responses, search.data.left(at), at.own, strict=True):
-        columns = DampedResponse(rows)
-        shown = [columns.own(at.d, at.sigma), columns.shared(at.d, at.sigma)]
-        fitted = np.concatenate([*shown, columns.slopes(at.d, at.sigma, at.kappa, own)])
-        squares.append(np.abs(left / rows.scale) ** 2)
-        shares.append(_spare(fitted))
-        gains.append(np.abs(rows.target - left) / rows.scale)
+    for rows, left in zip(search.data.all_rows(True), step.left, strict=True):
+        squares.append(np.abs(left / rows.rows.scale) ** 2)
+        shares.append(_spare(next(rows.blocks(step.at.p))[:-1]))
+        gains.append(np.abs(rows.target - left) / rows.rows.scale)
     gain, spare = np.concatenate(gains), np.concatenate(shares)
-    if spare.sum() < _FEWEST or not np.ptp(gain):
-        return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains
+    if spare.sum() < _FEWEST or not np.ptp(gain) or step.loss <= problem.rounding:
+        return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step
     unit = float(np.mean(gain**2))
     floor, share = _law(np.concatenate(squares), spare, gain**2 / unit)
     kind = NoiseKind.GAIN if share else NoiseKind.CONSTANT
-    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), gains
+    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), gains, step
 
 
-def _spare(columns: NDArray[np.complex128]) -> Array:
-    """Share of the noise of each point that a fit of these columns leaves, shape (m,); 0 to 1."""
-    real = np.concatenate([columns.real, columns.imag], axis=1).T
-    lengths = np.linalg.norm(real, axis=0)
-    Q, R = np.linalg.qr(real / np.where(lengths > 0, lengths, 1.0))
+def _spare(columns: Array) -> Array:
+    """Share of the noise of each point that a fit of these columns (k, 2m) leaves, shape (m,); 0 to 1."""
+    lengths = np.linalg.norm(columns, axis=1)
+    Q, R = np.linalg.qr(columns.T / np.where(lengths > 0, lengths, 1.0))
     taken = np.sum(Q[:, np.abs(np.diag(R)) > 1e-12] ** 2, axis=1)
     return np.clip(1 - 0.5 * (taken[: len(taken) // 2] + taken[len(taken) // 2 :]), 0.0, 1.0)
 

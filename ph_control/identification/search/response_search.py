@@ -1,7 +1,7 @@
 """The search for modes in measured frequency responses.
 
 Real plants have some damping, and responses have few points on a peak.  Modes are therefore looked for with a damping
-and a residue of either sign of their own, on a smooth background; what the lossless model makes of these frequencies is
+and a residue of any phase of their own, on a smooth background; what the lossless model makes of these frequencies is
 judged by the loss.
 """
 
@@ -12,13 +12,19 @@ from numpy.typing import NDArray
 
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.variable_projection import Problem, refine
-from .damped_search import DampedSearch, damped_data
+from ..uncertainty.residual_data import without_peaks
+from ..uncertainty.whiteness import ljung_box
+from .free_path import FreeStep, free_step
+from .free_search import FreeSearch, Responses
 from .steps import Report, Step, mode_energies, more_than_noise
 from .vector_fitting import vector_fit
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 _MUCH = 0.1  # of the weighted squares of a response: with more left, modes are missing that no criterion can weigh
+_LAGS = 20
+_WHITE = 1e-3  # p-value
 
 
 class ResponseSearch:
@@ -27,10 +33,11 @@ class ResponseSearch:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.latest: Step | None = None
-        self._damped = DampedSearch(problem, damped_data(problem))
-        self._responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-        self._power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self._responses)
-        self._together: dict[int, Step] = {}
+        self.data = Responses([one for one in problem.experiments if isinstance(one, FrequencyRows)])
+        self._damped = FreeSearch(problem, self.data)
+        self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.data.experiments)
+        self._poles: dict[float, complex] = {}
+        self._together: dict[int, FreeStep] = {}
 
     @property
     def affords_batches(self) -> bool:
@@ -41,24 +48,40 @@ class ResponseSearch:
         """Whether what is left shows a mode that noise alone would hardly show anywhere."""
         return more_than_noise(self.problem, step)
 
-    def _at_once(self, n: int, rtol: float) -> Step:
+    def damped(self, d: Array) -> FreeStep:
+        """The best damped modes near some frequencies, from the poles that were found there before."""
+        p = np.array([self._poles.get(one, complex(np.nan, one)) for one in d.tolist()], complex)
+        return self._kept(free_step(self._damped, p))
+
+    def _kept(self, step: FreeStep) -> FreeStep:
+        self._poles.update(zip(step.at.d.tolist(), step.at.p.tolist(), strict=True))
+        return step
+
+    def _at_once(self, n: int) -> FreeStep:
         """The best that comes of all modes found together, whatever has joined until now."""
         if n not in self._together:
-            d, sigma = vector_fit(self._responses, n)
-            self._together[n] = self._damped.step(d, rtol, sigma=sigma)
+            self._together[n] = self._kept(free_step(self._damped, vector_fit(self.data.all_rows(True), n)))
         return self._together[n]
+
+    def is_white(self, step: FreeStep) -> bool:
+        """Whether what damped modes leave is noise from point to point, but for a few that outweigh all others."""
+        parts = [without_peaks(part) for one in step.left for part in (one.real, one.imag)]
+        return ljung_box(parts, _LAGS) >= _WHITE
 
     def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
         """Refine modes from a start and look for more."""
-        free = self._damped.step(d, rtol)
-        if free.coloured and len(d):
-            other = self._at_once(len(d), rtol)
-            free = other if len(other.d) == len(d) and other.loss < free.loss else free
-        end = refine(self.problem, free.d, rtol=rtol, progress=report)
+        damped = self.damped(d)
+        white = self.is_white(damped)
+        if not white and len(d):
+            other = self._at_once(len(d))
+            if len(other.at.p) == len(d) and other.loss < damped.loss:
+                damped, white = other, self.is_white(other)
+        candidates, gains = self.data.candidates(damped.left)
+        end = refine(self.problem, damped.at.d, rtol=rtol, progress=report)
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
         self.latest = step = Step(
-            free.d, at.loss, end.iterations, end.converged, free.candidates, free.gains, ~at.free, mode_energies(at),
-            end.interrupted, free.coloured and free.loss > _MUCH * self._power,
+            damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, mode_energies(at),
+            end.interrupted, not white and damped.loss > _MUCH * self.power,
         )  # fmt: skip
         return step

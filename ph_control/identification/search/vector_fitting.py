@@ -1,6 +1,6 @@
 """Where the poles of measured frequency responses lie: vector fitting.
 
-With poles `p` taken for known, `G sigma = N`, both with these poles, is linear in the coefficients of `N` and of
+With poles `p` taken for known, `G sigma = N`, both with these poles, is linear in the residues of `N` and of
 `sigma = 1 + ...`; the zeros of `sigma` are better poles.  All modes are found at once, none in the place of another: in
 responses weighted by their gain, where antiresonances count as much as resonances, one mode alone explains nothing.
 
@@ -15,10 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..regression.damped import DampedResponse
-from ..regression.frequency_rows import FrequencyRows
+from ..regression.free_rows import FreeResponse
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 _ROUNDS = 12
 _FIRST_RATIO = 0.01  # damping of the first poles
@@ -26,51 +26,49 @@ _MOST_DAMPED = 0.5
 _LEAST_DAMPED = 1e-9  # of a mode that loses nothing: keeps columns finite
 
 
-def vector_fit(experiments: Sequence[FrequencyRows], n: int) -> tuple[Array, Array]:
-    """Natural frequencies and decay rates of n modes of either sign, shape (n,) each; none where points are few.
+def vector_fit(responses: Sequence[FreeResponse], n: int) -> ComplexArray:
+    """Poles of n modes with residues of any phase, shape (n,); none where points are few.
 
-    On the background of `DampedResponse`; 12 rounds of O(points n^2).
+    On the background of `FreeResponse`; 12 rounds of O(points n^2).
     """
-    responses = [DampedResponse(one) for one in experiments]
-    points = np.sort(np.concatenate([one.omega for one in experiments]))
+    points = np.sort(np.concatenate([one.rows.omega for one in responses]))
     if 2 * len(points) <= 4 * n + 2 or points[-1] == points[0]:
-        return np.zeros(0), np.zeros(0)
-    first = np.asarray(np.quantile(points, (np.arange(n) + 0.5) / n))
-    first = np.maximum(first, points[points > 0][0])
-    d: Array = first
-    sigma = _FIRST_RATIO * first
+        return np.zeros(0, complex)
+    lowest = points[points > 0][0]
+    first = np.maximum(np.quantile(points, (np.arange(n) + 0.5) / n), lowest)
+    p = (1j - _FIRST_RATIO) * first
     for _ in range(_ROUNDS):
-        c = _denominator(responses, d, sigma)
-        poles = np.linalg.eigvals(_companion(d, sigma, c))
-        poles = poles[poles.imag > 0]
+        found = np.linalg.eigvals(_companion(p, _denominator(responses, p)))
+        found = found[found.imag > 0]
         # a pair that became real starts anew
-        d = np.concatenate([np.abs(poles), first[: n - len(poles)]])
-        d = np.clip(d, points[points > 0][0], points[-1])
-        ratio = np.concatenate([-poles.real / np.abs(poles), np.full(n - len(poles), _FIRST_RATIO)])
-        sigma = d * np.clip(np.abs(ratio), _LEAST_DAMPED, _MOST_DAMPED)
-    return d, sigma
+        found = np.concatenate([found, (1j - _FIRST_RATIO) * first[: n - len(found)]])
+        d = np.clip(np.abs(found), lowest, points[-1])
+        ratio = np.clip(np.abs(found.real) / np.abs(found), _LEAST_DAMPED, _MOST_DAMPED)
+        p = d * (1j * np.sqrt(1 - ratio**2) - ratio)
+    return p
 
 
-def _denominator(responses: Sequence[DampedResponse], d: Array, sigma: Array) -> Array:
-    """Coefficients of `sigma - 1` beside `i w / gap` and `d / gap` of each mode, shape (2n,)."""
+def _denominator(responses: Sequence[FreeResponse], p: ComplexArray) -> Array:
+    """Real and imaginary parts of the residues of `sigma`, shape (2n,)."""
     rows = []
     for one in responses:
-        parts = one.partial_fractions(d, sigma)
-        A = np.concatenate([one.factor * parts, one.own(d, sigma), -one.target * parts, one.target[None]])
+        columns = one.columns(p)
+        own = one.own_unknowns(len(p))
+        modal = columns[own : own + 2 * len(p)]
+        A = np.concatenate([columns, -one.target / one.rows.scale * modal, one.target[None]])
         rows.append(np.concatenate([A.real, A.imag], axis=1).T)
     A = np.concatenate(rows)
     lengths = np.linalg.norm(A, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
-    R = np.asarray(np.linalg.qr(A / lengths, mode="r"))[-2 * len(d) - 1 :, -2 * len(d) - 1 :]
+    R = np.asarray(np.linalg.qr(A / lengths, mode="r"))[-2 * len(p) - 1 :, -2 * len(p) - 1 :]
     found = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0]
-    return np.asarray(found / lengths[-2 * len(d) - 1 : -1] * lengths[-1])
+    return np.asarray(found / lengths[-2 * len(p) - 1 : -1] * lengths[-1])
 
 
-def _companion(d: Array, sigma: Array, c: Array) -> Array:
-    """Matrix whose eigenvalues are the zeros of `1 + sum(c_l i w / gap_l + c_{n+l} d_l / gap_l)`."""
-    n = len(d)
-    here = np.arange(n)
-    A = np.zeros((2 * n, 2 * n))
-    A[here, n + here], A[n + here, here], A[n + here, n + here] = d, -d, -2 * sigma
-    A[n:] -= np.concatenate([c[n:], c[:n]])
+def _companion(p: ComplexArray, c: Array) -> Array:
+    """Matrix whose eigenvalues are the zeros of `1 + sum(c_l / (s - p_l) + conj)`."""
+    n = len(p)
+    re, im = np.diag(p.real), np.diag(p.imag)
+    A = np.block([[re, im], [-im, re]])
+    A[:n] -= 2 * c
     return A
