@@ -1,0 +1,181 @@
+"""Monte Carlo of fits to frequency responses: order, coverage, narrow minima, outliers, and the test for damping.
+
+python -m benchmarks.responses order|coverage|trap|outlier|damping [--seeds N]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+import ph_control as phc
+
+Array = NDArray[np.float64]
+
+ORDERS = (3, 6, 12)
+NOISES = {"gain": (0.02, 0.0), "constant": (0.0, 0.02), "both": (0.02, 0.02), "high floor": (0.02, 0.3)}
+DISTANCES = (0.1, 1e-2, 1e-4, 1e-6)
+RATIOS = (0.0, 1e-4, 3e-4, 1e-3)
+
+
+def plant(n: int, seed: int, points: int = 25) -> tuple[Array, Array, Array]:
+    """Frequencies at least 4 points apart, residues within a factor of 5, and the points."""
+    rng = np.random.default_rng([n, seed])
+    omega = np.linspace(0.05, 3.2, points * n)
+    place = np.sort(rng.uniform(2, len(omega) - 3, (1000, n)), axis=1)
+    place = place[np.min(np.diff(place, axis=1), axis=1, initial=np.inf) >= 4][0]
+    return np.interp(place, np.arange(len(omega)), omega), rng.uniform(0.2, 1.0, n), omega
+
+
+def response(d: Array, r: Array, omega: Array, ratio: float = 0.0) -> NDArray[np.complex128]:
+    """Velocity of damped modes."""
+    gap = d[:, None] ** 2 - omega**2 + 2j * ratio * d[:, None] * omega
+    return np.asarray((r * d) @ (1j * omega / gap))
+
+
+def noise(size: Array, seed: int) -> NDArray[np.complex128]:
+    """Complex noise whose parts have this standard deviation."""
+    rng = np.random.default_rng(seed)
+    return np.asarray(size * (rng.standard_normal(len(size)) + 1j * rng.standard_normal(len(size))))
+
+
+def measured(exact: NDArray[np.complex128], omega: Array, size: Array, seed: int) -> Any:
+    """The response with noise."""
+    return ct.frd(exact + noise(size, seed), omega, smooth=False)
+
+
+def order(seeds: int) -> None:
+    """How often the order is found where noise and weights go with the gain."""
+    for n in ORDERS:
+        right, consistent = 0, 0
+        for seed in range(seeds):
+            d, r, omega = plant(n, seed)
+            exact = response(d, r, omega)
+            size = 0.01 * np.abs(exact)
+            result = phc.pem(measured(exact, omega, size, seed), weights=1 / size**2)
+            right += result.order == n
+            consistent += result.verdict.startswith("consistent")
+        print(
+            f"n = {n}: order right {100 * right / seeds:.1f} %, 'consistent' {100 * consistent / seeds:.1f} %",
+            flush=True,
+        )
+
+
+def coverage(seeds: int) -> None:
+    """How often 95 % intervals hold the true values, without weights."""
+    for name, (relative, floor) in NOISES.items():
+        for n in (1, 3, 6):
+            inside: dict[str, list[Array]] = {"d": [], "r": []}
+            consistent, grows = 0, 0
+            for seed in range(seeds):
+                d, r, omega = plant(n, seed)
+                exact = response(d, r, omega)
+                size = np.hypot(relative * np.abs(exact), floor * np.median(np.abs(exact)))
+                result = phc.pem(measured(exact, omega, size, seed), n)
+                consistent += result.verdict.startswith("consistent")
+                grows += result.noise.kind == "gain"
+                intervals = result.confidence_interval()
+                for key, true in (("d", d), ("r", r)):
+                    low, high = intervals[key].T
+                    inside[key].append((low <= true) & (true <= high))
+            shares = ", ".join(f"{key} {100 * np.mean(one):.1f} %" for key, one in inside.items())
+            print(
+                f"{name} n = {n}: {shares} inside; 'consistent' {100 * consistent / seeds:.1f} %, "
+                f"noise grows with the gain {100 * grows / seeds:.1f} %",
+                flush=True,
+            )
+
+
+def trap(seeds: int) -> None:
+    """How often a resonance close to a point is missed, and the least standard error."""
+    for distance in DISTANCES:
+        stuck, least = 0, np.inf
+        for seed in range(seeds):
+            d, r, omega = plant(6, seed)
+            l = seed % 6
+            d[l] = omega[np.argmin(np.abs(omega - d[l]))] - distance * (omega[1] - omega[0])
+            exact = response(d, r, omega)
+            size = 0.001 * np.abs(exact)
+            data, weights = measured(exact, omega, size, seed), 1 / size**2
+            result = phc.pem(data, 6, weights=weights)
+            best = phc.pem(data, 6, weights=weights, initial_guess=(d, r))
+            stuck += result.loss > 1.001 * best.loss
+            least = min(least, float(np.min(result.stderr["d"] / result.d)))
+        print(f"{distance:g} points away: stuck {stuck} of {seeds}, least standard error of d {least:.1e}", flush=True)
+
+
+def outlier(seeds: int) -> None:
+    """How often one error of 200 standard deviations is named, and nothing else."""
+
+    def of_response(seed: int, by: float) -> Any:
+        d, r, omega = plant(3, seed)
+        exact = response(d, r, omega)
+        size = 0.01 * np.abs(exact)
+        values = exact + noise(size, seed)
+        values[seed % len(omega)] += by * size[seed % len(omega)]
+        return phc.pem(ct.frd(values, omega, smooth=False), 3, weights=1 / size**2), seed % len(omega)
+
+    def of_record(seed: int, by: float) -> Any:
+        rng = np.random.default_rng(seed)
+        u, truth = rng.standard_normal(400), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+        y = np.array(phc.forced_response(truth, np.arange(400.0), u, intersample="zoh").outputs)
+        y += 0.1 * rng.standard_normal(400)
+        y[seed] += 0.1 * by
+        return phc.pem((u, y), 2, dt=1.0), seed
+
+    kinds: dict[str, Callable[[int, float], Any]] = {"response": of_response, "record": of_record}
+    for name, fit in kinds.items():
+        named, alarms = 0, 0
+        for seed in range(seeds):
+            result, place = fit(seed, 200.0)
+            named += result.experiments[0].outliers == (place,) and result.verdict.startswith("doubtful")
+            alarms += fit(seed, 0.0)[0].experiments[0].outliers != ()
+        print(f"{name}: named {named} of {seeds}, false alarms {alarms}", flush=True)
+
+
+def damping(seeds: int) -> None:
+    """How often a lossless model is refused."""
+    for kind in ("weights", "constant", "gain"):
+        for ratio in RATIOS:
+            p, consistent, scores = [], 0, []
+            for seed in range(seeds):
+                d, r, omega = plant(3, seed)
+                exact = response(d, r, omega, ratio)
+                size = 0.02 * (np.full(len(omega), np.median(np.abs(exact))) if kind == "constant" else np.abs(exact))
+                result = phc.pem(
+                    measured(exact, omega, size, seed), 3, weights=1 / size**2 if kind == "weights" else None
+                )
+                p += [test.p for test in result.tests]
+                consistent += result.verdict.startswith("consistent")
+                if result.damped is not None and result.damped.order == 3:
+                    scores.append((result.damped.damping_ratios - ratio) / result.damped.stderr["damping_ratios"])
+            shares = ", ".join(
+                f"p < {level:g}: {100 * np.mean(np.array(p) < level):.1f} %" for level in (0.05, 0.01, 1e-3)
+            )
+            rms = f"{np.sqrt(np.mean(np.square(scores))):.2f}" if scores else "-"
+            print(
+                f"{kind}, zeta {ratio:g}: {len(p)} tests, {shares}; 'consistent' {100 * consistent / seeds:.1f} %; "
+                f"damped in {len(scores)}, rms z-score {rms}",
+                flush=True,
+            )
+
+
+STUDIES = {"order": order, "coverage": coverage, "trap": trap, "outlier": outlier, "damping": damping}
+
+
+def main() -> None:
+    """Run a study."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.responses", description=__doc__.splitlines()[0])
+    parser.add_argument("study", choices=STUDIES)
+    parser.add_argument("--seeds", type=int, default=100)
+    options = parser.parse_args()
+    STUDIES[options.study](options.seeds)
+
+
+if __name__ == "__main__":
+    main()
