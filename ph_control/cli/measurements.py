@@ -93,10 +93,11 @@ def _recording(source: Source, options: Namespace) -> Any:
 
 
 def _responses(sources: list[Source], options: Namespace) -> Measurements:
-    from ..io.frequency_csv import Layout, response_in
+    from ..io.frequency_csv import UNITS, response_in
     from ..io.text_table import read_table
 
-    layout = Layout(*(getattr(options, option) for option in _IN_FREQUENCY[:-1]))
-    found = [response_in(read_table(source, **_layout(options)), layout, options.weights) for source in sources]
+    columns = {role: getattr(options, role) for role in _IN_FREQUENCY[:5]}
+    units = {name: getattr(options, name) for name in UNITS}
+    found = [response_in(read_table(source, **_layout(options)), columns, units, options.weights) for source in sources]
     weights = None if options.weights is None else [each for _, each in found]
     return Measurements([data for data, _ in found], weights, False)

@@ -50,7 +50,7 @@ def refuse_both(json: bool, outputs: Sequence[str | None]) -> None:
 def deliver(content: str | bytes, name: str, overwrite: bool) -> None:
     """Write a file, or standard output for `-`."""
     if name != "-":
-        from ..io.json_format import write_atomically
+        from ..io.files import write_atomically
 
         write_atomically(Path(name), content, overwrite=overwrite)
     elif isinstance(content, str):

@@ -32,7 +32,7 @@ def check_sources(names: Sequence[str]) -> None:
 
 def opened(name: str) -> Source:
     """Content of a file, or of standard input for `-`."""
-    from ..io.json_format import read_bytes
+    from ..io.files import read_bytes
 
     if name != "-":
         return Source(read_bytes(name), name)

@@ -18,7 +18,8 @@ from ..modal.modal_form import ModalForm
 from ..systems.affine import AffineHamiltonian
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
-from .json_format import Fields, as_path, compose, decompose, plain, read_bytes, source_name, write_atomically
+from .files import as_path, read_bytes, source_name, write_atomically
+from .json_format import Fields, compose, decompose, plain
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -33,7 +34,6 @@ class Codec:
     `to_dict` may give arrays (real or complex) and nested dicts; `from_dict` takes every field, checked.
     """
 
-    kind: str
     type: type
     to_dict: Callable[[Any], dict[str, Any]]
     from_dict: Callable[[Fields], Any]
@@ -85,7 +85,7 @@ def _parameters_codec(kind: type[Any]) -> Codec:
     def restore(fields: Fields) -> Any:
         return kind(fields.array("d", (None,)), fields.array("v", (None,)), **_names_from_dict(fields))
 
-    return Codec(kind.__name__, kind, _parameters_to_dict, restore)
+    return Codec(kind, _parameters_to_dict, restore)
 
 
 def _affine_to_dict(system: AffineHamiltonian) -> dict[str, Any]:
@@ -99,11 +99,11 @@ def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
 
 # how each kind is written, or the module above this one that tells it, imported when the kind is first met
 _CODECS: dict[str, Codec | str] = {
-    "PortHamiltonian": Codec("PortHamiltonian", PortHamiltonian, system_to_dict, system_from_dict),
-    "ModalForm": Codec("ModalForm", ModalForm, _modes_to_dict, _modes_from_dict),
+    "PortHamiltonian": Codec(PortHamiltonian, system_to_dict, system_from_dict),
+    "ModalForm": Codec(ModalForm, _modes_to_dict, _modes_from_dict),
     "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
     "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),
-    "AffineHamiltonian": Codec("AffineHamiltonian", AffineHamiltonian, _affine_to_dict, _affine_from_dict),
+    "AffineHamiltonian": Codec(AffineHamiltonian, _affine_to_dict, _affine_from_dict),
     "PEMResult": "ph_control.identification.fit.serialization",
 }
 
@@ -142,8 +142,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     Notes
     -----
     Every number comes back bit by bit, with all names; a system made from modes stays one.  The file appears whole
-    or not at all; one that is replaced keeps its permissions, and one with several names (hard links) is written in
-    place.  Its content is described in `docs/files.md`.
+    or not at all; one that is replaced keeps its permissions.  Its content is described in `docs/files.md`.
 
     Examples
     --------
@@ -173,11 +172,13 @@ def document_of(obj: Any) -> str:
             f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
             "a lossless system of another type can be converted with ph(sys)"
         )
-    text = compose(codec.kind, plain(codec.to_dict(obj)))
+    text = compose(type(obj).__name__, plain(codec.to_dict(obj)))
     try:
-        restore(text.encode(), codec.kind)
+        restore(text.encode(), type(obj).__name__)
     except FileFormatError as error:
-        raise StructureError(f"this {codec.kind} cannot be saved, because it could not be loaded: {error}") from None
+        raise StructureError(
+            f"this {type(obj).__name__} cannot be saved, because it could not be loaded: {error}"
+        ) from None
     return text
 
 

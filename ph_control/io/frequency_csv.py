@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import re
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import BinaryIO, TextIO
 
 import numpy as np
@@ -13,16 +12,17 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._units import with_unit
-from ..exceptions import FileFormatError, StructureError
-from .text_table import Table, is_time_label, read_table, without_unit
+from ..exceptions import StructureError
+from .text_table import Table, is_time_label, name_and_unit, read_table
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Column = int | str
 
 FREQUENCY_UNITS = {"rad/s": 1.0, "Hz": 2 * np.pi, "kHz": 2e3 * np.pi, "MHz": 2e6 * np.pi, "GHz": 2e9 * np.pi}
-MAGNITUDE_UNITS = ("linear", "dB")
-PHASE_UNITS = ("deg", "rad")
+UNITS = {
+    "frequency_unit": tuple(FREQUENCY_UNITS), "magnitude_unit": ("linear", "dB"), "phase_unit": ("deg", "rad")
+}  # fmt: skip
 
 _ANGULAR = ("omega", "w", "ω", "angular frequency")
 _LABELS = {
@@ -32,27 +32,12 @@ _LABELS = {
     "real": ("re", "real", "real part"),
     "imag": ("im", "imag", "imaginary", "imaginary part"),
 }
-_POLAR, _CARTESIAN = ("magnitude", "phase"), ("real", "imag")
-# a unit at the end of a label, where no brackets set it off
-_SUFFIX = re.compile(r"[_ ](hz|khz|mhz|ghz|rad_s|rads|db|deg|rad)$", re.IGNORECASE)
+_PAIRS = _POLAR, _CARTESIAN = ("magnitude", "phase"), ("real", "imag")
 _SPELLINGS = {
     "rads": "rad/s", "rad_s": "rad/s", "rad/sec": "rad/s", "1/s": "rad/s", "s^-1": "rad/s", "hz": "Hz", "khz": "kHz",
-    "ghz": "GHz", "db": "dB", "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad",
+    "ghz": "GHz", "db": "dB", "deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg", "rad": "rad",
+    "radian": "rad", "radians": "rad",
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Columns of a frequency response, by label or number, and their units; None is found from the labels."""
-
-    frequency: Column | None = None
-    magnitude: Column | None = None
-    phase: Column | None = None
-    real: Column | None = None
-    imag: Column | None = None
-    frequency_unit: str | None = None
-    magnitude_unit: str | None = None
-    phase_unit: str | None = None
 
 
 def read_frequency_csv(
@@ -117,29 +102,26 @@ def read_frequency_csv(
     >>> data.omega.round(3), data.frdata[0, 0].round(3)
     (array([3.142, 6.283]), array([0. +1.j, 0.-10.j]))
     """
-    units = (frequency_unit, magnitude_unit, phase_unit)
-    layout = Layout(frequency, magnitude, phase, real, imag, *units)
-    return response_in(read_table(path, header, delimiter, decimal), layout)[0]
+    columns = {"frequency": frequency, "magnitude": magnitude, "phase": phase, "real": real, "imag": imag}
+    units = {"frequency_unit": frequency_unit, "magnitude_unit": magnitude_unit, "phase_unit": phase_unit}
+    return response_in(read_table(path, header, delimiter, decimal), columns, units)[0]
 
 
 def response_in(
-    table: Table, layout: Layout, weights: Column | None = None
+    table: Table, columns: Mapping[str, Column | None], units: Mapping[str, str | None], weights: Column | None = None
 ) -> tuple[FrequencyResponseData, Array | None]:
     """Response that a table holds, and the column of weights if there is one; both ascending in frequency."""
-    for name, allowed in (
-        ("frequency_unit", tuple(FREQUENCY_UNITS)), ("magnitude_unit", MAGNITUDE_UNITS), ("phase_unit", PHASE_UNITS)
-    ):  # fmt: skip
-        if getattr(layout, name) is not None:
-            _checks.choice(name, getattr(layout, name), allowed)
-    clock, first, second, polar = _columns_of(table, layout)
-    chosen = [clock, first, second] + ([] if weights is None else [table.find(weights, "weights")])
+    for name, allowed in UNITS.items():
+        if units[name] is not None:
+            _checks.choice(name, units[name], allowed)
+    (clock, *parts), polar = _columns_of(table, columns)
+    chosen = [clock, *parts] + ([] if weights is None else [table.find(weights, "weights")])
     for column in chosen:
         if chosen.count(column) > 1:
             raise StructureError(f"{table.path}: {table.name(column)} is chosen twice; give each its own")
     values = table.columns(chosen)
-    _refuse_missing(table, values[0], clock)
-    omega = _angular(table, values[0], clock, FREQUENCY_UNITS[_frequency_unit(table, layout, clock)])
-    response = _polar(table, layout, first, second, *values[1:3]) if polar else values[1] + 1j * values[2]
+    omega = _angular(table, values[0], clock, units["frequency_unit"])
+    response = _polar(table, units, parts, *values[1:3]) if polar else values[1] + 1j * values[2]
     order = np.argsort(omega, kind="stable")
     found = FrequencyResponseData(response[order], omega[order], title=os.path.basename(table.path) or None)
     return with_unit(found, "s"), None if weights is None else values[3][order]
@@ -148,40 +130,38 @@ def response_in(
 def is_frequency_table(table: Table) -> bool:
     """Whether the labels of a table are those of a frequency response, and none is that of a time."""
     named = {role for role in _LABELS if len(_labelled(table, role)) == 1}
-    parts = any({"frequency", *pair} <= named for pair in (_POLAR, _CARTESIAN))
+    parts = any({"frequency", *pair} <= named for pair in _PAIRS)
     return parts and not any(map(is_time_label, table.labels or ()))
 
 
 # --- columns -----------------------------------------------------------------------------------------------------
 
 
-def _columns_of(table: Table, layout: Layout) -> tuple[int, int, int, bool]:
+def _columns_of(table: Table, given: Mapping[str, Column | None]) -> tuple[list[int], bool]:
     """Columns of the frequency and of the two parts, and whether these are magnitude and phase."""
-    asked = {pair: any(getattr(layout, name) is not None for name in pair) for pair in (_POLAR, _CARTESIAN)}
-    if all(asked.values()):
+    asked = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
+    if len(asked) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
-    known = {pair: all(_find(table, layout, name) is not None for name in pair) for pair in (_POLAR, _CARTESIAN)}
-    wanted = [pair for pair in known if asked[pair]] or [pair for pair in known if known[pair]]
+    places = {role: _place(table, given[role], role) for role in _LABELS}
+    wanted = asked or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
     if len(wanted) > 1:
         raise StructureError(
             f"{table.path} has magnitude and phase, and real and imaginary part as well; choose with magnitude= and "
             "phase=, or with real= and imag="
         )
     pair = wanted[0] if wanted else _POLAR
-    places = [_find(table, layout, name) for name in ("frequency", *pair)]
-    missing = [name for name, place in zip(("frequency", *pair), places, strict=True) if place is None]
+    found = {role: place for role in ("frequency", *pair) if (place := places[role]) is not None}
+    missing = [role for role in ("frequency", *pair) if role not in found]
     if missing:
         other = "" if wanted else ", or real= and imag= in place of magnitude= and phase="
         raise StructureError(
             f"{table.path}: which column is the {' and which the '.join(missing)}? say which with "
-            f"{', '.join(f'{name}=' for name in missing)}{other} ({table.listing()})"
+            f"{', '.join(f'{role}=' for role in missing)}{other} ({table.listing()})"
         )
-    frequency, first, second = (place for place in places if place is not None)
-    return frequency, first, second, pair == _POLAR
+    return list(found.values()), pair == _POLAR
 
 
-def _find(table: Table, layout: Layout, role: str) -> int | None:
-    wanted = getattr(layout, role)
+def _place(table: Table, wanted: Column | None, role: str) -> int | None:
     if wanted is not None:
         return table.find(wanted, role)
     places = _labelled(table, role)
@@ -192,73 +172,60 @@ def _find(table: Table, layout: Layout, role: str) -> int | None:
 
 
 def _labelled(table: Table, role: str) -> list[int]:
-    labels = [_bare(label).casefold() for label in table.labels or ()]
+    labels = [name_and_unit(label, _spelled)[0].casefold() for label in table.labels or ()]
     return [k for k, label in enumerate(labels) if label in _LABELS[role]]
-
-
-def _bare(label: str) -> str:
-    """Label without its unit, in brackets or after an underscore."""
-    return _SUFFIX.sub("", without_unit(label))
-
-
-def _unit(table: Table, column: int) -> str:
-    """Unit that the label of a column tells, in the spelling of the options; empty if there is none."""
-    label = table.labels[column] if table.labels else ""
-    tail = label[len(without_unit(label)) :].strip(" []()/") if without_unit(label) != label else ""
-    if not tail and (found := _SUFFIX.search(label)):
-        tail = found[1]
-    # MHz and mHz differ by nine decades
-    return tail if tail in FREQUENCY_UNITS else _SPELLINGS.get(tail.casefold(), tail)
 
 
 # --- units -------------------------------------------------------------------------------------------------------
 
 
-def _frequency_unit(table: Table, layout: Layout, column: int) -> str:
-    if layout.frequency_unit is not None:
-        return layout.frequency_unit
-    unit = _unit(table, column)
-    if unit in FREQUENCY_UNITS:
-        return unit
-    if not unit and table.labels and _bare(table.labels[column]).casefold() in _ANGULAR:
-        return "rad/s"
-    raise _unknown_unit(table, column, unit, "frequency_unit", tuple(FREQUENCY_UNITS))
+def _spelled(text: str) -> str | None:
+    """Unit of a text, in the spelling of the options; MHz and mHz differ by nine decades."""
+    return text if text in FREQUENCY_UNITS else _SPELLINGS.get(text.casefold())
 
 
-def _angular(table: Table, values: Array, column: int, unit: float) -> Array:
+def _named(table: Table, column: int) -> tuple[str, str]:
+    """Label of a column without its unit, and the unit."""
+    return name_and_unit(table.labels[column], _spelled) if table.labels else ("", "")
+
+
+def _unit(table: Table, column: int, given: str | None, name: str) -> str:
+    """Unit of a column: the one given, or that of its label."""
+    label, unit = _named(table, column)
+    known = given or _spelled(unit) or ("rad/s" if not unit and label.casefold() in _ANGULAR else None)
+    if known in UNITS[name]:
+        return str(known)
+    found = f"the unit {unit!r} is not known" if unit else "its label tells no unit"
+    raise StructureError(
+        f"{table.path}: {table.name(column)}: {found}; say which with {name}=, one of "
+        f"{', '.join(map(repr, UNITS[name]))}, or write it into the label, such as '... [{UNITS[name][0]}]'"
+    )
+
+
+def _angular(table: Table, values: Array, column: int, given: str | None) -> Array:
     """Frequencies in rad/s."""
+    table.refuse(column, np.isnan(values), "the frequency is missing; only responses may be: drop the row")
     with np.errstate(over="ignore"):
-        omega = values * unit
-    if np.isinf(omega).any():
-        row = int(np.argmax(np.isinf(omega)))
-        raise FileFormatError(
-            f"{table.at(row, column)}: {values[row]:.6g} is beyond the range of doubles in rad/s; correct the "
-            "frequency or its unit"
-        )
+        omega = values * FREQUENCY_UNITS[_unit(table, column, given, "frequency_unit")]
+    wrong = "{:.6g} is beyond the range of doubles in rad/s; correct the frequency or its unit"
+    table.refuse(column, np.isinf(omega), wrong, values)
     return omega
 
 
-def _polar(table: Table, layout: Layout, first: int, second: int, size: Array, angle: Array) -> ComplexArray:
+def _polar(
+    table: Table, units: Mapping[str, str | None], columns: list[int], size: Array, angle: Array
+) -> ComplexArray:
     """Response of its magnitude and phase."""
-    unit = layout.phase_unit or _unit(table, second)
-    if unit not in PHASE_UNITS:
-        raise _unknown_unit(table, second, unit, "phase_unit", PHASE_UNITS)
-    decibels = (layout.magnitude_unit or _unit(table, first)) == "dB"
-    if not decibels and np.any(size < 0):
-        row = int(np.argmax(size < 0))
-        raise FileFormatError(
-            f"{table.at(row, first)}: the magnitude is {size[row]:.6g}, and a linear one is never negative; pass "
-            "magnitude_unit='dB' if these are decibels"
-        )
-    with np.errstate(over="ignore", invalid="ignore"):
-        gain = 10.0 ** (size / 20.0) if decibels else size
-    if np.isinf(gain).any():
-        row = int(np.argmax(np.isinf(gain)))
-        raise FileFormatError(
-            f"{table.at(row, first)}: {size[row]:.6g} dB is beyond the range of doubles; if the magnitude is linear, "
-            "pass magnitude_unit='linear'"
-        )
-    return gain * _turned(angle, unit == "deg")
+    turns = _turned(angle, _unit(table, columns[1], units["phase_unit"], "phase_unit") == "deg")
+    if (units["magnitude_unit"] or _spelled(_named(table, columns[0])[1])) != "dB":
+        wrong = "the magnitude is {:.6g}, and a linear one is never negative; pass magnitude_unit='dB' if it is in dB"
+        table.refuse(columns[0], size < 0, wrong, size)
+        return size * turns
+    with np.errstate(over="ignore"):
+        gain = 10.0 ** (size / 20.0)
+    wrong = "{:.6g} dB is beyond the range of doubles; if the magnitude is linear, pass magnitude_unit='linear'"
+    table.refuse(columns[0], np.isinf(gain), wrong, size)
+    return gain * turns
 
 
 def _turned(angle: Array, degrees: bool) -> ComplexArray:
@@ -269,17 +236,3 @@ def _turned(angle: Array, degrees: bool) -> ComplexArray:
     rest = np.exp(1j * np.deg2rad(angle - 90.0 * quarters))
     known = np.where(np.isnan(quarters), 0.0, np.mod(quarters, 4.0)).astype(int)
     return np.array([1, 1j, -1, -1j])[known] * rest
-
-
-def _unknown_unit(table: Table, column: int, unit: str, name: str, allowed: tuple[str, ...]) -> StructureError:
-    found = f"the unit {unit!r} is not known" if unit else "its label tells no unit"
-    return StructureError(
-        f"{table.path}: {table.name(column)}: {found}; say which with {name}=, one of "
-        f"{', '.join(map(repr, allowed))}, or write it into the label, such as '... [{allowed[0]}]'"
-    )
-
-
-def _refuse_missing(table: Table, values: Array, column: int) -> None:
-    if np.isnan(values).any():
-        row = int(np.argmax(np.isnan(values)))
-        raise FileFormatError(f"{table.at(row, column)}: the frequency is missing; only responses may be: drop the row")

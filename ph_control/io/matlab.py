@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import scipy.io
+import scipy.sparse
 
 from ..exceptions import FileFormatError
 
@@ -15,6 +17,7 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f
 _MATRIX, _COMPRESSED = 14, 15  # types of elements that hold others
 _CELL, _STRUCT, _TEXT, _SPARSE, _NUMERIC = 1, 2, 4, 5, range(6, 16)  # classes of arrays
 _OBJECTS = (3, 16, 17)
+_LOGICAL, _COMPLEX = 0x200, 0x800  # flags of arrays
 _MOST = 1 << 26  # entries of a sparse matrix, which is filled up
 
 
@@ -23,7 +26,7 @@ class _MatlabObject(Exception):
 
 
 def is_matlab(content: bytes, name: str) -> bool:
-    """Whether this is a `.mat` file; old ones have no mark but their name."""
+    """Whether this is a `.mat` file, by its mark, or its name."""
     return content.startswith(b"MATLAB ") or content.startswith(b"\x89HDF") or name.casefold().endswith(".mat")
 
 
@@ -32,10 +35,10 @@ def read_matlab(content: bytes, name: str) -> dict[str, Any]:
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise FileFormatError(f"{name} is of version 7.3, which is not read; save it in MATLAB with the option '-v7'")
     try:
-        # the header of level 5 ends in the mark of its byte order
-        order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
+        # the header of level 5, which the files of MATLAB 4 do not have, ends in the mark of its byte order
+        order = {b"IM": "<", b"MI": ">"}[content[126:128]]
         with np.errstate(all="ignore"):
-            return dict(_variables(content[128:], order)) if order else _level_4(content)
+            return dict(_variables(content[128:], order))
     except _MatlabObject:
         raise FileFormatError(
             f"{name} holds a MATLAB object, which only MATLAB reads; there: [A,B,C,D] = ssdata(sys); save('model.mat', "
@@ -46,14 +49,6 @@ def read_matlab(content: bytes, name: str) -> dict[str, Any]:
         raise FileFormatError(
             f"{name} is no .mat file, or damaged ({type(error).__name__}); save it anew in MATLAB with the option '-v7'"
         ) from None
-
-
-def _level_4(content: bytes) -> dict[str, Any]:
-    import scipy.io
-
-    if 0 not in content[:4]:
-        raise ValueError(content[:4])
-    return {key: value for key, value in scipy.io.loadmat(io.BytesIO(content)).items() if not key.startswith("__")}
 
 
 def _variables(data: bytes, order: str) -> Iterator[tuple[str, Any]]:
@@ -102,34 +97,28 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
     name = next(elements)[1].decode("latin-1")
     if kind in _NUMERIC:
         parts = [_numbers(element, order).astype(float).reshape(shape, order="F") for element in elements]
-        return name, parts[0] + 1j * parts[1] if flags & 0x800 else parts[0]
-    if kind == _SPARSE:
-        # the values of a logical matrix are bytes, whatever their tag says
-        told = [(2, body) if k > 1 and flags & 0x200 else (tag, body) for k, (tag, body) in enumerate(elements)]
-        rows, ends, *parts = (_numbers(element, order) for element in told)
-        return name, _filled(shape, rows, ends, parts[0] + 1j * parts[1] if flags & 0x800 else parts[0])
+        return name, parts[0] + 1j * parts[1] if flags & _COMPLEX else parts[0]
+    if kind == _SPARSE and not flags & _LOGICAL:
+        rows, ends, *parts = (_numbers(element, order) for element in elements)
+        return name, _filled(shape, rows, ends, parts[0] + 1j * parts[1] if flags & _COMPLEX else parts[0])
     if kind == _STRUCT:
         width, names = int(_numbers(next(elements), order)[0]), next(elements)[1]
         keys = [names[k : k + width].split(b"\0")[0].decode("latin-1") for k in range(0, len(names), width)]
         values = [_matrix(part, order)[1] for _, part in elements]
         return name, dict(zip(keys, values, strict=True)) if np.prod(shape) == 1 else "an array of structures"
-    return name, {_CELL: "a cell array", _TEXT: "a text"}[kind]
+    return name, {_CELL: "a cell array", _TEXT: "a text", _SPARSE: "a sparse matrix of logical values"}[kind]
 
 
 def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
-    ends, stored = ends.astype(np.int64), min(len(rows), len(values))
-    steps = np.diff(ends, prepend=0, append=stored)
-    if len(ends) != shape[1] + 1 or steps.min() < 0 or shape[0] * shape[1] > _MOST:
+    if shape[0] * shape[1] > _MOST:
         raise ValueError(shape)
-    full = np.zeros(shape, values.dtype)
-    full[rows[: ends[-1]], np.repeat(np.arange(shape[1]), np.diff(ends))] = values[: ends[-1]]
-    return full
+    matrix = scipy.sparse.csc_matrix((values, rows, ends), shape)
+    matrix.check_format()  # its indices, which `toarray` trusts
+    return matrix.toarray()
 
 
 def matlab_of(fields: Mapping[str, Any]) -> bytes:
     """Content of a `.mat` file."""
-    import scipy.io
-
     with io.BytesIO() as buffer:
         scipy.io.savemat(buffer, dict(fields))
         content = bytearray(buffer.getvalue())

@@ -1,8 +1,7 @@
 """Text tables: from the bytes of a file to columns of doubles, with errors that point at the place.
 
-`read_table` finds out how a file is laid out; `Table.columns` parses the columns that are wanted.  Clean blocks of
-lines go through `numpy.loadtxt`; only a block that it refuses is read field by field, to fill in what is missing and
-to say what is wrong.
+`read_table` finds out how a file is laid out; `Table.columns` parses the columns that are wanted: clean blocks of lines
+by `numpy.loadtxt`, the others field by field, to fill in what is missing and to say what is wrong.
 """
 
 from __future__ import annotations
@@ -10,8 +9,9 @@ from __future__ import annotations
 import codecs
 import csv
 import difflib
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._units import known_unit
 from ..exceptions import FileFormatError, StructureError
-from .json_format import read_bytes, source_name
+from .files import read_bytes, source_name
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,7 @@ _LAYOUTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", 
 _SPELLED = {" ": "white space", "\t": "tab", ",": "comma", ";": "semicolon"}
 # control characters that no text table holds; tab, line feed, form feed and carriage return are text
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
-_JOIN = "\x1f"  # one of them, so never part of a field
-_SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+)")  # a unit without brackets
+_SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+|rad_s)")  # a unit without brackets
 _HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
 
 _UNIT_NAME = (
@@ -52,11 +51,6 @@ _UNIT_NAME = (
 )
 _UNIT_FACTOR = _UNIT_NAME + r"(?:(?:\^|\*\*)?\(?[+-]?[0-9]\)?|[⁻]?[⁰¹²³⁴-⁹])?"
 _UNIT = re.compile(rf"(?:1/|√)?{_UNIT_FACTOR}(?:\s*[*·.⋅/ ]\s*(?:√|\()?{_UNIT_FACTOR}\)?){{0,5}}")
-_REAL = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_COMPLEX = re.compile(
-    rf"(?:\(\s*)?(?<![0-9.])[+-]?{_REAL}\s*[+-]\s*[+-]?(?:{_REAL}\s*(?:\*\s*)?[ij]|[ij]\*?{_REAL})(?![A-Za-z0-9])\)?"
-    rf"|\(\s*[+-]?{_REAL}\s*[,;]\s*[+-]?{_REAL}\s*\)"
-)
 
 
 @dataclass(frozen=True)
@@ -81,27 +75,18 @@ class Table:
 
     def _block(self, start: int, stop: int, wanted: Sequence[int]) -> Array:
         rows = self.rows[start:stop]
-        if not any('"' in row for row in rows):
-            values = _numbers(rows, self.delimiter, wanted, self.decimal)
-            if values is not None:
-                return values
-        table = [self.split(row) for row in rows]
-        cells = [_JOIN.join("nan" if _is_missing(fields[j]) else fields[j] for j in wanted) for fields in table]
-        values = _numbers(cells, _JOIN, range(len(wanted)), self.decimal)
+        values = None if any('"' in row for row in rows) else _numbers(rows, self.delimiter, wanted, self.decimal)
         if values is None:
+            table = [self.split(row) for row in rows]
             values = np.array([[self._value(start + k, j, f[j]) for k, f in enumerate(table)] for j in wanted])
         return values
 
     def _value(self, row: int, column: int, field: str) -> float:
         text = field.strip()
-        if _is_missing(text):
-            return np.nan
-        if _NUMBER[self.decimal].fullmatch(text):
-            value = float(text.replace(",", "."))
-            if np.isfinite(value):
-                return value
-        if _COMPLEX.fullmatch(text):
-            raise FileFormatError(f"{self.at(row, column)}: {_complex(text)}")
+        if text.casefold() in _MISSING:
+            return math.nan
+        if _NUMBER[self.decimal].fullmatch(text) and math.isfinite(value := float(text.replace(",", "."))):
+            return value
         hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
         raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
 
@@ -117,6 +102,13 @@ class Table:
         """Name a column: its number and its label."""
         label = self.labels[column] if self.labels else ""
         return f"column {column} ({label!r})" if label else f"column {column}"
+
+    def refuse(self, column: int, wrong: NDArray[np.bool_], message: str, values: Array | None = None) -> None:
+        """Refuse a column for the first of its rows that are wrong; the message may show the value there."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            shown = message if values is None else message.format(values[row])
+            raise FileFormatError(f"{self.at(row, column)}: {shown}")
 
     def listing(self) -> str:
         """Say which columns there are."""
@@ -159,19 +151,19 @@ class Table:
 
 def is_time_label(label: str) -> bool:
     """Whether a column of this label holds instants; a capital T is as often a temperature or a torque."""
-    bare, _ = _name_and_unit(label)
+    bare, _ = name_and_unit(label, known_unit)
     return bare == "t" or bare.casefold() in ("time", "times", "timestamp")
 
 
 def unit_of_time(label: str) -> str | None:
     """Unit of time that a label tells, as `Time (ms)`, `t [s]`, `t / h`, `time/us` or `time_min` do; or None."""
-    return known_unit(_name_and_unit(label)[1])
+    return known_unit(name_and_unit(label, known_unit)[1])
 
 
-def _name_and_unit(label: str) -> tuple[str, str]:
-    """Label without its unit, and the unit; one that no bracket sets off must be a unit of time."""
+def name_and_unit(label: str, known: Callable[[str], str | None]) -> tuple[str, str]:
+    """Label without its unit, and the unit; one that no bracket sets off must be `known`."""
     bare = without_unit(label)
-    if bare == label.strip() and (found := _SUFFIX.fullmatch(bare)) and known_unit(found[2]):
+    if bare == label.strip() and (found := _SUFFIX.fullmatch(bare)) and known(found[2]):
         return found[1], found[2]
     return bare, label.strip()[len(bare) :].strip(" []()/")
 
@@ -195,7 +187,6 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
         delimiter, lines[content[0]] = delimiter or announced[1], ""
         content = content[1:]
     sample = [lines[k] for k in content[:_SAMPLE]]
-    _refuse_complex(name, sample, content)
     delimiter = _delimiter(sample, delimiter, decimal)
     if delimiter == "\t":
         # a line of tabs is a row of missing values, not a blank line
@@ -266,10 +257,6 @@ def _numbers(rows: list[str], delimiter: str, wanted: Sequence[int], decimal: st
     return None if np.isinf(values).any() else values.T
 
 
-def _is_missing(field: str) -> bool:
-    return field.strip().casefold() in _MISSING
-
-
 def _split(row: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return row.split()
@@ -287,10 +274,8 @@ def _header_fields(row: str, delimiter: str) -> list[str]:
 
 def _kinds(fields: Sequence[str], decimal: str) -> str:
     """One letter for each field: number, missing or text."""
-    stripped = [field.strip() for field in fields]
-    return "".join(
-        "m" if _is_missing(field) else "n" if _NUMBER[decimal].fullmatch(field) else "t" for field in stripped
-    )
+    words = [field.strip() for field in fields]
+    return "".join("m" if w.casefold() in _MISSING else "n" if _NUMBER[decimal].fullmatch(w) else "t" for w in words)
 
 
 def _delimiter(sample: list[str], delimiter: str | None, decimal: str | None) -> str:
@@ -327,12 +312,12 @@ def _has_header(
 ) -> bool:
     if header is not None:
         return header
-    first = _kinds(_header_fields(rows[0], delimiter), decimal)
-    if "t" not in first:
-        return False
-    if "n" not in first or (len(rows) > 1 and _kinds(_split(rows[1], delimiter), decimal) == first):
-        return "n" not in first
     fields = _header_fields(rows[0], delimiter)
+    first = _kinds(fields, decimal)
+    if not {"t", "n"} <= set(first):
+        return "t" in first
+    if len(rows) > 1 and _kinds(_split(rows[1], delimiter), decimal) == first:
+        return False
     word, number = fields[first.index("t")], fields[first.index("n")]
     raise FileFormatError(
         f"{path}, line {numbers[0]} is neither a header nor a row of numbers: {number!r} in column {first.index('n')} "
@@ -344,48 +329,18 @@ def _units(labels: Sequence[str], rows: list[str], delimiter: str, decimal: str)
     """Units of the columns if the row below the labels holds nothing else, without any doubt; else None."""
     if any(without_unit(label) != label for label in labels) or len(rows) < 2:
         return None
-    fields = [field.strip().strip('"').strip() for field in _split(rows[0], delimiter)]
-    if len(fields) == len(labels) + 1 and not fields[-1]:
-        fields.pop()
-    elif len(fields) == len(labels) - 1 and not labels[-1]:
-        fields.append("")
+    fields = [field.strip(' \t"') for field in _split(rows[0], delimiter)]
     units = ["" if field == "-" else re.sub(r"^(?:\[(.*)\]|\((.*)\))$", r"\1\2", field).strip() for field in fields]
-    if len(units) != len(labels) or not any(units) or not all(_is_unit(unit) for unit in units if unit):
+    # an empty field at the end may be there or not
+    units += [""] * (len(labels) - len(units) == 1 and not labels[-1])
+    if len(units) != len(labels) or not any(units):
+        return None
+    if any(len(unit) > 30 or not _UNIT.fullmatch(unit) for unit in units if unit):
         return None
     # a column with a unit holds numbers: letters above letters are a row of the table
     below = [_kinds(_split(row, delimiter), decimal) for row in rows[1:_SAMPLE]]
-    for column, unit in enumerate(units):
-        kinds = {row[column : column + 1] for row in below}
-        if unit and not {"n"} <= kinds <= {"n", "m"}:
-            return None
-    return units
-
-
-def _is_unit(text: str) -> bool:
-    return len(text) <= 30 and _UNIT.fullmatch(text) is not None
-
-
-def _refuse_complex(path: str, sample: list[str], content: list[int]) -> None:
-    """Refuse a table with complex numbers and at most one column of others beside them, which is no recording."""
-    hits = [k for k, line in enumerate(sample) if _COMPLEX.search(line)]
-    # the first two rows may be labels and units
-    if not hits or hits[0] > 2 or hits != list(range(hits[0], len(sample))):
-        return
-    for k in hits:
-        rest = re.split(r"[,;\s]+", _COMPLEX.sub(" ", sample[k]))
-        if sum(_NUMBER["."].fullmatch(word) is not None for word in rest) > 1:
-            return
-    found = _COMPLEX.search(sample[hits[0]])
-    assert found is not None
-    raise FileFormatError(f"{path}, line {content[hits[0]] + 1}: {_complex(found[0])}")
-
-
-def _complex(text: str) -> str:
-    return (
-        f"{text!r} is a complex number; a table of these is perhaps a measured frequency response, not a recording in "
-        "time: pass the signals themselves, sampled in time, or give real and imaginary part a column each for "
-        "read_frequency_csv"
-    )
+    seen = [{row[column : column + 1] for row in below} for column in range(len(units))]
+    return units if all({"n"} <= kinds <= {"n", "m"} for kinds, unit in zip(seen, units, strict=True) if unit) else None
 
 
 def _labels_in_comment(lines: list[str], first: int, delimiter: str, width: int) -> tuple[str, ...] | None:
@@ -417,8 +372,9 @@ def _width(path: str, rows: list[str], numbers: list[int], delimiter: str, label
         return width
     row = next(k for k, size in enumerate(sizes) if size not in allowed)
     reference = "the header has" if labels is not None else f"line {numbers[0]} has"
+    count = sizes[row][0]
     raise FileFormatError(
-        f"{path}, line {numbers[row]}: {_count(sizes[row][0], 'field')}, but {reference} {width} (separator: "
+        f"{path}, line {numbers[row]}: {count} field{'s' * (count != 1)}, but {reference} {width} (separator: "
         f"{_SPELLED.get(delimiter, repr(delimiter))}); complete the row, put # in front of a line that is no part of "
         "the table, or pass delimiter= if the separator is another"
     )
@@ -434,10 +390,6 @@ def _size(row: str, delimiter: str) -> tuple[int, bool]:
     return row.count(delimiter) + 1, row.rstrip(" ").endswith(delimiter)
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def _what_is_wrong(text: str, decimal: str) -> str:
     other = "." if decimal == "," else ","
     shown = repr(text if len(text) <= 60 else text[:57] + "...")
@@ -448,6 +400,8 @@ def _what_is_wrong(text: str, decimal: str) -> str:
         return (
             f"{shown} is not finite, or too large for a double; correct it, or leave the field empty if it is missing"
         )
+    if re.fullmatch(r"\(?[-+0-9.eE ]+[ij]\)?", text):
+        return f"{shown} is a complex number; give its real and its imaginary part a column each"
     if re.match(r"[0-9]+[:/-][0-9]", text):
         return f"{shown} is a date or a time of day; convert it to a number first, such as seconds from the start"
     return f"{shown} is not a number; correct it, or leave the field empty if the value is missing"

@@ -102,39 +102,40 @@ def read_csv(
     """
     step = None if dt is None else _checks.sampling_step(dt)
     unit = checked_unit(time_unit)
-    table = read_table(path, header, delimiter, decimal)
+    return recording_in(read_table(path, header, delimiter, decimal), input, output, time, step, unit)
+
+
+def recording_in(
+    table: Table, input: Any, output: Any, time: Any, step: float | None, unit: str | None
+) -> TimeResponseData:
+    """Recording that a table holds; the arguments are those of `read_csv`."""
     clock = _time_column(table, time, step)
     inputs, outputs = _signal_columns(table, clock, input, output)
     if len(table.rows) < 2:
         raise FileFormatError(
-            f"{table.path} has one row of numbers (line {table.line_numbers[0]}); "
-            "a recording needs at least two samples"
+            f"{table.path} has one row of numbers (line {table.line_numbers[0]}); at least two samples are needed"
         )
     values = table.columns([*([] if clock is None else [clock]), *inputs, *outputs])
-    if clock is not None:
-        instants, values = values[0], values[1:]
-        _refuse_missing(table, instants, clock, "the time")
-        grid = _uniform_grid(table, instants, clock, step)
-    else:
+    missing = "{} is missing, and only outputs may be: fill it in, or cut the recording there"
+    if clock is None:
         assert step is not None
         grid = step * np.arange(len(table.rows), dtype=float)
-    if unit is None and clock is not None and table.labels:
-        unit = unit_of_time(table.labels[clock])
+    else:
+        instants, values = values[0], values[1:]
+        table.refuse(clock, np.isnan(instants), missing.format("the time"))
+        grid = _uniform_grid(table, instants, clock, step)
+        unit = unit_of_time(table.labels[clock]) if unit is None and table.labels else unit
     u, y = values[: len(inputs)], values[len(inputs) :]
     for column, signal in zip(inputs, u, strict=True):
-        _refuse_missing(table, signal, column, "the input")
+        table.refuse(column, np.isnan(signal), missing.format("the input"))
     for column, signal in zip(outputs, y, strict=True):
         if np.isnan(signal).all():
             raise FileFormatError(f"{table.path}: {table.name(column)} has no values at all; choose another output")
     found = TimeResponseData(
-        grid,
-        y,
-        inputs=u if inputs else None,
-        issiso=len(outputs) == 1 and len(inputs) <= 1,
-        input_labels=_signal_labels(table, inputs, "u"),
-        output_labels=_signal_labels(table, outputs, "y"),
+        grid, y, inputs=u if inputs else None, issiso=len(outputs) == 1 and len(inputs) <= 1,
+        input_labels=_signal_labels(table, inputs, "u"), output_labels=_signal_labels(table, outputs, "y"),
         title=Path(table.path).name,
-    )
+    )  # fmt: skip
     return with_unit(found, unit)
 
 
@@ -158,30 +159,27 @@ def _time_column(table: Table, time: Any, step: float | None) -> int | None:
 
 def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) -> tuple[list[int], list[int]]:
     """Numbers of the input and output columns."""
-    if isinstance(output, bool) or input is True:
-        name, value = ("input", input) if input is True else ("output", output)
-        raise StructureError(f"{name} is {value}; give the label of a column or its number, counted from 0")
-    inputs = [] if input is False else _chosen(table, input, "input")
-    outputs = _chosen(table, output, "output")
-    taken = [*([] if clock is None else [clock]), *(inputs or []), *(outputs or [])]
+    for name, value in (("input", input), ("output", output)):
+        if isinstance(value, bool) and (value or name == "output"):
+            raise StructureError(f"{name} is {value}; give the label of a column or its number, counted from 0")
+    chosen = {"input": [] if input is False else _chosen(table, input, "input")}
+    chosen["output"] = _chosen(table, output, "output")
+    taken = [*([] if clock is None else [clock]), *(chosen["input"] or []), *(chosen["output"] or [])]
     for column in taken:
         if taken.count(column) > 1:
             raise StructureError(f"{table.path}: {table.name(column)} is chosen twice among time, input and output")
     rest = [j for j in range(table.width) if j not in taken]
-    missing = [name for name, columns in (("input", inputs), ("output", outputs)) if columns is None]
-    if len(rest) != len(missing) and missing:
-        asked = " and ".join(f"{name}=" for name in missing)
-        enough = inputs is not None or len(rest) > len(missing)
-        free = "" if enough else ", or pass input=False if the recording has no input"
+    missing = [name for name, columns in chosen.items() if columns is None]
+    if missing and len(rest) != len(missing):
+        few = "input" in missing and len(rest) < len(missing)
+        free = ", or pass input=False if the recording has no input" * few
         raise StructureError(
             f"{table.path}: which column is the {' and which the '.join(missing)}? {len(rest)} of {table.width} "
-            f"columns are left to choose from; say which with {asked}{free} ({table.listing()})"
+            f"columns are left to choose from; say which with {' and '.join(f'{name}=' for name in missing)}{free} "
+            f"({table.listing()})"
         )
-    if inputs is None:
-        inputs = [rest.pop(0)]
-    if outputs is None:
-        outputs = [rest.pop(0)]
-    return inputs, outputs
+    found = {**chosen, **{name: [column] for name, column in zip(missing, rest, strict=False)}}
+    return found["input"] or [], found["output"] or []
 
 
 def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
@@ -198,18 +196,6 @@ def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
 def _signal_labels(table: Table, columns: list[int], prefix: str) -> list[str] | None:
     labels = [table.labels[j] if table.labels else "" for j in columns]
     return [label or f"{prefix}[{k}]" for k, label in enumerate(labels)] or None
-
-
-def _refuse_missing(table: Table, values: Array, column: int, what: str) -> None:
-    missing = np.isnan(values)
-    if missing.any():
-        row = int(np.argmax(missing))
-        found = table.split(table.rows[row])[column].strip()
-        raise FileFormatError(
-            f"{table.at(row, column)}: {what} is missing ({repr(found) if found else 'the field is empty'}; "
-            f"{int(missing.sum())} of {len(values)} rows); only outputs may be missing: fill in {what} or cut the "
-            "recording there"
-        )
 
 
 def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) -> Array:
@@ -232,30 +218,22 @@ def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) 
 def _why_not_uniform(table: Table, t: Array, column: int) -> str:
     gaps = np.diff(t)
     median = float(np.median(gaps))
-    backwards = gaps <= 0
-    k = int(np.argmax(backwards)) if backwards.any() else int(np.argmax(np.abs(gaps - median)))
+    k = int(np.argmax(gaps <= 0) if (gaps <= 0).any() else np.argmax(np.abs(gaps - median)))
     place = f"{table.at(k + 1, column)}: the time is {t[k + 1]:.12g}, after {t[k]:.12g} in line {table.line_numbers[k]}"
-    if backwards.any():
+    if gaps[k] <= 0:
         return f"{place}; it must increase: sort the rows, and drop repeats"
+    # rows numbered by time=False would close the gaps that lost samples leave, so it is not offered for these
+    lost = np.where(gaps > 1.5 * median, np.rint(np.minimum(gaps, 1e9 * median) / median) - 1, 0)
+    if np.all(np.abs(gaps - median) <= 0.5 * median):
+        advice = f"resample; if the times are only rounded in print, pass time=False, dt={gaps.mean():.9g}"
+    elif lost[k]:
+        advice = (
+            f"samples are lost, {lost[k]:.9g} there and {lost.sum():.9g} in the whole file; add rows for them (time "
+            "and input given, output empty), or resample"
+        )
+    else:
+        advice = "the row seems to be one too many there: drop it, or resample"
     return (
         f"{place}: a step of {gaps[k]:.6g}, where the median is {median:.6g}; the sampling must be uniform to a "
-        f"hundredth of a step: {_how_to_mend(gaps, median, k)}"
-    )
-
-
-def _how_to_mend(gaps: Array, median: float, worst: int) -> str:
-    """Advice for gaps that are unequal: whether the print, lost samples or surplus ones look like the cause."""
-    if np.all(np.abs(gaps - median) <= 0.5 * median):
-        return f"resample; if the times are only rounded in print, pass time=False, dt={gaps.mean():.9g}"
-    # rows numbered by time=False would close the gaps that lost samples leave, so it is not offered
-    with np.errstate(over="ignore"):
-        lost = np.where(gaps > 1.5 * median, np.rint(gaps / median) - 1, 0)
-    if not lost[worst]:
-        return "the row seems to be one too many there: drop it, or resample"
-    places = np.count_nonzero(lost)
-    elsewhere = f" ({lost.sum():.9g} at {places} places in the whole file)" if places > 1 else ""
-    missing = "1 row seems" if lost[worst] == 1 else f"{lost[worst]:.9g} rows seem"
-    return (
-        f"samples are lost, {missing} to be missing there{elsewhere}; add rows for them (input and time given, output "
-        "empty), or resample"
+        f"hundredth of a step: {advice}"
     )

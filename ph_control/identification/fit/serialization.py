@@ -310,4 +310,4 @@ def _one_of(fields: Fields, name: str, allowed: tuple[str, ...]) -> str:
     return found
 
 
-CODEC = Codec("PEMResult", PEMResult, _to_dict, _from_dict)
+CODEC = Codec(PEMResult, _to_dict, _from_dict)
