@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import control as ct
@@ -64,35 +63,22 @@ class LosslessSystem(ct.StateSpace):
             raise StructureError(
                 "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
             )
-        if not names:
-            self._with_default_names(nstates, nports)
-            return
         self._views = {}
-        sizes = {"inputs": nports, "outputs": nports, "states": nstates}
-        _checks.signal_names(names, **sizes)
-        for kind, count in sizes.items():
-            if names.get(kind) is None and names.get(kind[:-1]) is None:
-                names[kind] = count
+        sizes = {"inputs": nports, "outputs": nports}
+        if names:
+            sizes["states"] = nstates
+            _checks.signal_names(names, **sizes)
+        defaults = {kind: count for kind, count in sizes.items() if names.get(kind, names.get(kind[:-1])) is None}
         # StateSpace.__init__ would build and store dense matrices; its base class keeps the names and the timebase
-        NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **names)
+        NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **(names | defaults))
         # the functions are those of the class; of its own a system would have to hold itself, and outlive its last use
         del self.updfcn, self.outfcn
-
-    def _with_default_names(self, nstates: int, nports: int) -> None:
-        """As python-control does it, whose steps are taken once for all; states are named when somebody asks."""
-        fixed, own = _unnamed()
-        self.__dict__.update(fixed)
-        for key, value in own:
-            self.__dict__[key] = value.copy()
-        self.name = self._name_or_default()
-        if nports != self.ninputs:
-            self.set_inputs(nports)
-            self.set_outputs(nports)
-        self.nstates, self._state_index = nstates, None
+        if not names:
+            self.nstates, self._state_index = nstates, None
 
     @property
     def state_index(self) -> dict[str, int]:
-        """Names of the states, each with its place."""
+        """Names of the states, each with its place; made when somebody asks."""
         if self._state_index is None:
             self.set_states(self.nstates)
         assert self._state_index is not None
@@ -228,15 +214,6 @@ class LosslessSystem(ct.StateSpace):
         text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
         labels = self._label_repr()
         return text + (f",\n{labels})" if labels else ")")
-
-
-@cache
-def _unnamed() -> tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]]:
-    """Attributes that python-control gives to a system without states: those that never change, and those that may."""
-    blank = LosslessSystem.__new__(LosslessSystem)
-    blank._setup(0, 1, {"name": "blank"})
-    own = [(key, value) for key, value in vars(blank).items() if isinstance(value, dict)]
-    return {key: value for key, value in vars(blank).items() if not isinstance(value, dict)}, own
 
 
 def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:

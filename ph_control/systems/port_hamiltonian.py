@@ -26,7 +26,8 @@ ComplexArray = NDArray[np.complex128]
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
-_OF_Q = ("_proven", "_energy", "S")  # views that follow from Q alone
+_OF_Q = ("_proven", "_energy", "S")  # views that take O(n^3) steps, of Q alone
+_OF_Q_AND_B = (*_OF_Q, "_seen")
 
 
 class PortHamiltonian(LosslessSystem):
@@ -77,27 +78,35 @@ class PortHamiltonian(LosslessSystem):
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
         matrix = _definite.built_matrix(Q)
-        ports = _checks.port_matrix(B, len(matrix))
-        self._fill(matrix, ports, names)
+        self._fill((matrix, _checks.port_matrix(B, len(matrix))), None, names)
 
-    def _fill(self, Q: Array, B: Array, names: dict[str, Any]) -> None:
-        self._given, self._modes = (_checks.readonly(Q), _checks.readonly(B)), None
-        self._setup(len(B), B.shape[1], names)
+    def _fill(
+        self,
+        given: tuple[Array, Array] | None,
+        modes: ModalForm | None,
+        names: dict[str, Any],
+        kept: dict[str, Any] | None = None,
+    ) -> None:
+        """Take matrices that have been checked, or modes, and views of them that are known."""
+        self._given, self._modes = given, modes
+        for matrix in given or ():
+            _checks.readonly(matrix)
+        if given is not None:
+            self._setup(len(given[1]), given[1].shape[1], names)
+        elif modes is not None:
+            self._setup(2 * modes.n, modes.nports, names)
+        for name, view in (kept or {}).items():
+            self._views[name] = _checks.readonly(view) if isinstance(view, np.ndarray) else view
 
     @classmethod
     def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
         """System in Williamson coordinates, its matrices not built until somebody looks."""
-        self = cls.__new__(cls)
-        self._given, self._modes = None, modes
-        self._setup(2 * modes.n, modes.nports, names)
-        return self
+        return _restore(cls, None, modes, names)
 
     @classmethod
     def _from_matrices(cls, Q: Array, B: Array, **names: Any) -> PortHamiltonian:
         """System from arrays that have been checked as the constructor does."""
-        self = cls.__new__(cls)
-        self._fill(Q, B, names)
-        return self
+        return _restore(cls, (Q, B), None, names)
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -106,9 +115,8 @@ class PortHamiltonian(LosslessSystem):
         """Hamiltonian matrix, shape (2n, 2n), read-only."""
         if self._given is not None:
             return self._given[0]
-        return np.diag(
-            np.concatenate([np.zeros(len(self.modes.rigid)), self.d, np.ones(len(self.modes.rigid)), self.d])
-        )
+        still = np.zeros(len(self.modes.rigid))
+        return np.diag(np.concatenate([still, self.d, still + 1.0, self.d]))
 
     @View
     def B(self) -> Array:
@@ -333,7 +341,7 @@ class PortHamiltonian(LosslessSystem):
             if self._given is not None:
                 B = root * self.B
                 _checks.in_range(f"B times the square root of {factor:.3g}", B, _checks.SMALLEST_SQUARED)
-                return PortHamiltonian._from_matrices(self.Q, B)._keeping(self._kept(_OF_Q))
+                return _restore(PortHamiltonian, (self.Q, B), None, {}, self._kept(_OF_Q))
             m = self.modes
             scaled = ModalForm._of(m.d, root * m.nu, root * m.rigid, factor * m.r)
             what = f"the modal weights times {factor:.3g}"
@@ -342,17 +350,12 @@ class PortHamiltonian(LosslessSystem):
         return PortHamiltonian._from_modes(scaled)
 
     def _kept(self, names: tuple[str, ...]) -> dict[str, Any]:
-        """Views of these names, as far as they have been computed."""
-        return {name: self._views[name] for name in names if name in self._views}
-
-    def _keeping(self, kept: dict[str, Any]) -> PortHamiltonian:
-        """Take views that another system has computed, and return this one."""
-        self._views |= {name: _checks.readonly(x) if isinstance(x, np.ndarray) else x for name, x in kept.items()}
-        return self
+        """Views of these names, as far as they have been computed, of a system that was given by matrices."""
+        return {} if self._given is None else {name: self._views[name] for name in names if name in self._views}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        kept = self._kept((*_OF_Q, "_seen")) if self._given is not None else {}
-        return _restore, (type(self), self._given, self._modes, self._names(), kept), {"time_unit": self.time_unit}
+        known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
+        return _restore, (type(self), *known), {"time_unit": self.time_unit}
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
@@ -426,14 +429,12 @@ def _restore(
     given: tuple[Array, Array] | None,
     modes: ModalForm | None,
     names: dict[str, Any],
-    kept: dict[str, Any],
+    kept: dict[str, Any] | None = None,
 ) -> PortHamiltonian:
-    if given is None:
-        assert modes is not None
-        return kind._from_modes(modes, **names)
-    system = kind._from_matrices(*given, **names)._keeping(kept)
-    system._modes = modes
-    return system
+    # the constructor of a subclass may take other arguments
+    self = kind.__new__(kind)
+    self._fill(given, modes, names, kept)
+    return self
 
 
 def _is_number(value: Any) -> bool:
@@ -510,8 +511,10 @@ def ph(
     if isinstance(source, ModalForm):
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, PortHamiltonian):
-        given, known, _, kept = source.__reduce__()[1][1:]
-        return _restore(PortHamiltonian, given, known, inherited_names(source, names, *_SIGNALS), kept)
+        names = inherited_names(source, names, *_SIGNALS)
+        twin = _restore(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))
+        twin.time_unit = source.time_unit
+        return twin
     if isinstance(source, LosslessSystem):
         return source._converted(**names)
     if isinstance(source, ct.StateSpace) and source.isctime() and (found := lossless.hamiltonian_form(source)):
