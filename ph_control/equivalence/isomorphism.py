@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eig, schur
-from scipy.linalg.lapack import ztrsen, ztrsyl
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..numerics.pole_residue import SAFETY, clusters
+from ..numerics.invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, schur_form
 from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from ..systems.base import LosslessSystem
@@ -209,56 +207,44 @@ def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | 
         if 2 * len(spectrum.minimal.d) < sys1.nstates:
             reason = "of two canonical forms, only canonical pairs make them isomorphic, and this one is not"
             return Verdict(False, 1.0, 0.0, None, reason)
-    L = _from_modal(sys2) @ _to_modal(sys1)
+    L = _modal_coordinates(sys2)[1] @ _modal_coordinates(sys1)[0]
     _checks.representable("the entries of the isomorphism", L, nonzero=(L != 0) | ~L.any(axis=1, keepdims=True))
     return _judge([L], sys1, sys2, floor, invertible=True)
 
 
-def _to_modal(sys: LosslessSystem) -> Array:
-    """Matrix to `(Re w, Im w)` of a canonical system, `w_l = x_l / nu_l` in the order of ascending d."""
+def _modal_coordinates(sys: LosslessSystem) -> tuple[Array, Array]:
+    """Matrix to `(Re w, Im w)` of a canonical system, `w_l = x_l / nu_l` in the order of ascending d, and its inverse.
+
+    Both by formula, so that no digits are lost by elimination.
+    """
     n, d = sys.n, sys.modes.d
     if isinstance(sys, PortHamiltonian):
-        S, nu = sys.S, ((sys.S @ sys.B)[:n] + 1j * (sys.S @ sys.B)[n:])[:, 0]
-        return real_form(np.diag(1 / nu)) @ S
-    even, odd = np.zeros((2, n, 2 * n))
-    if isinstance(sys, ControllableHamiltonian):
-        # x_l = nu_l sum_k b_k (-i d_l s_{2k+1} + s_{2k+2}), see controllable_morphism
-        even[:, 0::2] = odd[:, 1::2] = cofactors(d)
-        return np.concatenate([odd, -d[:, None] * even])
-    # s_{2k+1} = sum_l kappa_l b_k d_l Im w_l and s_{2k+2} = sum_l kappa_l b_k Re w_l, see observable_morphism
-    inverse = _inverse_cofactors(d).T / sys.modes.kappa[:, None]
-    even[:, 0::2] = odd[:, 1::2] = inverse
-    return np.concatenate([odd, even / d[:, None]])
-
-
-def _from_modal(sys: LosslessSystem) -> Array:
-    """Inverse of `_to_modal`, by formula: neither is inverted by elimination, so no digits are lost."""
-    n, d = sys.n, sys.modes.d
-    if isinstance(sys, PortHamiltonian):
-        S, nu = sys.S, ((sys.S @ sys.B)[:n] + 1j * (sys.S @ sys.B)[n:])[:, 0]
-        return symplectic_inverse(S) @ real_form(np.diag(nu))
-    L = np.zeros((2 * n, 2 * n))
-    if isinstance(sys, ControllableHamiltonian):
-        inverse = _inverse_cofactors(d)
-        L[1::2, :n], L[0::2, n:] = inverse, -inverse / d
-        return L
-    b = (cofactors(d) * sys.modes.kappa[:, None]).T
-    L[1::2, :n], L[0::2, n:] = b, b * d
-    return L
-
-
-def _inverse_cofactors(d: Array) -> Array:
-    """Inverse of `cofactors(d)` for distinct d: entry (k, l) is `(-d_l^2)^k / prod_{j != l} (d_j^2 - d_l^2)`."""
-    gaps = (d[:, None] - d) * (d[:, None] + d)
+        nu = _complex_rows(sys.S @ sys.B)[:, 0]
+        return real_form(np.diag(1 / nu)) @ sys.S, symplectic_inverse(sys.S) @ real_form(np.diag(nu))
+    # x_l = nu_l sum_k b_k (-i d_l s_{2k+1} + s_{2k+2}), see `controllable_morphism`
+    b, gaps = cofactors(d), (d[:, None] - d) * (d[:, None] + d)
     np.fill_diagonal(gaps, 1.0)
-    return np.vander(-(d**2), len(d), increasing=True).T / gaps.prod(axis=0)
+    # entry (k, l) is (-d_l^2)^k / prod_{j != l} (d_j^2 - d_l^2)
+    inverse = np.vander(-(d**2), n, increasing=True).T / gaps.prod(axis=0)
+    there, back = np.zeros((2, 2 * n, 2 * n))
+    there[:n, 1::2], there[n:, 0::2] = b, -d[:, None] * b
+    back[1::2, :n], back[0::2, n:] = inverse, -inverse / d
+    if isinstance(sys, ControllableHamiltonian):
+        return there, back
+    # the transpose of it: s_{2k+1} = sum_l kappa_l b_k d_l Im w_l and s_{2k+2} = sum_l kappa_l b_k Re w_l
+    kappa = np.concatenate([sys.modes.kappa, -sys.modes.kappa])
+    return back.T / kappa[:, None], there.T * kappa
+
+
+def _complex_rows(v: Array) -> ComplexArray:
+    n = len(v) // 2
+    return np.asarray(v[:n] + 1j * v[n:])
 
 
 def _williamson_candidates(sys1: PortHamiltonian, sys2: PortHamiltonian, close: float) -> list[Array]:
     """Isomorphisms through Williamson coordinates, by one unitary matrix for each group of frequencies."""
     S1, S2 = sys1.S, sys2.S
-    nu1, nu2 = ((S @ sys.B)[: sys.n] + 1j * (S @ sys.B)[sys.n :] for S, sys in ((S1, sys1), (S2, sys2)))
-    back = np.linalg.inv(S2)
+    nu1, nu2, back = _complex_rows(S1 @ sys1.B), _complex_rows(S2 @ sys2.B), np.linalg.inv(S2)
     # equal frequencies share a block; what rounding mixes among near ones is put right by the smallest rotation
     equal = clusters(sys1.d.astype(complex), 4 * sys1.n * _checks.EPS * sys1.d)
     U = block_unitary(nu1, nu2, equal)
@@ -301,7 +287,7 @@ def real_form(U: ComplexArray) -> Array:
 
 def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float | None) -> Verdict:
     """Match the eigenvalues in clusters and solve for one block of the isomorphism in each."""
-    first, second = _Eigenvalues.of(sys1), _Eigenvalues.of(sys2)
+    first, second = _BalancedSchur.of(sys1), _BalancedSchur.of(sys2)
     n = len(first.values)
     values = np.concatenate([first.values, second.values])
     radius = np.concatenate([first.radius, second.radius]) * SAFETY
@@ -338,7 +324,7 @@ def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float |
     return _judge(candidates, sys1, sys2, SAFETY * floor if rtol is None else rtol)
 
 
-def _seen_by_one_only(first: _Eigenvalues, second: _Eigenvalues, group: Indices) -> Verdict | None:
+def _seen_by_one_only(first: _BalancedSchur, second: _BalancedSchur, group: Indices) -> Verdict | None:
     """Refusal if inputs reach, or outputs see, these eigenvalues in one system but not in the other.
 
     A morphism would be singular there; its smallest singular value would be rounding, which looks like any number.
@@ -358,7 +344,7 @@ def _seen_by_one_only(first: _Eigenvalues, second: _Eigenvalues, group: Indices)
 
 
 def _from_blocks(
-    first: _Eigenvalues, second: _Eigenvalues, groups: list[Indices], radius: Array
+    first: _BalancedSchur, second: _BalancedSchur, groups: list[Indices], radius: Array
 ) -> tuple[Array, float]:
     """Isomorphism from one block for each group of eigenvalues, and the error of the worst of them."""
     n = len(first.values)
@@ -382,9 +368,8 @@ class _TooLarge(Exception):
     """A block of eigenvalues is too large for its equations to be solved at once."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Restriction `T` of a matrix to the invariant subspace of some eigenvalues, with its projection and ports."""
+class _PortBlock(NamedTuple):
+    """An invariant block of a system, with its bases in the states of the system and what ports do to it."""
 
     columns: ComplexArray
     rows: ComplexArray
@@ -395,7 +380,7 @@ class _Block:
 
 
 @dataclass(frozen=True, eq=False)
-class _Eigenvalues:
+class _BalancedSchur:
     """Schur form of a balanced system, with its eigenvalues and how far rounding may have moved them."""
 
     scale: Array
@@ -406,47 +391,28 @@ class _Eigenvalues:
     values: ComplexArray
     radius: Array
     size: float
-    blocks: dict[bytes, _Block] = field(default_factory=dict)
+    blocks: dict[bytes, _PortBlock] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, sys: ct.StateSpace) -> _Eigenvalues:
+    def of(cls, sys: ct.StateSpace) -> _BalancedSchur:
         scale, A, B, C, _ = balanced(sys)
-        try:
-            T, Z = schur(A, output="complex")
-            values, left, right = eig(T, left=True, right=True)
-        except np.linalg.LinAlgError:
-            raise StructureError(
-                "the eigenvalues of A were not found; choose another unit of time, or states"
-            ) from None
-        size = float(norm_of(A))
-        overlap = np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), _checks.EPS)
+        T, Z = schur_form(A)
+        found, size = eigenvalues_of(T), float(norm_of(A))
         # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
-        radius = np.minimum(len(A) * _checks.EPS * size / overlap, _checks.EPS**0.25 * size)
-        return cls(scale, T, Z, B, C, values, radius, size)
+        radius = np.minimum(len(A) * _checks.EPS * size / found.separation, _checks.EPS**0.25 * size)
+        return cls(scale, T, Z, B, C, found.values, radius, size)
 
-    def block(self, group: Indices) -> _Block:
+    def block(self, group: Indices) -> _PortBlock:
         """Split a cluster of eigenvalues off, once."""
         key = group.tobytes()
         if key not in self.blocks:
-            self.blocks[key] = self._split_off(group)
+            part = invariant_block(self.T, group)
+            columns, rows = self.Z @ part.columns, part.rows @ self.Z.conj().T
+            self.blocks[key] = _PortBlock(columns, rows, part.T, rows @ self.B, self.C @ columns, part.separation)
         return self.blocks[key]
 
-    def _split_off(self, group: Indices) -> _Block:
-        """Reorder the Schur form, then solve a Sylvester equation."""
-        n, k = len(self.T), len(group)
-        select = np.zeros(n, np.int32)
-        select[group] = 1
-        T, Q, _, _, separation, _, _ = ztrsen(select, self.T, np.eye(n, dtype=complex), lwork=max(1, 2 * k * (n - k)))
-        Q = self.Z @ Q
-        columns, rows = Q[:, :k], Q[:, :k].conj().T
-        if k < n:
-            X, scale, _ = ztrsyl(T[:k, :k], T[k:, k:], T[:k, k:], isgn=-1)
-            rows = rows + X @ Q[:, k:].conj().T / scale
-        separation = max(float(separation), _checks.EPS)
-        return _Block(columns, rows, T[:k, :k], rows @ self.B, self.C @ columns, separation)
 
-
-def _block_solution(first: _Block, second: _Block, size: float, error: float) -> ComplexArray:
+def _block_solution(first: _PortBlock, second: _PortBlock, size: float, error: float) -> ComplexArray:
     """Best `G` with `G T1 = T2 G`, `G b1 = b2`, `c1 = c2 G`; where it is not unique, a well-conditioned one."""
     I = np.eye(k := len(first.T))
     scale_b = max(norm_of(first.inputs), norm_of(second.inputs)) or 1.0
@@ -463,19 +429,15 @@ def _block_solution(first: _Block, second: _Block, size: float, error: float) ->
         return _best_conditioned(G, lambda X: left @ X @ right)
     if k > _LARGEST_BLOCK:
         raise _TooLarge(k)
-    system = np.concatenate(
-        [
-            (np.kron(T1.T, I) - np.kron(I, T2)) / (size or 1.0),
-            np.kron(first.inputs.T, I) / scale_b,
-            np.kron(I, second.outputs) / scale_c,
-        ]
-    )
-    wanted = np.concatenate(
-        [np.zeros(k * k), second.inputs.ravel(order="F") / scale_b, first.outputs.ravel(order="F") / scale_c]
-    )
+    commuting = (np.kron(T1.T, I) - np.kron(I, T2)) / (size or 1.0)
+    ports = np.kron(first.inputs.T, I) / scale_b, np.kron(I, second.outputs) / scale_c
+    system = np.concatenate([commuting, *ports])
+    wanted = [part.ravel(order="F") for part in (second.inputs / scale_b, first.outputs / scale_c)]
     U, sigma, Vh = np.linalg.svd(system, full_matrices=False)
     rank = int(np.sum(sigma > error))
-    particular = Vh[:rank].conj().T @ ((U[:, :rank].conj().T @ wanted) / sigma[:rank])
+    particular = Vh[:rank].conj().T @ (
+        (U[:, :rank].conj().T @ np.concatenate([np.zeros(k * k), *wanted])) / sigma[:rank]
+    )
     free = Vh[rank:].conj().T
 
     def project(X: ComplexArray) -> ComplexArray:
@@ -486,9 +448,7 @@ def _block_solution(first: _Block, second: _Block, size: float, error: float) ->
 
 def _cut_inverse(M: ComplexArray, smallest: float) -> ComplexArray:
     """Pseudoinverse, singular values up to the smallest taken for 0."""
-    U, sigma, Vh = np.linalg.svd(M, full_matrices=False)
-    rank = int(np.sum(sigma > smallest))
-    return np.asarray((Vh[:rank].conj().T / sigma[:rank]) @ U[:, :rank].conj().T, complex)
+    return np.asarray(np.linalg.pinv(M, rcond=smallest / max(float(np.linalg.norm(M, 2)), smallest)), complex)
 
 
 def _best_conditioned(particular: ComplexArray, project: Callable[[ComplexArray], ComplexArray]) -> ComplexArray:

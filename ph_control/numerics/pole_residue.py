@@ -7,21 +7,21 @@ from zeros and poles by products.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eig, matrix_balance, schur
-from scipy.linalg.lapack import ztrsen, ztrsyl, ztrtrs
+from scipy.linalg import matrix_balance, schur
+from scipy.linalg.lapack import ztrtrs
 
 from .. import _checks
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
+from .invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, reordered, schur_form
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-SAFETY = 32.0  # between a first-order error bound and what is called an error
 _PARALLEL = np.sqrt(_checks.EPS)  # eigenvectors that nearly coincide are those of a Jordan block
 
 
@@ -53,6 +53,12 @@ class Resolvent(NamedTuple):
     outputs: ComplexArray
     backward: float
 
+    @classmethod
+    def of(cls, A: Array, B: Array, C: Array) -> Resolvent:
+        """Resolvent of `C (s - A)^{-1} B`, with the backward error of the Schur form of `A`."""
+        T, Z = schur_form(A)
+        return cls(T, Z.conj().T @ B, C @ Z, len(A) * _checks.EPS * float(np.linalg.norm(A)))
+
     def at(self, points: ComplexArray) -> tuple[ComplexArray, Array]:
         """Values at points, (N, p, m), and first-order bounds of their errors, (N,).  O(n^2) a point."""
         n = len(self.T)
@@ -63,13 +69,6 @@ class Resolvent(NamedTuple):
             into[k] = ztrtrs(shifted, self.inputs)[0]
             out[k] = ztrtrs(shifted, self.outputs.T, trans=1)[0]
         return self.outputs @ into, self.backward * np.linalg.norm(into, axis=(1, 2)) * np.linalg.norm(out, axis=(1, 2))
-
-
-def clusters(poles: ComplexArray, radius: Array) -> list[NDArray[np.intp]]:
-    """Groups of poles whose disks of these radii overlap."""
-    near = np.abs(poles[:, None] - poles) <= radius[:, None] + radius
-    count, label = components(near)
-    return [np.flatnonzero(label == k) for k in range(count)]
 
 
 # --- state space -----------------------------------------------------------------------------------------------
@@ -90,38 +89,39 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) 
     parts = [np.flatnonzero(label == k) for k in range(count)]
     # parts that do not act on one another have units and rounding errors of their own
     forms = [_from_coupled_states(A[np.ix_(part, part)], B[part], C[:, part], D, rest) for part in parts]
-    return _side_by_side(forms) if forms else _static(D)
+    return _joined(forms, [form.residues for form in forms], D) if forms else _static(D)
 
 
-def _side_by_side(forms: list[PoleResidueForm]) -> PoleResidueForm:
-    """Sum of transfer functions with the same feedthrough, which counts once."""
+def _joined(forms: list[PoleResidueForm], residues: list[ComplexArray], feedthrough: Array) -> PoleResidueForm:
+    """One form with the poles of all, which have these residues in it."""
+
+    def together(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(form, name) for form in forms])
+
     return PoleResidueForm(
-        np.concatenate([form.poles for form in forms]),
-        np.concatenate([form.residues for form in forms]),
-        np.concatenate([form.pole_error for form in forms]),
-        np.concatenate([form.residue_error for form in forms]),
-        np.concatenate([form.growth for form in forms]),
-        np.concatenate([form.growth_error for form in forms]),
+        together("poles"),
+        np.concatenate(residues),
+        together("pole_error"),
+        together("residue_error"),
+        together("growth"),
+        together("growth_error"),
         max(form.gain for form in forms),
-        forms[0].feedthrough,
+        feedthrough,
         tuple(part for form in forms for part in form.resolvents),
     )
 
 
 def _from_coupled_states(A: Array, B: Array, C: Array, D: Array, rest: float) -> PoleResidueForm:
     A, B, C = _balanced(A, B, C)
-    backward = len(A) * _checks.EPS * float(np.linalg.norm(A))
-    T, Z = _schur_form(A)
-    given = Resolvent(T, Z.conj().T @ B, C @ Z, backward)
+    given = Resolvent.of(A, B, C)
     resolvent, sizes = _rest_first(given, rest)
-    backward = resolvent.backward
     blocks = _spectral_blocks(resolvent, sizes, rest)
-    residue_error = _residue_errors(blocks, backward, B, C)
-    refined = [
-        _block_errors(block, backward / block.separation, error)
+    residue_error = _residue_errors(blocks, resolvent.backward, B, C)
+    errors = [
+        _block_errors(block, resolvent.backward / block.separation, error)
         for block, error in zip(blocks, residue_error, strict=True)
     ]
-    pole_error, growth, growth_error = np.array(refined).T
+    pole_error, growth, growth_error = np.array(errors).T
     return PoleResidueForm(
         np.array([block.center for block in blocks]),
         np.array([block.outputs @ block.inputs for block in blocks]),
@@ -191,24 +191,11 @@ class _Block:
     known: float = np.inf  # a bound of the error of its residue
 
 
-def _schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
-    try:
-        return schur(A, output="complex")
-    except np.linalg.LinAlgError:
-        raise StructureError(
-            "the eigenvalues of A were not found: its entries, after balancing, range over "
-            f"{np.abs(A[A != 0]).min():.1e} to {np.abs(A).max():.1e}; choose another unit of time, or other states"
-        ) from None
-
-
 def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> list[_Block]:
     """One block for all eigenvalues at `rest`; else one for each, or for several that rounding does not tell apart."""
     T, to_modes, from_modes, backward = resolvent
     still = sum(sizes)
-    # of a triangular matrix: the eigenvalues come in the order of its diagonal
-    values, left, right = eig(T, left=True, right=True)
-    overlap = np.sum(left.conj() * right, axis=0)
-    separation = np.maximum(np.abs(overlap), _checks.EPS)
+    values, left, right, overlap, separation = eigenvalues_of(T)
     # the eigenvalues of a Jordan block of size k scatter by eps^(1/k)
     radius = np.minimum(SAFETY * backward / separation, 4 * _checks.EPS**0.25 * np.linalg.norm(T))
     blocks = []
@@ -244,12 +231,12 @@ def _rest_first(resolvent: Resolvent, rest: float) -> tuple[Resolvent, list[int]
     the kernels of `T - rest` and of its powers remain.
     """
     T, inputs, outputs, backward = resolvent
-    n, size = len(T), float(np.linalg.norm(T))
-    near = np.abs(np.diag(T) - rest) <= 4 * _checks.EPS**0.25 * size
-    m = int(near.sum())
+    size = float(np.linalg.norm(T))
+    near = np.flatnonzero(np.abs(np.diag(T) - rest) <= 4 * _checks.EPS**0.25 * size)
+    m = len(near)
     if m == 0:
         return resolvent, []
-    S, Q, *_ = ztrsen(near.astype(np.int32), T, np.eye(n, dtype=complex), lwork=max(1, 2 * m * (n - m)))
+    S, Q, _ = reordered(T, near)
     V, left = np.eye(m, dtype=complex), S[:m, :m] - rest * np.eye(m)
     sizes: list[int] = []
     low = high = SAFETY * backward
@@ -301,25 +288,18 @@ def _well_separated_block(
 
 
 def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
-    """Split a cluster of eigenvalues off an upper triangular matrix: reorder, then solve a Sylvester equation."""
-    n, k = len(T), len(group)
-    select = np.zeros(n, np.int32)
-    select[group] = 1
-    T, Q, values, _, separation, _, _ = ztrsen(select, T, np.eye(n, dtype=complex), lwork=max(1, 2 * k * (n - k)))
-    B, C = Q.conj().T @ B, C @ Q
-    outputs, inputs = C[:, :k], B[:k]
-    if k < n:
-        X, scale, _ = ztrsyl(T[:k, :k], T[k:, k:], T[:k, k:], isgn=-1)
-        inputs = inputs + X @ B[k:] / scale
-    center = values[:k].mean()
-    N = T[:k, :k] - center * np.eye(k)
+    """Block of a cluster of eigenvalues, about the place of the pole that ports see."""
+    part = invariant_block(T, group)
+    outputs, inputs, values = C @ part.columns, part.rows @ B, np.diag(part.T)
+    center = values.mean()
+    N = part.T - center * np.eye(len(group))
     # a single visible pole r/(s - p) among hidden ones has the moments r, r (p - center): move the center to it
     residue, moment = outputs @ inputs, outputs @ N @ inputs
     size = np.vdot(residue, residue).real
     shift = np.vdot(residue, moment) / size if size > 0 else 0.0
-    if abs(shift) > np.abs(values[:k] - center).max():
+    if abs(shift) > np.abs(values - center).max():
         shift = 0.0
-    return _Block(center + shift, N - shift * np.eye(k), outputs, inputs, max(separation, _checks.EPS), k)
+    return _Block(center + shift, N - shift * np.eye(len(group)), outputs, inputs, part.separation, len(group))
 
 
 def _residue_errors(blocks: list[_Block], backward: float, B: Array, C: Array) -> Array:
@@ -506,13 +486,4 @@ def assemble(entries: list[list[PoleResidueForm]]) -> PoleResidueForm:
         block = np.zeros((len(entry.poles), p, m), complex)
         block[:, place // m, place % m] = entry.residues[:, 0, 0]
         residues.append(block)
-    return PoleResidueForm(
-        np.concatenate([entry.poles for entry in flat]),
-        np.concatenate(residues),
-        np.concatenate([entry.pole_error for entry in flat]),
-        np.concatenate([entry.residue_error for entry in flat]),
-        np.concatenate([entry.growth for entry in flat]),
-        np.concatenate([entry.growth_error for entry in flat]),
-        max(entry.gain for entry in flat),
-        np.array([entry.feedthrough[0, 0] for entry in flat]).reshape(p, m),
-    )
+    return _joined(flat, residues, np.array([entry.feedthrough[0, 0] for entry in flat]).reshape(p, m))

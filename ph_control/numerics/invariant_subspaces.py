@@ -1,0 +1,95 @@
+"""Invariant subspaces of any matrix: its Schur form, clusters of eigenvalues, and the block that belongs to each."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, schur
+from scipy.linalg.lapack import ztrsen, ztrsyl
+
+from .._checks import EPS
+from ..exceptions import StructureError
+from .graphs import components
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Indices = NDArray[np.intp]
+
+SAFETY = 32.0  # between a first-order error bound and what is called an error
+
+
+class Eigenvalues(NamedTuple):
+    """Eigenvalues of a triangular matrix in the order of its diagonal, with unit eigenvectors as columns.
+
+    `overlap` are the products of left and right vectors, `separation` their sizes: the reciprocals of the condition
+    numbers of the eigenvalues.
+    """
+
+    values: ComplexArray
+    left: ComplexArray
+    right: ComplexArray
+    overlap: ComplexArray
+    separation: Array
+
+
+class InvariantBlock(NamedTuple):
+    """Restriction `T` (k, k) of a matrix to an invariant subspace.
+
+    `columns` (n, k) are an orthonormal basis of it, and `columns @ rows` is the projection onto it along the other
+    eigenvectors.  `separation` is the cosine between left and right subspace, 1 for a normal matrix: what a
+    perturbation of the matrix may be divided by to bound the motion of the mean eigenvalue.
+    """
+
+    T: ComplexArray
+    columns: ComplexArray
+    rows: ComplexArray
+    separation: float
+
+
+def schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Triangular `T` and unitary `Z` with `A = Z T Z^H`."""
+    if not len(A):
+        return A.astype(complex), A.astype(complex)
+    try:
+        return schur(A, output="complex")
+    except np.linalg.LinAlgError:
+        raise StructureError(
+            f"the eigenvalues of A were not found: its entries range over {np.abs(A[A != 0]).min():.1e} to "
+            f"{np.abs(A).max():.1e}; choose another unit of time, or other states"
+        ) from None
+
+
+def eigenvalues_of(T: ComplexArray) -> Eigenvalues:
+    """Eigenvalues and eigenvectors of a triangular matrix."""
+    values, left, right = eig(T, left=True, right=True)
+    overlap = np.sum(left.conj() * right, axis=0)
+    return Eigenvalues(values, left, right, overlap, np.maximum(np.abs(overlap), EPS))
+
+
+def clusters(values: ComplexArray, radius: Array) -> list[Indices]:
+    """Groups of values whose disks of these radii overlap."""
+    near = np.abs(values[:, None] - values) <= radius[:, None] + radius
+    count, label = components(near)
+    return [np.flatnonzero(label == k) for k in range(count)]
+
+
+def reordered(T: ComplexArray, first: Indices) -> tuple[ComplexArray, ComplexArray, float]:
+    """Triangular matrix with these eigenvalues first, the unitary matrix to it, and the separation of their block."""
+    n, k = len(T), len(first)
+    select = np.zeros(n, np.int32)
+    select[first] = 1
+    T, Q, _, _, separation, _, _ = ztrsen(select, T, np.eye(n, dtype=complex), lwork=max(1, 2 * k * (n - k)))
+    return T, Q, max(float(separation), EPS)
+
+
+def invariant_block(T: ComplexArray, group: Indices) -> InvariantBlock:
+    """Split a cluster of eigenvalues off a triangular matrix: reorder, then solve a Sylvester equation."""
+    k = len(group)
+    T, Q, separation = reordered(T, group)
+    rows = Q[:, :k].conj().T
+    if k < len(T):
+        X, scale, _ = ztrsyl(T[:k, :k], T[k:, k:], T[:k, k:], isgn=-1)
+        rows = rows + X @ Q[:, k:].conj().T / scale
+    return InvariantBlock(T[:k, :k], Q[:, :k], rows, separation)
