@@ -8,25 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import schur
 
 from .. import _checks
 from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics import definiteness as _definite
+from ..numerics.pole_residue import Resolvent
 from ..symplectic.forms_and_williamson import apply_form
 from .base import LosslessSystem, View, inherited_names
 from .port_hamiltonian import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-_POINTS = 256  # at which the values of a state space are computed at once
 
 
 class AffineHamiltonian(LosslessSystem):
@@ -241,18 +239,13 @@ def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonia
             "affine(sys.Q, symplectic_form(sys.n) @ sys.B)"
         )
     velocity = ph(_derivative(Q))
-    if velocity.nstates == 0:
-        return AffineHamiltonian(velocity.Q, velocity.B, **inherited_names(Q, names, "inputs", "outputs"))
     # -J (J B) = B
     return AffineHamiltonian(velocity.Q, apply_form(velocity.B), **inherited_names(Q, names, "inputs", "outputs"))
 
 
 def _derivative(sys: Any) -> Any:
     """`s G(s)` of a one-port, in the class of `G`."""
-    if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
-        raise StructureError(
-            f"this is a {type(sys).__name__}; give Q and B, or a continuous-time StateSpace or TransferFunction"
-        )
+    _continuous(sys, "give Q and B, or a continuous-time StateSpace or TransferFunction")
     if not sys.issiso():
         raise StructureError(f"the system has {sys.ninputs} inputs and {sys.noutputs} outputs; needed one of each")
     if isinstance(sys, ct.TransferFunction):
@@ -370,20 +363,18 @@ def is_even(sys: Any, *, rtol: float | None = None) -> Symmetry:
 
 
 def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
-    if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
-        raise StructureError(f"this is a {type(sys).__name__}; give a continuous-time StateSpace or TransferFunction")
+    _continuous(sys, "give a continuous-time StateSpace or TransferFunction")
     tolerance = None if rtol is None else _checks.relative_tolerance(rtol)
     with np.errstate(all="ignore"):
-        look = _look(sys)
-        poles = np.abs(look.poles)
-        live = poles[poles > 0]
-        low, high = (live.min(), live.max()) if len(live) else (1.0, 1.0)
-        count = 4 * max(1, look.order) + 4
+        poles, order, values_at = _poles_and_values(sys)
+        away = np.abs(poles[poles != 0])
+        low, high = (away.min(), away.max()) if len(away) else (1.0, 1.0)
+        count = 4 * max(1, order) + 4
         # between the axes and away from both: a lossless pole is on one of them, a damped one seldom near these rays
         angles = np.pi * np.where(np.arange(count) % 2, 0.37, 0.21)
         s = np.geomspace(low / 3, 3 * high, count) * np.exp(1j * angles)
-        values, rounding = look.at(np.concatenate([s, -s]))
-        here, there = np.split(np.asarray(values).reshape(-1, 2 * count), 2, axis=1)
+        values, rounding = values_at(np.concatenate([s, -s]))
+        here, there = np.split(values.reshape(-1, 2 * count), 2, axis=1)
         size = np.abs(here) + np.abs(there)
         residual = float(np.max(np.where(size > 0, np.abs(here + sign * there) / np.where(size > 0, size, 1), 0.0)))
     if not np.isfinite(residual):
@@ -392,64 +383,46 @@ def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
     return Symmetry(residual <= allowed, residual, allowed)
 
 
-class _Look(NamedTuple):
-    """A system as `_symmetry` looks at it.
+def _continuous(sys: Any, remedy: str) -> None:
+    if not isinstance(sys, ct.StateSpace | ct.TransferFunction) or not sys.isctime():
+        raise StructureError(f"this is a {type(sys).__name__}; {remedy}")
 
-    `at` gives the values at points, and the relative error that rounding of the data of the system makes in them, to
-    first order with some room.
+
+def _poles_and_values(
+    sys: ct.StateSpace | ct.TransferFunction,
+) -> tuple[ComplexArray, int, Callable[[ComplexArray], tuple[ComplexArray, float]]]:
+    """Poles, order, and a call that gives values (p, m, N) at points.
+
+    With the values comes the relative error that rounding of the data of the system makes in them, to first order with
+    some room.
     """
-
-    poles: ComplexArray
-    order: int
-    at: Callable[[ComplexArray], tuple[ComplexArray, float]]
-
-
-def _look(sys: ct.StateSpace | ct.TransferFunction) -> _Look:
     if isinstance(sys, LosslessSystem):
-        return _Look(sys.poles(), sys.nstates, lambda s: (sys.horner(s), 1e4 * _checks.EPS))
-    return _look_at_polynomials(sys) if isinstance(sys, ct.TransferFunction) else _look_at_matrices(sys)
+        return sys.poles(), sys.nstates, lambda s: (sys.horner(s), 1e4 * _checks.EPS)
+    if isinstance(sys, ct.StateSpace):
+        A, B, C, D = (_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD")
+        resolvent, size = Resolvent.of(A, B, C), float(np.linalg.norm(A))
 
+        def from_matrices(s: ComplexArray) -> tuple[ComplexArray, float]:
+            values, error = resolvent.at(s)
+            error = 32 * error * (np.abs(s) / (size or 1.0) + 1)
+            return np.moveaxis(values + D, 0, 2), _largest_ratio(error, np.abs(values).max(axis=(1, 2), initial=0.0))
 
-def _look_at_polynomials(sys: ct.TransferFunction) -> _Look:
+        return np.diag(resolvent.T), len(A), from_matrices
     entries = [pair for row in zip(sys.num_list, sys.den_list, strict=True) for pair in zip(*row, strict=True)]
 
-    def at(points: ComplexArray) -> tuple[ComplexArray, float]:
-        worst = 1.0
-        for polynomial in (p for pair in entries for p in pair):
-            value = np.abs(np.polyval(polynomial, points))
-            terms = np.polyval(np.abs(polynomial), np.abs(points))
-            worst = max(worst, float(np.max(len(polynomial) * terms / np.where(value > 0, value, np.inf))))
-        return sys.horner(points), 32 * _checks.EPS * worst
+    def from_polynomials(s: ComplexArray) -> tuple[ComplexArray, float]:
+        worst = max(
+            len(p) * _largest_ratio(np.polyval(np.abs(p), np.abs(s)), np.abs(np.polyval(p, s)))
+            for pair in entries
+            for p in pair
+        )
+        return sys.horner(s), 32 * _checks.EPS * worst
 
     # not sys.poles(), which takes the numerators apart as well and warns of small ones
     poles = np.concatenate([np.roots(den).astype(complex) for _, den in entries])
-    return _Look(poles, max(len(p) - 1 for pair in entries for p in pair), at)
+    return poles, max(len(p) - 1 for pair in entries for p in pair), from_polynomials
 
 
-def _look_at_matrices(sys: ct.StateSpace) -> _Look:
-    A, B, C, D = (_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD")
-    T, Z = schur(A, output="complex") if len(A) else (A.astype(complex), A.astype(complex))
-    inputs, outputs = Z.conj().T @ B, C @ Z
-    size = float(np.linalg.norm(A))
-
-    def at(points: ComplexArray) -> tuple[ComplexArray, float]:
-        values, worst = [], 1.0
-        for part in np.split(points, range(_POINTS, len(points), _POINTS)):
-            X = _shifted_solve(T, inputs, part)
-            # the transpose of T, read backwards, is upper triangular too
-            Y = _shifted_solve(T.T[::-1, ::-1], outputs.T[::-1], part)
-            values.append(np.tensordot(outputs, X, axes=1))
-            error = np.linalg.norm(Y, axis=(0, 1)) * (np.abs(part) + size) * np.linalg.norm(X, axis=(0, 1))
-            value = np.max(np.abs(values[-1]), axis=(0, 1), initial=0.0)
-            worst = max(worst, float(np.max(error / np.where(value > 0, value, np.inf), initial=0.0)))
-        return np.concatenate(values, axis=2) + D[:, :, None].astype(complex), 32 * len(A) * _checks.EPS * worst
-
-    return _Look(np.diag(T), len(A), at)
-
-
-def _shifted_solve(T: ComplexArray, B: ComplexArray, s: ComplexArray) -> ComplexArray:
-    """Solve `(s I - T) X = B` for upper triangular T at all points s at once, shape (N, columns of B, points)."""
-    X = np.empty((*B.shape, len(s)), complex)
-    for k in range(len(T) - 1, -1, -1):
-        X[k] = (B[k][:, None] + np.tensordot(T[k, k + 1 :], X[k + 1 :], axes=1)) / (s - T[k, k])
-    return X
+def _largest_ratio(errors: Array, values: Array) -> float:
+    """Largest error relative to its value, where this is not 0."""
+    return float(np.max(errors / np.where(values > 0, values, np.inf), initial=0.0))
