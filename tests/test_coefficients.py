@@ -90,9 +90,7 @@ def test_the_order_of_c_is_that_of_the_paper():
 
 
 @pytest.mark.parametrize("name", LARGE)
-@pytest.mark.parametrize("room", [engine._ROOM, -1], ids=["long double", "mantissas and exponents"])
-def test_hundreds_of_modes_keep_fifteen_digits(name, room, monkeypatch):
-    monkeypatch.setattr(engine, "_ROOM", room)
+def test_hundreds_of_modes_keep_fifteen_digits(name):
     d = LARGE[name]
     a, c = phc.modes(d, weights(len(d))).scaled_coefficients()
     even, odd = many_digits(name)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -148,44 +148,25 @@ def plain_coefficients(d: Array, r: Array) -> tuple[Array, Array] | None:
 def sum_of_fractions(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:
     """Denominator and numerator of `sum_l kappa_l / (s^2 + x_l)`, ascending powers of `s^2`; `x, kappa >= 0`.
 
-    Binary tree of sums `(P1 P2, N1 P2 + N2 P1)` in scaled time and in the platform's long double: O(n^2).  Every
-    coefficient is right to the last place, or to a few where long double is double.
+    Binary tree of sums `(P1 P2, N1 P2 + N2 P1)`, in which all terms are positive: O(n^2), right to the last places.
     """
     if len(x) == 0:
         return ScaledCoefficients._of(np.ones(1)), ScaledCoefficients._of(np.zeros(0))
-    x, kappa = np.asarray(x, np.longdouble), np.asarray(kappa, np.longdouble)
-    live, weights = x[x > 0], kappa[kappa > 0]
-    # powers of two, so that scaling rounds nothing
-    unit = round(float(np.mean(np.log2(live)))) if len(live) else 0
-    gain = int(np.frexp(weights.max(initial=1.0))[1])
-    log_x = np.log2(live) - unit
-    lowest = np.minimum(log_x, 0).sum() + np.log2(weights).min(initial=gain) - gain
-    highest = np.logaddexp2(0, log_x).sum() + np.log2(len(x))
-    x, kappa, one = np.ldexp(x, -unit), np.ldexp(kappa, -gain), np.ones(1, np.longdouble)
-    leaves: list[Any] = [(np.append(a, one), b * one) for a, b in zip(x, kappa, strict=True)]
-    if lowest > -_ROOM and highest < _ROOM:
-        P, N = (ScaledCoefficients._of(values) for values in _tree(leaves, np.convolve, np.add))
-    else:
-        leaves = [(ScaledCoefficients._of(p), ScaledCoefficients._of(q)) for p, q in leaves]
-        P, N = _tree(leaves, _product, _sum)
-    powers = np.arange(len(x), -1, -1)
-    return _shifted(P, unit * powers), _shifted(N, unit * powers[1:] + gain)
+    fractions = [
+        (ScaledCoefficients._of(np.append(a, 1.0)), ScaledCoefficients._of(np.atleast_1d(b)))
+        for a, b in zip(x, kappa, strict=True)
+    ]
+    while len(fractions) > 1:
+        pairs = [fractions[k : k + 2] for k in range(0, len(fractions), 2)]
+        fractions = [_added(*pair) if len(pair) == 2 else pair[0] for pair in pairs]
+    return fractions[0]
 
 
-def _tree(pairs: list[Any], product: Callable[[Any, Any], Any], plus: Callable[[Any, Any], Any]) -> tuple[Any, Any]:
-    """Add fractions `N/P` two by two."""
-
-    def add(first: tuple[Any, Any], second: tuple[Any, Any]) -> tuple[Any, Any]:
-        (P1, N1), (P2, N2) = first, second
-        return product(P1, P2), plus(product(N1, P2), product(N2, P1))
-
-    while len(pairs) > 1:
-        pairs = [add(*pairs[i : i + 2]) if i + 1 < len(pairs) else pairs[i] for i in range(0, len(pairs), 2)]
-    return pairs[0]
-
-
-def _shifted(s: ScaledCoefficients, shift: Exponents | int) -> ScaledCoefficients:
-    return ScaledCoefficients(s.mantissa, np.where(s.mantissa == 0, 0, s.exponent + shift))
+def _added(
+    first: tuple[ScaledCoefficients, ScaledCoefficients], second: tuple[ScaledCoefficients, ScaledCoefficients]
+) -> tuple[ScaledCoefficients, ScaledCoefficients]:
+    (P1, N1), (P2, N2) = first, second
+    return _product(P1, P2), _sum(_product(N1, P2), _product(N2, P1))
 
 
 def _sum(a: ScaledCoefficients, b: ScaledCoefficients) -> ScaledCoefficients:
@@ -218,29 +199,15 @@ def _column_sums(mantissa: Array, exponent: Exponents) -> ScaledCoefficients:
 def cofactors(d: Array) -> Array:
     """Coefficients of `prod_{j != l} (x + d_j^2)`, ascending in x, one row for each l: shape (n, n).
 
-    The polynomial of all modes but one, for each of them: sums of products of positive numbers along a tree that is
-    walked from the root to the leaves.  O(n^2 log n).
+    The polynomial of all modes but one, for each of them: products of what comes before it and of what comes after it,
+    in which all terms are positive.
     """
-    rows = _cofactor_rows(np.asarray(d, float) ** 2, np.ones(1))
-    return np.array(rows).reshape(len(rows), len(rows))
-
-
-def _cofactor_rows(x: Array, outside: Array) -> list[Array]:
-    """Products over all of `x` but one, times the polynomial `outside`."""
-    if len(x) <= 1:
-        return [outside] * len(x)
-    half = len(x) // 2
-    low, high = (_from_roots(part) for part in (x[:half], x[half:]))
-    return _cofactor_rows(x[:half], np.convolve(outside, high)) + _cofactor_rows(x[half:], np.convolve(outside, low))
-
-
-def _from_roots(x: Array) -> Array:
-    """`prod (t + x_j)`, ascending."""
-    polynomials = [np.array([a, 1.0]) for a in x]
-    while len(polynomials) > 1:
-        pairs = [polynomials[i : i + 2] for i in range(0, len(polynomials), 2)]
-        polynomials = [np.convolve(pair[0], pair[1]) if len(pair) == 2 else pair[0] for pair in pairs]
-    return polynomials[0]
+    factors = [np.array([x, 1.0]) for x in np.asarray(d, float) ** 2]
+    one = np.ones(1)
+    before = accumulate(factors[:-1], np.convolve, initial=one)
+    after = list(accumulate(factors[:0:-1], np.convolve, initial=one))[::-1]
+    rows = [np.convolve(low, high) for low, high in zip(before, after, strict=True)]
+    return np.array(rows[: len(factors)]).reshape(len(factors), len(factors))
 
 
 # --- how many digits coefficients carry, and the way back --------------------------------------------------------
