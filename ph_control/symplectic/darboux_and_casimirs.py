@@ -7,6 +7,7 @@ functions of the state that the motion conserves whatever the energy, and that o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,21 +22,17 @@ from .forms_and_williamson import skew_normal_form
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class _Planes:
-    """`J = sum_l sigma_l (a_l b_l^T - b_l a_l^T)`, orthonormal columns, the rest of which spans the kernel."""
+class _Planes(NamedTuple):
+    """`J = sum_l sigma_l (a_l b_l^T - b_l a_l^T)`, orthonormal columns, the rest of which spans the kernel.
+
+    `sizes` are all singular values, with those that count as zero.
+    """
 
     sigma: Array
     a: Array
     b: Array
     kernel: Array
-    smallest: float  # singular value, and the largest, and below which fraction one counts as zero
-    largest: float
-    tolerance: float
-
-    @property
-    def rank(self) -> int:
-        return 2 * len(self.sigma)
+    sizes: Array
 
     def to_canonical(self) -> Array:
         """`T` with `T J T^T` canonical."""
@@ -242,8 +239,7 @@ def split_casimirs(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> CasimirSplit:
            [0., 0., 0., 3.]]), array([[0., 0., 1., 2.]]))
     """
     structure = _structure_matrix(J)
-    size = len(structure)
-    energy, ports = _energy_and_ports(Q, B, size)
+    energy, ports = _energy_and_ports(Q, B, len(structure))
     planes = _planes(structure)
     casimirs, driven = _driven_first(planes.kernel, ports)
     momenta = casimirs[driven]
@@ -251,7 +247,7 @@ def split_casimirs(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> CasimirSplit:
     half, cyclic = len(x) // 2, np.zeros_like(momenta)
     T = np.concatenate([x[:half], cyclic, x[half:], momenta])
     columns = np.concatenate([back[:, :half], cyclic.T, back[:, half:], momenta.T], axis=1)
-    return CasimirSplit(_congruent(energy, columns), T @ ports, T, planes.rank, casimirs, driven)
+    return CasimirSplit(_congruent(energy, columns), T @ ports, T, 2 * half, casimirs, driven)
 
 
 def _structure_matrix(J: ArrayLike) -> Array:
@@ -281,50 +277,28 @@ def _energy_and_ports(Q: ArrayLike, B: ArrayLike, size: int) -> tuple[Array, Arr
 
 def _planes(J: Array) -> _Planes:
     """Normal form of `J`, group by group of variables that it couples, in the order of the variables."""
-    size = len(J)
     count, label = components(J != 0)
-    sigma: list[Array] = [np.zeros(0)]
-    a: list[Array] = [np.zeros((size, 0))]
-    b: list[Array] = [np.zeros((size, 0))]
-    kernel: list[Array] = [np.zeros((size, 0))]
-    seen: list[Array] = [np.zeros(0)]
+    unit, none = np.eye(len(J)), np.zeros((len(J), 0))
+    found = [(np.zeros(0), none, none, none, np.zeros(0))]
     for k in range(count):
         group = np.flatnonzero(label == k)
         values, left, right = skew_normal_form(J[np.ix_(group, group)])
+        a, b = unit[:, group] @ left, unit[:, group] @ right
         zero = int(np.sum(values <= 8 * len(group) * _checks.EPS * values.max(initial=0.0)))
-        pairs = len(values)
-        sigma.append(values[zero:])
-        a.append(_rows_at(left[:, zero:pairs], group, size))
-        b.append(_rows_at(right[:, zero:pairs], group, size))
-        still = (left[:, :zero], right[:, :zero], left[:, pairs:], right[:, pairs:])
-        kernel.append(_rows_at(np.concatenate(still, axis=1), group, size))
-        seen += [values, np.zeros(len(group) - 2 * pairs)]
-    every = np.concatenate(seen)
-    smallest, largest = float(every.min(initial=np.inf)), float(every.max(initial=0.0))
-    return _Planes(
-        np.concatenate(sigma),
-        np.concatenate(a, axis=1),
-        np.concatenate(b, axis=1),
-        np.concatenate(kernel, axis=1),
-        smallest,
-        largest,
-        8 * size * _checks.EPS,
-    )
-
-
-def _rows_at(columns: Array, group: NDArray[np.intp], size: int) -> Array:
-    full = np.zeros((size, columns.shape[1]))
-    full[group] = columns
-    return full
+        pairs = slice(zero, len(values))
+        kernel = np.concatenate([a[:, :zero], b[:, :zero], a[:, len(values) :], b[:, len(values) :]], axis=1)
+        sizes = np.append(values, np.zeros(len(group) - 2 * len(values)))
+        found.append((values[pairs], a[:, pairs], b[:, pairs], kernel, sizes))
+    return _Planes(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True)))
 
 
 def _invertible(planes: _Planes) -> _Planes:
     size, kernel = planes.kernel.shape
     if kernel:
         raise StructureError(
-            f"J is singular: its singular values range from {planes.smallest:.3g} to {planes.largest:.3g} (below "
-            f"{planes.tolerance:.1e} of the largest they count as 0); rank {planes.rank} of {size}, kernel of "
-            f"dimension {kernel}: so many Casimirs, which split_casimirs(Q, B, J) splits off"
+            f"J is singular: its singular values range from {planes.sizes.min():.3g} to {planes.sizes.max():.3g} "
+            f"(below {8 * size * _checks.EPS:.1e} of the largest they count as 0); rank {size - kernel} of {size}, "
+            f"kernel of dimension {kernel}: so many Casimirs, which split_casimirs(Q, B, J) splits off"
         )
     return planes
 

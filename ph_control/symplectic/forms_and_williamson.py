@@ -56,13 +56,10 @@ def symplectic_form(n: int) -> Array:
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < 0:
+    if not isinstance(n, int | np.integer) or isinstance(n, bool) or not 0 <= n <= _LARGEST:
         raise StructureError(
-            f"n is {_checks.shown(n)}; the number of degrees of freedom is a whole number, not negative"
-        )
-    if n > _LARGEST:
-        raise StructureError(
-            f"n is too large for a matrix in memory: allowed up to {_LARGEST}; apply J by swapping halves"
+            f"n is {_checks.shown(n)}; the number of degrees of freedom is a whole number from 0 to {_LARGEST}, for "
+            "a matrix in memory: apply a larger J by swapping halves"
         )
     J = np.zeros((2 * n, 2 * n))
     J[:n, n:] = np.eye(n)

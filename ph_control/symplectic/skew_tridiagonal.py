@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dger, dtrmm
-from scipy.linalg.lapack import dgehrd, dgesdd, dgesdd_lwork, dorghr
+from scipy.linalg.lapack import dgehrd, dorghr
 
 from .. import _checks
 from ..numerics import definiteness as _definite
@@ -48,35 +48,33 @@ def reduce_block(Q: Array) -> tuple[Array, Pair, Pair]:
 
     `Q = S^T diag(d, d) S + E^T E`, where the rows `E` commute (in Poisson's sense) with one another and with `S`.
     """
-    factors = triangular_factors(Q)
+    Q, unit = _in_common_units(Q)
+    factors, _ = _factors_and_inverse(Q)
     none = np.zeros((0, len(Q)))
     if factors and len(Q) == 2:
-        d, rows = _single_plane(*factors)
-        return d, exactly(rows), exactly(none)
-    found = _definite_rows(Q, factors) if factors else None
-    return _semidefinite_rows(Q) if found is None else (found[0], exactly(found[1]), exactly(none))
-
-
-def block_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
-    """Frequencies and residues of one port for a clearly definite block, in doubles; None for any other."""
-    factors, _ = factors_and_inverse(Q)
-    return _spectrum(Q, b, factors) if factors else None
+        d, S = _single_plane(*factors)
+        return d, exactly(S / unit), exactly(none)
+    found = _definite_rows(factors) if factors else None
+    if found is not None:
+        return found[0], exactly(found[1] / unit), exactly(none)
+    d, rows, still = _semidefinite_rows(Q)
+    return d, (rows[0] / unit, rows[1] / unit), (still[0] / unit, still[1] / unit)
 
 
 def bounded_spectrum(Q: Array, b: Array) -> tuple[Array, Array, float] | None:
-    """`block_spectrum`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
-    factors, inverse = factors_and_inverse(Q)
-    return (*_spectrum(Q, b, factors), inverse) if factors else None
+    """Frequencies and residues of one port for a clearly definite block, in doubles; None for any other.
 
-
-def _spectrum(Q: Array, b: Array, factors: list[Array]) -> tuple[Array, Array]:
-    """`block_spectrum` from the factors of `Q`, whose memory it uses."""
-    unit = _common_units(Q)
-    factors, b, n = _in_units(factors, unit), b / unit, len(Q) // 2
+    With them a bound for the norm of the inverse of `Q` scaled to unit diagonal.
+    """
+    Q, unit = _in_common_units(Q)
+    factors, inverse = _factors_and_inverse(Q)
+    b, n = b / unit, len(Q) // 2
     if len(factors) == 2:
         Fq, Fp = factors
         d, right, left = components(_transposed_times(Fq, Fp), Fp.T @ b[n:], Fq.T @ b[:n])
-        return d[::-1].copy(), (left**2 + right**2)[::-1]
+        return d[::-1].copy(), (left**2 + right**2)[::-1], inverse
+    if not factors:
+        return None
     (F,) = factors
     b, half = F.T @ b, _transposed_times(F[:n, :n], F[n:])
     # in the memory of F, which nobody needs any more: what is new has to be cleared by the system first
@@ -86,10 +84,9 @@ def _spectrum(Q: Array, b: Array, factors: list[Array]) -> tuple[Array, Array]:
     length = _turn_to_first_axis(K, b)
     _, superdiagonal = _reflected(K, overwrite=True)
     # of a tridiagonal matrix, even places meet odd ones only: a bidiagonal one, whose first column is that of `b`
-    along = np.zeros(n)
-    along[0] = length
+    along = length * np.eye(1, n)[0]
     d, first, _ = bidiagonal_components(np.abs(superdiagonal[0::2]), np.abs(superdiagonal[1::2]), along)
-    return d[::-1].copy(), first[::-1] ** 2
+    return d[::-1].copy(), first[::-1] ** 2, inverse
 
 
 def _turn_to_first_axis(K: Array, b: Array) -> float:
@@ -125,40 +122,26 @@ def pair_spectrum(Q: Array, b: Array) -> tuple[Array, Array] | None:
     return d[order], kappa[order]
 
 
-def triangular_factors(Q: Array) -> list[Array]:
+def _factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
     """Lower factor of a clearly definite `Q`, or those of positions and momenta where it does not couple these.
 
-    The list is empty if `Q` may be semidefinite.
+    The list is empty if `Q` may be semidefinite.  With it a bound for the norm of the inverse of `Q` scaled to unit
+    diagonal.
     """
-    return factors_and_inverse(Q)[0]
+    found = [_definite.definite_factor(part) for part in _definite.uncoupled_halves(Q)]
+    known = [one for one in found if one is not None]
+    return ([F for F, _ in known], max(inverse for _, inverse in known)) if len(known) == len(found) else ([], np.inf)
 
 
-def factors_and_inverse(Q: Array) -> tuple[list[Array], float]:
-    """`triangular_factors`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
-    factors, inverse = [], 0.0
-    for part in _definite.uncoupled_halves(Q):
-        found = _definite.definite_factor(part)
-        if found is None:
-            return [], np.inf
-        factors.append(found[0])
-        inverse = max(inverse, found[1])
-    return factors, inverse
-
-
-def _common_units(Q: Array) -> Array:
-    """Powers of two by which positions and momenta come to have entries of one size."""
-    size, n = np.log2(np.diag(Q)), len(Q) // 2
+def _in_common_units(Q: Array) -> tuple[Array, Array]:
+    """`Q` in units in which positions and momenta have entries of one size; powers of two, by which states divide."""
+    diagonal, n = np.diag(Q), len(Q) // 2
+    if not (diagonal > 0).all():
+        return Q, np.ones(len(Q))
+    size = np.log2(diagonal)
     stretch = np.exp2(np.round(0.25 * (size[n:] - size[:n])))
-    return np.concatenate([stretch, 1 / stretch])
-
-
-def _in_units(factors: list[Array], unit: Array) -> list[Array]:
-    if (unit == 1.0).all():
-        return factors
-    if len(factors) == 1:
-        return [unit[:, None] * factors[0]]
-    n = len(unit) // 2
-    return [unit[:n, None] * factors[0], unit[n:, None] * factors[1]]
+    unit = np.concatenate([stretch, 1 / stretch])
+    return (Q if (unit == 1.0).all() else unit[:, None] * Q * unit), unit
 
 
 def _transposed_times(lower: Array, right: Array) -> Array:
@@ -168,18 +151,13 @@ def _transposed_times(lower: Array, right: Array) -> Array:
 # --- definite blocks ------------------------------------------------------------------------------------------
 
 
-def _definite_rows(Q: Array, factors: list[Array]) -> tuple[Array, Array] | None:
+def _definite_rows(factors: list[Array]) -> tuple[Array, Array] | None:
     """Frequencies and rows `S` of `Q`, given its triangular factors; None if rounding leaves a frequency of zero."""
-    unit = _common_units(Q)
-    factors = _in_units(factors, unit)
     reduce = _coupled_rows if len(factors) == 1 else _separate_rows
     # how many digits products need shows when frequencies and vectors are known; more often than not the fewest do
-    first = 2 if len(factors) == 1 and len(Q) > _REPEATED else 1
+    first = 2 if len(factors) == 1 and len(factors[0]) > _REPEATED else 1
     attempts = (reduce(slices, *factors) for slices in range(first, 4))
-    found = next((attempt for attempt in attempts if attempt is not None), None)
-    if found is None or (unit == 1.0).all():
-        return found
-    return found[0], found[1] / unit
+    return next((attempt for attempt in attempts if attempt is not None), None)
 
 
 def _single_plane(*factors: Array) -> tuple[Array, Array]:
@@ -211,7 +189,7 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Array] 
     """As `_coupled_rows`, of `Q = diag(Fq Fq^T, Fp Fp^T)`."""
     n = len(Fq)
     parts = product_parts(exactly(Fq.T), exactly(Fp), slices, lambda a, b: _transposed_times(a.T, b))
-    U, sigma, Vt = _singular_vectors(sum(parts[1:], parts[0]))
+    U, sigma, Vt = np.linalg.svd(sum(parts[1:], parts[0]))
     sigma = sigma[::-1].copy()
     found = _rows(slices, sigma, (Fq, U[:, ::-1]), (Fp, Vt[::-1].T))
     if found is None:
@@ -221,11 +199,6 @@ def _separate_rows(slices: Slices, Fq: Array, Fp: Array) -> tuple[Array, Array] 
     S = np.zeros((2 * n, 2 * n))
     S[:n, :n], S[n:, n:] = X, Y
     return sigma + sigma * _quotient(excess, length), S
-
-
-def _singular_vectors(M: Array) -> tuple[Array, Array, Array]:
-    U, sigma, Vt, failed = dgesdd(M, lwork=int(dgesdd_lwork(*M.shape)[0]))
-    return np.linalg.svd(M) if failed else (U, sigma, Vt)
 
 
 def _quotient(excess: Array, length: Array) -> Array:
