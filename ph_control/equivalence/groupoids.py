@@ -113,17 +113,8 @@ class PortHamiltonianGroupoid:
         """Arrow `other` followed by this one, `(L1 L2, (Q2, B2))`."""
         if not isinstance(other, PortHamiltonianGroupoid):
             return NotImplemented
-        if other.source.nstates != self.source.nstates:
-            raise StructureError(
-                f"the arrows do not compose: they are of {other.source.nstates} and {self.source.nstates} states"
-            )
-        mismatch = max(_mismatch(other.target.Q, self.source.Q), _mismatch(other.target.B, self.source.B))
-        allowed = _allowed(len(self.L)) * _condition(other.L)
-        if mismatch > allowed:
-            raise StructureError(
-                f"the arrows do not compose: the target of the right one differs from the source of the left one by "
-                f"{mismatch:.1e} of their size, allowed {allowed:.1e}"
-            )
+        target, source = ((system.Q, system.B) for system in (other.target, self.source))
+        _composable(target, source, _condition(other.L))
         return PortHamiltonianGroupoid(self.L @ other.L, other.source)
 
     def inverse(self) -> PortHamiltonianGroupoid:
@@ -317,16 +308,7 @@ class ReducedGroupoid:
         """Arrow `other` followed by this one, `((P2 P1, P1^T A2 P1 A1), (d1, v1))`."""
         if not isinstance(other, ReducedGroupoid):
             return NotImplemented
-        if len(other.d) != len(self.d):
-            raise StructureError(f"the arrows do not compose: they are of {len(other.d)} and {len(self.d)} modes")
-        d, v = other.target
-        mismatch = max(_mismatch(d, self.d), _mismatch(v, self.v))
-        allowed = _allowed(2 * len(d)) * _condition(other.A)
-        if mismatch > allowed:
-            raise StructureError(
-                "the arrows do not compose: the target of the right one differs from the source of the left one by "
-                f"{mismatch:.1e} of their size, allowed {allowed:.1e}"
-            )
+        _composable(other.target, self.source, _condition(other.A))
         both = np.kron(np.eye(2), other.P)
         return ReducedGroupoid(self.P @ other.P, both.T @ self.A @ both @ other.A, *other.source)
 
@@ -481,6 +463,20 @@ def _condition(M: Array) -> float:
     return float(np.linalg.cond(M)) if M.size else 1.0
 
 
+def _composable(target: tuple[Array, Array], source: tuple[Array, Array], condition: float) -> None:
+    """Refuse two arrows if the target of the first is not the source of the second."""
+    size, other = len(target[1]), len(source[1])
+    if size != other:
+        raise StructureError(f"the arrows do not compose: they are of {size} and {other} states")
+    mismatch = max(_relative(a - b, np.maximum(np.abs(a), np.abs(b))) for a, b in zip(target, source, strict=True))
+    allowed = _allowed(size) * condition
+    if mismatch > allowed:
+        raise StructureError(
+            "the arrows do not compose: the target of the right one differs from the source of the left one by "
+            f"{mismatch:.1e} of their size, allowed {allowed:.1e}"
+        )
+
+
 def _conjugate(L: Array) -> Array:
     """`J^T L J` without forming J."""
     return apply_form(apply_form(L.T).T)
@@ -495,11 +491,3 @@ def _relative(residual: Array, products: Array) -> float:
     size = float(np.linalg.norm(products / unit))
     ratio = float(np.linalg.norm(residual / unit)) / (size or 1.0)
     return ratio if ratio < np.inf else np.inf
-
-
-def _mismatch(first: Array, second: Array) -> float:
-    """Relative distance of two arrays."""
-    unit = power_of_two(np.concatenate([first, second]))
-    first, second = first / unit, second / unit
-    size = max(float(np.linalg.norm(first)), float(np.linalg.norm(second)))
-    return float(np.linalg.norm(first - second)) / (size or 1.0)

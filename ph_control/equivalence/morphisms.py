@@ -22,7 +22,7 @@ from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from ..systems.lifting import lifted_size
 from ..systems.port_hamiltonian import PortHamiltonian
-from .parameters import in_unit, norm_of, power_of_two, resonances
+from .parameters import norm_of, power_of_two, resonances
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -63,8 +63,7 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
     -----
     The matrices `L_k` are never formed.  In the complex coordinate `x_l = q_l + i p_l` of mode l, whose pole is
     `-i d_l`, column k of `[L_1 v .. L_{2n} v]` is `v_l + i v_{n+l}` times the coefficient of `s^{k-1}` in
-    `prod (s^2 + d_j^2) / (s + i d_l)`.  Nothing cancels: for `S = I` every entry has full relative accuracy.  O(n^2
-    log n) and, for another `S`, one matrix product.
+    `prod (s^2 + d_j^2) / (s + i d_l)`.  Nothing cancels: for `S = I` every entry has full relative accuracy.  O(n^3).
 
     Examples
     --------
@@ -291,7 +290,7 @@ def _complement_of_vector(nu: ComplexArray) -> ComplexArray:
     """Unitary matrix, its first column along `nu` if that is not 0."""
     if not nu.any():
         return np.eye(len(nu), dtype=complex)
-    basis, _ = np.linalg.qr(np.column_stack([in_unit(nu, power_of_two(nu)), np.eye(len(nu))]))
+    basis, _ = np.linalg.qr(np.column_stack([nu, np.eye(len(nu))]))
     return basis
 
 
@@ -390,24 +389,15 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
     scale1, A1, B1, C1, D1 = balanced(sys1)
     scale2, A2, B2, C2, D2 = balanced(sys2)
     matrix = matrix * scale1 / scale2[:, None]
-    norm = norm_of
-    whole = float(norm(matrix))
-    dynamics = _ratio(norm(matrix @ A1 - A2 @ matrix), whole * (norm(A1) + norm(A2)))
-    entering = _ratio(norm(matrix @ B1 - B2, axis=0), whole * norm(B1, axis=0) + norm(B2, axis=0))
+    whole = float(norm_of(matrix))
+    dynamics = _ratio(norm_of(matrix @ A1 - A2 @ matrix), whole * (norm_of(A1) + norm_of(A2)))
+    entering = _ratio(norm_of(matrix @ B1 - B2, axis=0), whole * norm_of(B1, axis=0) + norm_of(B2, axis=0))
     seen1, seen2 = _rounded_readout(sys1) * scale1, _rounded_readout(sys2) * scale2
-    leaving = _ratio(norm(C1 - C2 @ matrix, axis=1), norm(seen1, axis=1) + whole * norm(seen2, axis=1))
+    leaving = _ratio(norm_of(C1 - C2 @ matrix, axis=1), norm_of(seen1, axis=1) + whole * norm_of(seen2, axis=1))
     direct = _ratio(np.abs(D1 - D2), np.maximum(np.abs(D1), np.abs(D2)))
     _checks.representable("the products of L and these systems", matrix, np.array([dynamics, entering, leaving]))
-    rank = scaled_rank(matrix)
-    return MorphismCheck(
-        dynamics,
-        entering,
-        max(leaving, direct),
-        allowed,
-        rank,
-        rank == matrix.shape[1],
-        rank == matrix.shape[0],
-    )
+    rank, (rows, columns) = scaled_rank(matrix), matrix.shape
+    return MorphismCheck(dynamics, entering, max(leaving, direct), allowed, rank, rank == columns, rank == rows)
 
 
 def _rounded_readout(sys: ct.StateSpace) -> Array:

@@ -221,11 +221,6 @@ def power_of_two(values: NDArray[Any]) -> float:
     return float(np.ldexp(0.5, np.frexp(largest)[1])) if 0 < largest < np.inf else 1.0
 
 
-def in_unit(values: NDArray[Any], unit: float) -> NDArray[Any]:
-    """Complex numbers as multiples of a unit, also of one whose reciprocal leaves the range of doubles."""
-    return np.asarray(values.real / unit + 1j * (values.imag / unit))
-
-
 def norm_of(M: NDArray[Any], axis: int | None = None) -> Any:
     """Euclidean norm, also where squares leave the range of doubles."""
     unit = np.abs(M).max(axis=axis, initial=0.0, keepdims=True)
