@@ -44,7 +44,8 @@ class _CanonicalForm(LosslessSystem):
         return self._v
 
     @View
-    def _modal(self) -> ModalForm:
+    def modes(self) -> ModalForm:
+        """Modal form: frequencies ascending, with their weights."""
         n = self.n
         q, p = self._v[:n], self._v[n:]
         if len(self._d) == n:
@@ -59,12 +60,6 @@ class _CanonicalForm(LosslessSystem):
         nu = (q[~free] * squeeze + 1j * p[~free] / squeeze)[order, None]
         still = np.sqrt(d1[free]) * q[free] + np.sqrt(d2[free]) * p[free]
         return _in_range(ModalForm._of(d[order], nu, still[:, None]))
-
-    @property
-    def modes(self) -> ModalForm:
-        """Modal form: frequencies ascending, with their weights."""
-        modal: ModalForm = self._modal
-        return modal
 
     @View
     def _coefficients(self) -> tuple[Array, Array]:
@@ -457,25 +452,22 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
 
 def _matrix_coefficients(modes: ModalForm) -> tuple[list[list[Array]], Array]:
     """Numerators and the common denominator of several ports, descending."""
-    rest = np.unique(modes.d)
-    frequencies = np.concatenate([np.zeros(min(1, len(modes.rigid))), rest])
-    rows = cofactors(frequencies)
-    size = 2 * len(rows)
+    still = min(1, len(modes.rigid))
+    frequencies = np.concatenate([np.zeros(still), np.unique(modes.d)])
+    others, size = cofactors(frequencies), 2 * len(frequencies)
+    # all rigid-body modes are one term, at the first place
+    place = np.concatenate([np.zeros(still, int), np.searchsorted(frequencies, modes.d)])
     even, odd = modes._symmetric_residues
-    place = np.searchsorted(rest, modes.d) + len(rows) - len(rest)
-    # symmetric and skew parts of the residues, and the size of what they are made of
-    parts = np.zeros((3, len(rows), *even.shape[1:]))
-    size_of = np.abs(modes.nu)[:, :, None] * np.abs(modes.nu)[:, None, :] * modes.d[:, None, None]
-    for part, values in zip(parts, (even, odd * modes.d[:, None, None], size_of), strict=True):
-        np.add.at(part, place, values)
-    if len(modes.rigid):
-        parts[0, 0], parts[2, 0] = modes.rigid.T @ modes.rigid, np.abs(modes.rigid).T @ np.abs(modes.rigid)
-    symmetric, skew, terms = np.einsum("plij,lk->pijk", parts, rows)
-    terms_of_skew = np.einsum("lij,lk->ijk", parts[2] * frequencies[:, None, None], rows)
+    d, nu, rigid = modes.d[:, None, None], np.abs(modes.nu), np.abs(modes.rigid)
+    even = np.concatenate([(modes.rigid.T @ modes.rigid)[None][:still], even])
+    odd = np.concatenate([0 * even[:still], odd * d])
+    sizes = np.concatenate([(rigid.T @ rigid)[None][:still], d * nu[:, :, None] * nu[:, None, :]])
     table = np.zeros((*even.shape[1:], size))
-    for start, total, scale in ((1, symmetric, terms), (0, skew, terms_of_skew)):
+    for start, parts, bounds in ((1, even, sizes), (0, odd, sizes * frequencies[place, None, None])):
+        total, terms = (np.einsum("lij,lk->ijk", values, others[place]) for values in (parts, bounds))
         # where all cancel, what is left is rounding
-        table[:, :, start::2] = np.where(np.abs(total) > 8 * size * _checks.EPS * scale, total, 0.0)
-    single = ModalForm._of(rest, np.ones((len(rest), 1), complex), np.ones((size // 2 - len(rest), 1)))
-    denominator = np.concatenate([[1.0], single.coefficients()[0][::-1]])
+        table[:, :, start::2] = np.where(np.abs(total) > 8 * size * _checks.EPS * terms, total, 0.0)
+    denominator = np.zeros(size + 1)
+    denominator[0::2] = np.convolve(others[0], [frequencies[0] ** 2, 1.0])[::-1] if size else 1.0
+    _checks.representable("the coefficients of the transfer function", table, denominator)
     return [[entry[::-1] for entry in line] for line in table], denominator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import warnings
 from typing import Any
 
@@ -15,7 +14,6 @@ from ..modal.error_bounds import Energy
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
 
@@ -90,9 +88,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     return lifted
 
 
-def _lifted_energy(
-    energy: Energy, added: Array, old: NDArray[np.intp], new: NDArray[np.intp]
-) -> tuple[Array, ComplexArray, Array]:
+def _lifted_energy(energy: Energy, added: Array, old: NDArray[np.intp], new: NDArray[np.intp]) -> Energy:
     """Energy coordinates of the lifted system: those of the system, to the last bit, and of the added modes."""
     d, E, E0 = energy
     n, size, root = len(d), len(old) + len(new), np.sqrt(added)
@@ -145,22 +141,16 @@ def _frequencies_between(d: Array, count: int) -> Array:
     reach = min(max(1.0, count / 4), 4.0)
     known = np.log2(np.unique(d)) if len(d) else np.zeros(1)
     edges = np.concatenate([[known[0] - reach], known, [known[-1] + reach]])
-    gaps = np.diff(edges)
-    points = [0] * len(gaps)
-    outer = [k in (0, len(gaps) - 1) for k in range(len(gaps))]
+    gaps, points = np.diff(edges), np.zeros(len(edges) - 1, int)
     # no frequency stands at the ends of the band, so a point of an outer gap may
-    intervals = [1 if out else 2 for out in outer]
-    heap = [(-gap / need, out, k) for k, (gap, need, out) in enumerate(zip(gaps, intervals, outer, strict=True))]
-    heapq.heapify(heap)
+    outer = np.isin(np.arange(len(gaps)), (0, len(gaps) - 1))
+    inner_first = np.argsort(outer, kind="stable")
     for _ in range(count):
-        _, out, k = heap[0]
-        points[k] += 1
-        heapq.heapreplace(heap, (-gaps[k] / (points[k] + intervals[k]), out, k))
-    added = [
-        edges[k] + gaps[k] * (np.arange(number) + (k > 0)) / (number + (not outer[k]))
-        for k, number in enumerate(points)
+        points[inner_first[np.argmax((gaps / (points + 2 - outer))[inner_first])]] += 1
+    parts = [
+        edges[k] + gaps[k] * (np.arange(number) + (k > 0)) / (number + 1 - outer[k]) for k, number in enumerate(points)
     ]
-    return np.exp2(np.concatenate(added))
+    return np.exp2(np.concatenate(parts))
 
 
 def _warn_of_jordan_blocks(system: PortHamiltonian, added: Array) -> None:

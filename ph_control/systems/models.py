@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_solve, eigh, solve_triangular
+from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotri, dpstrf
 
 from .. import _checks
@@ -64,8 +64,7 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
     >>> circuit.d, circuit.modes.kappa
     (array([1., 3.]), array([1.  , 2.25]))
     """
-    capacitance = _positive("C", C, "a capacitance")
-    inductance = _positive("L", L, "an inductance")
+    capacitance, inductance = _values("C", C, "a capacitance"), _values("L", L, "an inductance")
     n = max(capacitance.size, inductance.size)
     if {capacitance.size, inductance.size} - {1, n}:
         raise StructureError(
@@ -128,18 +127,17 @@ def spring_chain(
     >>> round(phc.spring_chain([1.0, 3.0]).modes.kappa_0, 12)  # the whole chain as one rigid body: 1 / (1 + 3)
     0.25
     """
-    mass = _positive("masses", masses, "a mass")
+    mass = _values("masses", masses, "a mass")
     n = mass.size
-    between = _stiffness("stiffnesses", stiffnesses, n - 1, f"the {n - 1} springs between {n} masses")
-    to_ground = _stiffness("ground", ground, n, f"the {n} masses")
+    between = _values("stiffnesses", stiffnesses, "a stiffness", n - 1, f"the {n - 1} springs between {n} masses")
+    to_ground = _values("ground", ground, "a stiffness", n, f"the {n} masses")
     Q = np.zeros((2 * n, 2 * n))
     Q[:n, :n] = np.diag(to_ground) + _laplacian(between)
     Q[n:, n:] = np.diag(1.0 / mass)
     ports = _port_indices(port, n)
     B = np.zeros((2 * n, len(ports)))
     B[n + np.array(ports), np.arange(len(ports))] = 1.0
-    inputs, outputs = (["F"], ["v"]) if len(ports) == 1 else (_numbered("F", len(ports)), _numbered("v", len(ports)))
-    return ph(Q, B, **_named(names, inputs, outputs, _numbered("q", n) + _numbered("p", n)))
+    return ph(Q, B, **_named(names, *_forces(len(ports)), _numbered("q", n) + _numbered("p", n)))
 
 
 def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
@@ -243,7 +241,7 @@ def from_second_order(
     mass, stiffness = _square("M", M), _square("K", K)
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
-    force = _forces(b, len(mass))
+    force = _checks.port_matrix(b, len(mass), name="b")
     if rtol is not None:
         _checks.relative_tolerance(rtol)
     mass, stiffness, force, kept = _with_mass(mass, stiffness, force, condense)
@@ -251,11 +249,9 @@ def from_second_order(
     n, ports = force.shape
     Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
     Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse(mass), force
-    inputs, outputs = (["F"], ["v"]) if ports == 1 else (_numbered("F", ports), _numbered("v", ports))
     states = [f"{letter}_{k + 1}" for letter in "qp" for k in kept]
     _checks.in_range("the matrix diag(K, inverse of M)", Q)
-    B = _checks.port_matrix(B, 2 * n, name="b")
-    return PortHamiltonian._from_matrices(Q, B, **_named(names, inputs, outputs, states))
+    return PortHamiltonian._from_matrices(Q, B, **_named(names, *_forces(ports), states))
 
 
 def _square(name: str, value: ArrayLike) -> Array:
@@ -269,15 +265,6 @@ def _square(name: str, value: ArrayLike) -> Array:
 
 def _symmetric(A: Array) -> Array:
     return 0.5 * (A + A.T)
-
-
-def _forces(b: ArrayLike, n: int) -> Array:
-    array = _checks.real_array("b", b)
-    if array.ndim not in (1, 2) or array.shape[0] != n or array.size == 0:
-        raise StructureError(
-            f"b has shape {array.shape}; with {n} degrees of freedom it must be ({n},) or ({n}, ports)"
-        )
-    return array.reshape(n, -1)
 
 
 def _with_mass(M: Array, K: Array, b: Array, condense: bool) -> tuple[Array, Array, Array, NDArray[np.intp]]:
@@ -313,11 +300,10 @@ def _condensed(
 ) -> tuple[Array, Array, Array]:
     """Mass, stiffness and forces on `x = q_kept + X q_massless`, all that moves mass: `M q = M[:, kept] x`."""
     mass = M[np.ix_(kept, kept)]
-    X = _solve(mass, M[np.ix_(kept, massless)])
+    X = _inverse(mass) @ M[np.ix_(kept, massless)]
     coupling, inner, moved = (K[np.ix_(*rows)] for rows in ((kept, massless), (massless, massless), (kept, kept)))
     inner = _symmetric(inner - X.T @ coupling - coupling.T @ X + X.T @ moved @ X)
     coupling = coupling - moved @ X
-    where = _listed(massless)
     loaded = np.abs(b[massless] - X.T @ b[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(b[kept]))
     if loaded.any():
         raise StructureError(
@@ -327,12 +313,11 @@ def _condensed(
     smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
     if smallest <= tolerance:
         raise StructureError(
-            f"the degrees of freedom without mass ({where}, counted from 1) cannot be eliminated: the smallest "
-            f"eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > {tolerance:.1e}; one "
-            "of their motions meets no spring"
+            f"the degrees of freedom without mass ({_listed(massless)}, counted from 1) cannot be eliminated: the "
+            f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > "
+            f"{tolerance:.1e}; one of their motions meets no spring"
         )
-    W = _solve_root(inner, coupling.T)
-    return mass, _symmetric(moved - W.T @ W), b[kept]
+    return mass, _symmetric(moved - coupling @ _inverse(inner) @ coupling.T), b[kept]
 
 
 def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
@@ -380,18 +365,6 @@ def _inverse(M: Array) -> Array:
     return lower + np.tril(lower, -1).T
 
 
-def _solve(A: Array, right: Array) -> Array:
-    """`A^{-1} right` for a positive definite `A`."""
-    scaled, scale = _definite.unit_diagonal(A)
-    return cho_solve((np.linalg.cholesky(scaled), True), right / scale[:, None]) / scale[:, None]
-
-
-def _solve_root(A: Array, right: Array) -> Array:
-    """`X` with `X^T X = right^T A^{-1} right` for a positive definite `A`."""
-    scaled, scale = _definite.unit_diagonal(A)
-    return solve_triangular(np.linalg.cholesky(scaled), right / scale[:, None], lower=True)
-
-
 def _listed(indices: NDArray[np.intp]) -> str:
     shown = ", ".join(str(k + 1) for k in indices[:8])
     return shown + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")
@@ -403,39 +376,36 @@ def _laplacian(stiffness: Array) -> Array:
     return np.diag(inner[:-1] + inner[1:]) - np.diag(stiffness, 1) - np.diag(stiffness, -1)
 
 
-def _positive(name: str, value: ArrayLike, what: str) -> Array:
-    array = np.atleast_1d(_checks.real_array(name, value))
-    if array.ndim != 1 or array.size == 0:
-        raise StructureError(f"{name} has shape {array.shape}; it must be a number or a vector with at least one entry")
-    if array.min() <= 0:
-        worst = int(array.argmin())
-        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; {what} is > 0")
-    with np.errstate(over="ignore"):
-        _checks.representable(f"the reciprocals of {name}", 1.0 / array)
-    return array
-
-
-def _stiffness(name: str, value: ArrayLike, count: int, of: str) -> Array:
+def _values(name: str, value: ArrayLike, what: str, count: int | None = None, of: str = "every branch") -> Array:
+    """Check physical values, one each `of` something or a number for all; positive, where no count of them is given."""
     array = _checks.real_array(name, value)
     if array.ndim == 0:
-        array = np.full(count, float(array))
-    if array.shape != (count,):
-        raise StructureError(f"{name} has shape {array.shape}; it must be a number or ({count},), one for {of}")
-    if count and array.min() < 0:
+        array = np.full(1 if count is None else count, float(array))
+    if array.ndim != 1 or len(array) != (max(1, len(array)) if count is None else count):
+        raise StructureError(f"{name} has shape {array.shape}; it must be a number, or a vector with one for {of}")
+    if array.min(initial=1.0) < 0 or (count is None and not array.all()):
         worst = int(array.argmin())
-        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; a stiffness is not negative")
+        allowed = "> 0" if count is None else "not negative"
+        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; {what} is {allowed}")
+    if count is None:
+        with np.errstate(over="ignore"):
+            _checks.representable(f"the reciprocals of {name}", 1.0 / array)
     return array
 
 
 def _port_indices(port: Any, n: int) -> list[int]:
-    several = isinstance(port, Sequence) or (isinstance(port, np.ndarray) and port.ndim)
-    ports = list(port) if several and not isinstance(port, str | bytes) else [port]
+    ports = list(port) if np.iterable(port) and not isinstance(port, str | bytes) else [port]
     if not ports:
         raise StructureError("port is empty; name at least one mass")
     for index in ports:
         if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < n:
             raise StructureError(f"port is {_checks.shown(port)}; masses are counted from 0 to {n - 1}")
     return [int(index) for index in ports]
+
+
+def _forces(count: int) -> tuple[list[str], list[str]]:
+    """Names of so many forces, and of the velocities there."""
+    return (["F"], ["v"]) if count == 1 else (_numbered("F", count), _numbered("v", count))
 
 
 def _numbered(letter: str, count: int) -> list[str]:
