@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import EPS
 
-from ph_control.numerics import lapack as _lapack
-from ph_control.numerics.lapack import bidiagonal_components, components
+from ph_control.numerics.lapack import bidiagonal_components, bidiagonal_svd, components
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -107,33 +106,10 @@ def test_nothing_has_no_components():
         assert [len(part) for part in found] == [0, 0, 0]
 
 
-@pytest.mark.parametrize("n", [3, 60])
-def test_the_way_without_addresses_gives_the_same(monkeypatch, n):
-    rng = np.random.default_rng(0)
-    M, (x, y, diagonal) = rng.standard_normal((n, n)), rng.standard_normal((3, n))
-    runs = (lambda: components(M, x, y), lambda: bidiagonal_components(diagonal, diagonal[1:], x))
-    here = [run() for run in runs]
-    monkeypatch.setattr(_lapack, "_AVAILABLE", False)
-    for (sigma, right, _), (other, there, _) in zip(here, [run() for run in runs], strict=True):
-        assert np.abs(sigma - other).max() <= 20 * n * EPS * other[0]
-        assert np.abs(np.abs(right) - np.abs(there)).max() <= 1e-9
-
-
-@pytest.mark.parametrize("capsules", [{}, {"dbdsqr": "dgebrd"}])
-def test_a_routine_with_other_arguments_is_not_called(monkeypatch, capsules):
-    from scipy.linalg import cython_lapack
-
-    known = cython_lapack.__pyx_capi__
-    assert _lapack._routine("dbdsqr") is not None
-    fake = {name: known[other] for name, other in capsules.items()}
-    monkeypatch.setattr(_lapack, "cython_lapack", type("module", (), {"__pyx_capi__": fake}))
-    assert _lapack._routine("dbdsqr") is None
-
-
 @pytest.mark.parametrize("n", [1, 2, 5, 30, 90])
 @pytest.mark.parametrize("kind", ["random", "repeated", "graded", "zero"])
 @pytest.mark.parametrize("scale", [1e-100, 1.0, 1e100])
-def test_a_bidiagonal_matrix_is_its_singular_values_between_orthonormal_vectors(n, kind, scale, monkeypatch):
+def test_a_bidiagonal_matrix_is_its_singular_values_between_orthonormal_vectors(n, kind, scale):
     rng = np.random.default_rng(n)
     diagonal, above = {
         "random": (rng.standard_normal(n), rng.standard_normal(n - 1)),
@@ -142,16 +118,10 @@ def test_a_bidiagonal_matrix_is_its_singular_values_between_orthonormal_vectors(
         "zero": (np.zeros(n), np.zeros(n - 1)),
     }[kind]
     M, kept = scale * bidiagonal(diagonal, above), (scale * diagonal, scale * above)
-    for available in (_lapack._AVAILABLE, False):
-        monkeypatch.setattr(_lapack, "_AVAILABLE", available)
-        U, sigma, Vt = _lapack.bidiagonal_svd(*(x.copy() for x in kept))
-        top = max(np.linalg.norm(M, 2), 1e-300)
-        assert np.all(np.diff(sigma) <= 0) and np.all(sigma >= 0)
-        assert np.abs((U * sigma) @ Vt - M).max() <= 20 * n * EPS * top
-        assert np.abs(sigma - np.linalg.svd(M, compute_uv=False)).max() <= 20 * n * EPS * top
-        for W in (U, Vt):
-            assert np.abs(W @ W.T - np.eye(n)).max() <= 20 * n * EPS
-
-
-def test_the_routines_that_are_expected_are_there():
-    assert _lapack._AVAILABLE
+    U, sigma, Vt = bidiagonal_svd(*(x.copy() for x in kept))
+    top = max(np.linalg.norm(M, 2), 1e-300)
+    assert np.all(np.diff(sigma) <= 0) and np.all(sigma >= 0)
+    assert np.abs((U * sigma) @ Vt - M).max() <= 20 * n * EPS * top
+    assert np.abs(sigma - np.linalg.svd(M, compute_uv=False)).max() <= 20 * n * EPS * top
+    for W in (U, Vt):
+        assert np.abs(W @ W.T - np.eye(n)).max() <= 20 * n * EPS

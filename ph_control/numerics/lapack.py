@@ -1,8 +1,7 @@
 """Singular values with the components of a few vectors along the singular vectors, which are never formed themselves.
 
 LAPACK has it: reflections make a matrix bidiagonal and turn the vectors with it, rotations make it diagonal and turn
-them again.  SciPy carries these routines, but publishes them by their addresses only.  Where an address or its
-signature is not what is expected, dense singular vectors do the same at several times the cost.
+them again.  SciPy carries these routines, but publishes them by their addresses only, for Cython.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ def components(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array
     those of `sigma` alone, and O(n^2).
     """
     n = len(M)
-    if n <= _SMALL or not _AVAILABLE:
+    if n <= _SMALL:
         return _dense(M, right, left)
     reduced, x, y = np.array(M, order="F"), right.copy(), left.copy()
     diagonal, above, for_y, for_x = np.empty((4, n))
@@ -48,7 +47,7 @@ def bidiagonal_components(
     Singular values are right to the last places relative to each, however small.
     """
     n = len(diagonal)
-    if n and _AVAILABLE:
+    if n:
         sigma, superdiagonal, x = diagonal.copy(), above.copy(), right.copy()
         y = np.zeros(n) if left is None else left.copy()
         size, one, none, count = _int(n), _int(1), _int(0), _int(left is not None)
@@ -67,7 +66,7 @@ def bidiagonal_svd(diagonal: Array, above: Array) -> tuple[Array, Array, Array]:
     Divide and conquer, without the reflections that a routine for any matrix begins with.
     """
     n = len(diagonal)
-    if n and _AVAILABLE:
+    if n:
         sigma, superdiagonal, size = diagonal.copy(), np.append(above, 0.0), _int(n)
         U, Vt = np.empty((2, n, n)).transpose(0, 2, 1)
         work, integers, unused = np.empty(3 * n * n + 4 * n), np.empty(8 * n, np.intc), np.empty(1)
@@ -85,34 +84,23 @@ def _dense(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array]:
 
 # --- addresses ------------------------------------------------------------------------------------------------
 
-_CHARACTER, _NUMBERS, _INTEGER = "char *", "double *", "int *"
-_LETTERS = {"c": _CHARACTER, "d": _NUMBERS, "i": _INTEGER}
-_ARGUMENTS = {
-    "dgebrd": "iididddddii", "dormbr": "ccciiididdidii", "dbdsqr": "ciiiidd" + 4 * "di", "dbdsdc": "ccidddidididii",
-}  # fmt: skip
-_SIGNATURES = {name: [_LETTERS[letter] for letter in letters] for name, letters in _ARGUMENTS.items()}
 
-
-def _routine(name: str) -> Callable[..., None] | None:
-    """The routine at the address that SciPy publishes, if its arguments are the ones known here."""
-    capsule = getattr(cython_lapack, "__pyx_capi__", {}).get(name)
-    if capsule is None:
-        return None
-    api = ctypes.pythonapi
+def _routine(name: str, arguments: str) -> Callable[..., None]:
+    """The routine at the address that SciPy publishes; its arguments are characters (c), arrays and integers (p)."""
+    capsule, api = cython_lapack.__pyx_capi__[name], ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
     api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-    signature = api.PyCapsule_GetName(capsule)
-    found = [text.strip() for text in signature.decode()[len("void (") : -1].split(",")]
-    found = [_NUMBERS if text.startswith("__pyx_t_") and text.endswith("cython_lapack_d *") else text for text in found]
-    if not signature.startswith(b"void (") or found != _SIGNATURES[name]:
-        return None
-    kinds = [ctypes.c_char_p if kind == _CHARACTER else ctypes.c_void_p for kind in found]
-    return ctypes.CFUNCTYPE(None, *kinds)(api.PyCapsule_GetPointer(capsule, signature))
+    kinds = [ctypes.c_char_p if letter == "c" else ctypes.c_void_p for letter in arguments]
+    return ctypes.CFUNCTYPE(None, *kinds)(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
 
 
-_ROUTINES = {name: _routine(name) for name in _SIGNATURES}
-_AVAILABLE = all(routine is not None for routine in _ROUTINES.values())
+_ROUTINES = {
+    name: _routine(name, arguments)
+    for name, arguments in {
+        "dgebrd": 11 * "p", "dormbr": "ccc" + 11 * "p", "dbdsqr": "c" + 14 * "p", "dbdsdc": "cc" + 12 * "p",
+    }.items()
+}  # fmt: skip
 
 
 def _int(value: int) -> Any:
@@ -123,7 +111,5 @@ def _call(name: str, *arguments: Any) -> bool:
     """Call a routine with arrays, integers and letters; tell whether it failed."""
     info = ctypes.c_int(0)
     pointers = [x.__array_interface__["data"][0] if isinstance(x, np.ndarray) else x for x in arguments]
-    routine = _ROUTINES[name]
-    assert routine is not None
-    routine(*pointers, ctypes.byref(info))
+    _ROUTINES[name](*pointers, ctypes.byref(info))
     return info.value != 0
