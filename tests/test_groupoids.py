@@ -237,7 +237,7 @@ def test_what_is_no_reduced_arrow_is_refused_with_what_was_measured():
     f = ReducedGroupoid.identity(d, v)
     with pytest.raises(phc.StructureError, match=r"differs .* by 1.2e-01 of their size"):
         f @ ReducedGroupoid.identity([1.0, 2.3], v)
-    with pytest.raises(phc.StructureError, match="1 and 2 modes"):
+    with pytest.raises(phc.StructureError, match="2 and 4 states"):
         f @ ReducedGroupoid.identity([1.0], [1.0, 0.0])
     with pytest.raises(TypeError):
         f @ J

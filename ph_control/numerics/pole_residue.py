@@ -457,22 +457,18 @@ def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResid
     D = np.array([[gain if len(z) == len(p) else 0.0]])
     if gain == 0 or len(p) == 0:
         return _static(D)
-    gaps = np.abs(p[:, None] - p) + np.diag(np.full(len(p), np.inf))
-    repeated = gaps.min(axis=1) <= close * np.abs(p)
-    residues = np.empty(len(p), complex)
-    relative = np.empty(len(p))
-    for l, pole in enumerate(p):
-        others = np.delete(p, l)
-        # of a repeated pole this leaves the coefficient of its highest power
-        down = np.where(np.abs(pole - others) <= close * abs(pole), 1.0, pole - others)
-        up = pole - z
-        # interleaved so that long products neither over- nor underflow
-        ratio = np.concatenate([up[: len(down)], np.ones(max(0, len(down) - len(up)))]) / down
-        residues[l] = gain * np.prod(ratio) * np.prod(up[len(down) :])
-        sizes = np.concatenate([np.abs(z / np.where(up == 0, 1.0, up)), np.abs(others / down)])
-        relative[l] = _checks.EPS * (2 * len(p) + sizes.sum())
-    size, error = np.abs(residues), relative * np.abs(residues)
-    growth, growth_error = np.where(repeated, size, 0.0), np.where(repeated, error, 0.0)
+    gaps = p[:, None] - p
+    near = (np.abs(gaps) <= close * np.abs(p)[:, None]) & ~np.eye(len(p), dtype=bool)
+    # of a repeated pole this leaves the coefficient of its highest power
+    gaps[near | np.eye(len(p), dtype=bool)] = 1.0
+    from_zeros = p[:, None] - z
+    # zeros and poles in turn, so that long products neither over- nor underflow
+    ratio = np.concatenate([from_zeros, np.ones((len(p), len(p) - len(z)))], axis=1) / gaps
+    residues = gain * np.prod(ratio, axis=1)
+    sizes = np.abs(z / np.where(from_zeros == 0, 1.0, from_zeros)).sum(axis=1) + np.abs(p / gaps).sum(axis=1)
+    size = np.abs(residues)
+    error = _checks.EPS * (2 * len(p) + sizes) * size
+    growth, growth_error = (np.where(near.any(axis=1), part, 0.0) for part in (size, error))
     pole_error = _checks.EPS * np.abs(p)
     return PoleResidueForm(p, residues[:, None, None], pole_error, error, growth, growth_error, float(size.max()), D)
 

@@ -252,42 +252,27 @@ def modes_from_coefficients(a: Array, c: Array) -> tuple[Array, Array, Array, Ar
     y = _simple_positive_roots(P)
     if y is None:
         return None
-    slope, numerator = _value(_derivative(P), y), _value(_exactly(N), y)
-    kappa = tf.divide(numerator, slope)
-    size = y[0]
+    (_, slope, half_curvature), (numerator, numerator_slope) = _taylor(P, y, 3), _taylor(N, y, 2)
+    kappa, size = tf.divide(numerator, slope), y[0]
     error_y = _checks.EPS * np.polyval(P[::-1], size) / np.abs(slope[0])
-    curvature = np.abs(_value(_derivative(P, 2), y)[0])
-    moved = np.abs(_value(_derivative(N), y)[0]) + np.abs(kappa[0]) * curvature
+    moved = np.abs(numerator_slope[0]) + 2 * np.abs(kappa[0] * half_curvature[0])
     rounding = np.polyval(np.abs(N)[::-1], size) + np.abs(kappa[0]) * np.polyval(np.polyder(P[::-1]), size)
     error_kappa = (moved * error_y + _checks.EPS * rounding) / np.abs(slope[0])
     d, error_d = _square_root(y), 0.5 * error_y / np.sqrt(size)
     order = np.argsort(d)
     # with c scaled by one power less than a, residues have kept their unit
-    kappas = (kappa[0] + kappa[1])[order], error_kappa[order]
-    return np.ldexp(d[order], unit), kappas[0], np.ldexp(error_d[order], unit), kappas[1]
+    d, error_d = np.ldexp(d[order], unit), np.ldexp(error_d[order], unit)
+    return d, (kappa[0] + kappa[1])[order], error_d, error_kappa[order]
 
 
-def _exactly(values: Array) -> tf.Pair:
-    return values, np.zeros_like(values)
-
-
-def _derivative(coefficients: Array, times: int = 1) -> tf.Pair:
-    """Ascending coefficients of a derivative, as pairs of doubles."""
-    pair = _exactly(coefficients)
-    for _ in range(times):
-        k = np.arange(1.0, len(pair[0]))
-        pair = tf.multiply((pair[0][1:], pair[1][1:]), _exactly(k)) if len(k) else _exactly(np.zeros(1))
-    return pair
-
-
-def _value(coefficients: tf.Pair, y: tf.Pair) -> tf.Pair:
-    """Polynomial (ascending) at `-y`, by Horner's rule with twice the digits."""
-    minus = (-y[0], -y[1])
-    one = np.ones_like(y[0])
-    total = (0 * one, 0 * one)
-    for high, low in zip(coefficients[0][::-1], coefficients[1][::-1], strict=True):
-        total = tf.add(tf.multiply(total, minus), (high * one, low * one))
-    return total
+def _taylor(coefficients: Array, y: tf.Pair, terms: int) -> list[tf.Pair]:
+    """Value, slope, half the curvature .. of an ascending polynomial at `-y`, by Horner's rule, in pairs of doubles."""
+    minus, zero = (-y[0], -y[1]), np.zeros_like(y[0])
+    out = [(zero, zero)] * terms
+    for coefficient in coefficients[::-1]:
+        inner = [(zero + coefficient, zero), *out]
+        out = [tf.add(tf.multiply(value, minus), below) for value, below in zip(out, inner, strict=False)]
+    return out
 
 
 def _simple_positive_roots(P: Array) -> tf.Pair | None:
@@ -297,11 +282,10 @@ def _simple_positive_roots(P: Array) -> tf.Pair | None:
     start = np.sort(np.roots(alternating[::-1]).real)
     if len(start) < n or start[0] <= 0:
         return None
-    y = _exactly(np.maximum.accumulate(start * (1 + 1e-9 * np.arange(n))))
-    slope = _derivative(P)
+    y = np.maximum.accumulate(start * (1 + 1e-9 * np.arange(n))), np.zeros(n)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for _ in range(60):
-            newton = tf.divide(_value(_exactly(P), y), _value(slope, y))
+            newton = tf.divide(*_taylor(P, y, 2))
             # the other roots repel (Ehrlich and Aberth), so that no two approximations run into one root
             gaps = y[0] - y[0][:, None]
             np.fill_diagonal(gaps, np.inf)
@@ -315,7 +299,7 @@ def _simple_positive_roots(P: Array) -> tf.Pair | None:
         order = np.argsort(y[0])
         y = (y[0][order], y[1][order])
         radius = 4 * _checks.EPS * y[0]
-        below, above = (np.sign(_value(_exactly(P), tf.add(y, (side, 0 * side)))[0]) for side in (-radius, radius))
+        below, above = (np.sign(_taylor(P, tf.add(y, (side, 0 * side)), 1)[0][0]) for side in (-radius, radius))
     apart = np.all(np.diff(y[0]) > 2 * (radius[1:] + radius[:-1]))
     return y if apart and np.all(below * above < 0) else None
 
