@@ -287,7 +287,7 @@ def test_semisimple_blocks_are_solved_as_dense_algebra_does(n, ports, outputs):
 def test_a_jordan_block_too_large_for_its_equations_is_refused():
     J = np.diag(-np.ones(30)) + np.diag(np.ones(29), 1)
     sys = plain(J, np.ones((30, 1)), np.ones((1, 30)))
-    with pytest.raises(phc.StructureError, match=r"30 eigenvalues coincide .* at most 24"):
+    with pytest.raises(phc.StructureError, match="more than 24 eigenvalues coincide"):
         are_isomorphic(sys, sys)
 
 

@@ -310,17 +310,15 @@ def _compare_eigenblocks(sys1: ct.StateSpace, sys2: ct.StateSpace, rtol: float |
         partitions.append([np.arange(2 * n)])
     for k, groups in enumerate(partitions):
         if k == 0 or len(groups) < len(partitions[k - 1]):
-            try:
-                L, error = _from_blocks(first, second, groups, radius)
-            except _TooLarge as size:
-                if k > 0:
-                    continue
+            L, error = _from_blocks(first, second, groups, radius)
+            if L is None and k == 0:
                 raise StructureError(
-                    f"{size} eigenvalues coincide in each system and are not semisimple; linking them needs the "
-                    f"solution of {size}^2 equations at once, possible for at most {_LARGEST_BLOCK}"
-                ) from None
-            candidates.append(L * second.scale[:, None] / first.scale)
-            floor = max(floor, error)
+                    f"more than {_LARGEST_BLOCK} eigenvalues coincide in each system and are not semisimple; linking k "
+                    "of them needs the solution of k^2 equations at once"
+                )
+            if L is not None:
+                candidates.append(L * second.scale[:, None] / first.scale)
+                floor = max(floor, error)
     return _judge(candidates, sys1, sys2, SAFETY * floor if rtol is None else rtol)
 
 
@@ -345,8 +343,11 @@ def _seen_by_one_only(first: _BalancedSchur, second: _BalancedSchur, group: Indi
 
 def _from_blocks(
     first: _BalancedSchur, second: _BalancedSchur, groups: list[Indices], radius: Array
-) -> tuple[Array, float]:
-    """Isomorphism from one block for each group of eigenvalues, and the error of the worst of them."""
+) -> tuple[Array | None, float]:
+    """Isomorphism from one block for each group of eigenvalues, and the error of the worst of them.
+
+    None where a block is too large for its equations to be solved at once.
+    """
     n = len(first.values)
     values = np.concatenate([first.values, second.values])
     L, worst = np.zeros((n, n)), 0.0
@@ -358,14 +359,12 @@ def _from_blocks(
         left, right = first.block(ours), second.block(theirs)
         error = SAFETY * _checks.EPS * n * (1 / left.separation + 1 / right.separation)
         G = _block_solution(left, right, max(first.size, second.size), error)
+        if G is None:
+            return None, worst
         part = (right.columns @ G @ left.rows).real
         L += 2 * part if around.min() > radius[group].max() else part
         worst = max(worst, error)
     return L, worst
-
-
-class _TooLarge(Exception):
-    """A block of eigenvalues is too large for its equations to be solved at once."""
 
 
 class _PortBlock(NamedTuple):
@@ -412,7 +411,7 @@ class _BalancedSchur:
         return self.blocks[key]
 
 
-def _block_solution(first: _PortBlock, second: _PortBlock, size: float, error: float) -> ComplexArray:
+def _block_solution(first: _PortBlock, second: _PortBlock, size: float, error: float) -> ComplexArray | None:
     """Best `G` with `G T1 = T2 G`, `G b1 = b2`, `c1 = c2 G`; where it is not unique, a well-conditioned one."""
     I = np.eye(k := len(first.T))
     scale_b = max(norm_of(first.inputs), norm_of(second.inputs)) or 1.0
@@ -428,7 +427,7 @@ def _block_solution(first: _PortBlock, second: _PortBlock, size: float, error: f
         left, right = I - from_c @ second.outputs, I - first.inputs @ from_b
         return _best_conditioned(G, lambda X: left @ X @ right)
     if k > _LARGEST_BLOCK:
-        raise _TooLarge(k)
+        return None
     commuting = (np.kron(T1.T, I) - np.kron(I, T2)) / (size or 1.0)
     ports = np.kron(first.inputs.T, I) / scale_b, np.kron(I, second.outputs) / scale_c
     system = np.concatenate([commuting, *ports])

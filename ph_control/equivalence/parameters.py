@@ -17,8 +17,6 @@ from ..exceptions import StructureError
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_SMALLEST_ROOT = 1.5e-154  # below, squares lose digits
-
 
 def act(sigma: ArrayLike, theta: ArrayLike, d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Act on a pair `(d, v)` by a permutation of the modes, then by a turn of the phase of each.
@@ -184,14 +182,9 @@ def _canonical(d: Array, r: Array, remedy: str) -> None:
 def squared_weights(v: Array) -> Array:
     """`r_l = v_l^2 + v_{n+l}^2`, refused where a square leaves the range of doubles."""
     q, p = v.reshape(2, -1)
-    size = np.maximum(np.abs(q), np.abs(p))
-    lost = (size > 0) & (size < _SMALLEST_ROOT)
-    if lost.any():
-        raise StructureError(
-            f"the weights r = v^2 leave the range of doubles (1e-308 to 1e308): at mode {int(lost.argmax())}, v is "
-            f"{size[lost.argmax()]:.3g}; choose other units of time or amplitude"
-        )
-    return np.asarray(q**2 + p**2, float)
+    r = np.asarray(q**2 + p**2, float)
+    _checks.representable("the weights r = v^2", r, nonzero=(q != 0) | (p != 0))
+    return r
 
 
 def permutation(sigma: ArrayLike, n: int) -> Indices:

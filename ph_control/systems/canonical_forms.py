@@ -62,21 +62,14 @@ class _CanonicalForm(LosslessSystem):
         return _in_range(ModalForm._of(d[order], nu, still[:, None]))
 
     @View
-    def _coefficients(self) -> tuple[Array, Array]:
-        a, c = self.modes.coefficients()
-        return _checks.readonly(a), _checks.readonly(c)
-
-    @property
     def a(self) -> Array:
         """Coefficients `(a_0 .. a_{2n-1})` of the characteristic polynomial, shape (2n,); odd ones are exactly 0."""
-        a: Array = self._coefficients[0]
-        return a
+        return self.modes.coefficients()[0]
 
-    @property
+    @View
     def c(self) -> Array:
         """Coefficients `(c_1, c_3 .. c_{2n-1})` of the numerator, shape (n,), as `ModalForm.coefficients`."""
-        c: Array = self._coefficients[1]
-        return c
+        return self.modes.coefficients()[1]
 
     @property
     def digits(self) -> float:

@@ -189,12 +189,6 @@ class PortHamiltonian(LosslessSystem):
             return reachability.of_pairs(d, kappa)
         return reachability.of_matrix(d, kappa, inverse, np.diag(self.Q))
 
-    @View
-    def _minimal(self) -> ModalForm:
-        """Modal form of what ports reach."""
-        found = reachability.minimal_of_exact(self.modes) if self._given is None else None
-        return found or (self._reduction or self._separation()).minimal()
-
     def _separation(self, rtol: float | None = None) -> Separation:
         """What ports reach and what they do not, by the modes."""
         return separate(self.modes, self._given, None if self._given is None else self._energy, rtol=rtol)

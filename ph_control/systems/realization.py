@@ -195,7 +195,8 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     if rtol is None and isinstance(sys, ModalForm) and (known := minimal_of_exact(sys)) is not None:
         return PortHamiltonian._from_modes(known)
     system = full_port_hamiltonian(sys)
-    return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
+    found = system._reduction if rtol is None else None
+    return _named_like(system, (found or system._separation(rtol)).minimal())
 
 
 def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomposition:
@@ -248,12 +249,7 @@ def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomp
     >>> (T @ [3.0, 4.0, 0.0, 0.0]).round(12) + 0.0
     array([5., 0., 0., 0.])
     """
-    system = _with_hidden_modes(sys)
-    if system.ninputs != 1:
-        raise StructureError(
-            f"the system has {system.ninputs} ports; the Kalman decomposition is that of one port: choose one by "
-            "its column of B, or use minreal"
-        )
+    system = _with_hidden_modes(sys, "the Kalman decomposition is that of one port")
     reduction = system._reduction if rtol is None else None
     if reduction is not None and reduction.gap < _SURE_GAP:
         reduction = None
@@ -314,12 +310,7 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
       resonance: the frequencies of modes 2 and 3 differ by 0.2 of their size, one frequency up to 4.8e-15
       degeneracy: the residue of mode 3 is 0.025 of the largest, unreached up to 0.0e+00
     """
-    system = _with_hidden_modes(sys)
-    if system.ninputs != 1:
-        raise StructureError(
-            f"the system has {system.ninputs} ports; the canonical margins are those of one port: choose one by its "
-            "column of B"
-        )
+    system = _with_hidden_modes(sys, "the canonical margins are those of one port")
     found = system._separation()
     rigid = system.n - len(system.d)
     resonance, close, pair = _least_distance(system.d, found.errors.d)
@@ -329,9 +320,11 @@ def canonical_margins(sys: Any) -> CanonicalMargins:
     return CanonicalMargins(canonical, resonance, close, pair, degeneracy, faint, mode, rigid, near)
 
 
-def _with_hidden_modes(sys: Any) -> PortHamiltonian:
-    """Port-Hamiltonian system with all that `sys` has; refused where the conversion has left states behind."""
+def _with_hidden_modes(sys: Any, limit: str) -> PortHamiltonian:
+    """Port-Hamiltonian system of one port with all that `sys` has; refused where a conversion left states behind."""
     system = full_port_hamiltonian(sys)
+    if system.ninputs != 1:
+        raise StructureError(f"the system has {system.ninputs} ports; {limit}: choose one by its column of B")
     if not isinstance(sys, ct.StateSpace) or isinstance(sys, LosslessSystem) or sys.nstates == system.nstates:
         return system
     visible = 2 * len(system.d) + len(system.modes.rigid)
