@@ -216,11 +216,7 @@ def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> lis
             blocks.append(_Block(values[l], np.zeros((1, 1), complex), outputs, inputs, separation[l], 1))
             continue
         # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
-        while len(group):
-            worst = values[group[separation[group].argmin()]]
-            group = group[np.abs(values[group] - worst).argsort()]
-            blocks.append(_well_separated_block(T, to_modes, from_modes, group, backward))
-            group = group[len(blocks[-1].N) :]
+        blocks.append(_joint_block(T, to_modes, from_modes, group))
     return blocks
 
 
@@ -269,22 +265,6 @@ def _rest_first(resolvent: Resolvent, rest: float) -> tuple[Resolvent, list[int]
     S[:m, :m] = exact
     Q[:, :m] = Q[:, :m] @ V
     return Resolvent(S, Q.conj().T @ inputs, outputs @ Q, backward), sizes
-
-
-def _well_separated_block(
-    T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp], backward: float
-) -> _Block:
-    """Fewest of these eigenvalues, from the first on, whose block is about as well separated as that of all."""
-    whole = _joint_block(T, B, C, group)
-    values = np.diag(T)[group]
-    for k in range(1, len(group)):
-        gap = np.abs(values[:k, None] - values[k:]).min()
-        # nothing parts eigenvalues that coincide; what is parted here counts as apart in the errors of the residues
-        if gap > 2 * SAFETY * backward:
-            part = _joint_block(T, B, C, group[:k])
-            if part.separation >= 0.1 * whole.separation and gap > 2 * SAFETY * backward / part.separation:
-                return part
-    return whole
 
 
 def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
