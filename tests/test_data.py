@@ -16,9 +16,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.identification.data.experiments import as_experiments
+from ph_control.identification.data.experiments import as_experiments, as_record
 from ph_control.identification.data.frequency_record import FrequencyRecord
-from ph_control.identification.data.time_record import Record, as_record
+from ph_control.identification.data.time_record import Record
 
 U = np.array([1.0, 0.0, 2.0, 0.0, -1.0, 3.0])
 Y = np.array([0.0, 1.0, np.nan, 2.0, 3.0, 0.5])
@@ -330,11 +330,11 @@ def test_a_data_frame_without_time_needs_the_step():
     "columns, dt, words",
     [
         ({}, None, "no column of the data frame is called time or t"),
-        ({}, 1.0, "neither input nor output (it has no columns)"),
+        ({}, 1.0, "0 columns are left beside the time"),
         ({"u": U, "y": Y}, None, "reset_index() makes it one), or give the time between samples with dt (the columns"),
         ({"T": U, "u": U, "y": Y}, None, "the columns are 'T', 'u', 'y'"),
-        ({"t": U, "y": Y}, None, "one column beside the time, 'y'"),
-        ({"t": U, "y": Y}, None, "pass (None, y) with dt"),
+        ({"t": U, "y": Y}, None, "1 columns are left beside the time; keep one of each"),
+        ({"t": U, "y": Y}, None, "of a free motion (None, y), with dt (the columns are 't', 'y')"),
         ({"t": U, "u": U, "y": Y, "z": Y}, None, "which column is the input and which the output? 3 columns are left"),
         ({"t": U, "time": U, "u": U, "y": Y}, None, "'t' and 'time' of the data frame may both be the time"),
         ({"t": np.arange(6.0), "u": U, "y": Y}, 2.0, "dt = 2 contradicts the time (column 't'), whose step is 1"),

@@ -30,22 +30,23 @@ def record_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -
     clock = _time_column(labels, dt)
     rest = [k for k in range(len(columns)) if k != clock]
     if len(rest) != 2 and (output_needed or len(rest) != 1):
-        raise StructureError(_which(labels, rest))
-    u = signal(_named("input", labels[rest[0]]), _column(frame, columns[rest[0]]))
-    y = None
-    if len(rest) == 2:
-        y = signal(_named("output", labels[rest[1]]), _column(frame, columns[rest[1]]), missing=True)
-    names = dict(zip(("input_label", "output_label"), (labels[k] for k in rest), strict=False))
+        raise StructureError(
+            f"which column is the input and which the output? {len(rest)} columns are left beside the time; keep one "
+            f"of each, the input first, or pass (u, y), of a free motion (None, y), with dt ({_listing(labels)})"
+        )
+    names = [f"the {role} (column {labels[k]!r})" for role, k in zip(("input", "output"), rest, strict=False)]
+    u = signal(names[0], _column(frame, columns[rest[0]]))
+    y = signal(names[1], _column(frame, columns[rest[1]]), missing=True) if len(rest) == 2 else None
+    shown = dict(zip(("input_label", "output_label"), (labels[k] for k in rest), strict=False))
     if clock is None:
-        step = _checks.sampling_step(dt)
-        return checked_record(instants(len(u), step), step, u, y, **names)
+        return checked_record(None, _checks.sampling_step(dt), u, y, **shown)
     name = f"the time (column {labels[clock]!r})"
     recorded = signal(name, _column(frame, columns[clock]))
     refuse_short(len(recorded))
     time, step = uniform_time(name, recorded, dt)
     # the grid that instants in print stand for, as in a recording that was read from a file
     unit = unit_of_time(labels[clock])
-    return checked_record(instants(len(time), step, float(time[0])), step, u, y, time_unit=unit, **names)
+    return checked_record(instants(len(time), step, float(time[0])), step, u, y, time_unit=unit, **shown)
 
 
 def _time_column(labels: list[str], dt: Any) -> int | None:
@@ -61,29 +62,9 @@ def _time_column(labels: list[str], dt: Any) -> int | None:
     return found[0] if found else None
 
 
-def _which(labels: list[str], rest: list[int]) -> str:
-    if len(rest) == 1:
-        return (
-            f"the data frame has one column beside the time, {labels[rest[0]]!r}, so no input or no output; if nothing "
-            "drove the record, pass (None, y) with dt"
-        )
-    if not rest:
-        return f"the data frame has neither input nor output ({_listing(labels)})"
-    return (
-        f"which column is the input and which the output? {len(rest)} columns are left to choose from; keep one of "
-        f"each, the input first, or pass (u, y) with dt ({_listing(labels)})"
-    )
-
-
 def _listing(labels: list[str]) -> str:
-    if not labels:
-        return "it has no columns"
     more = f" and {len(labels) - _SHOWN} more" if len(labels) > _SHOWN else ""
     return "the columns are " + ", ".join(map(repr, labels[:_SHOWN])) + more
-
-
-def _named(role: str, label: str) -> str:
-    return f"the {role} (column {label!r})"
 
 
 def _column(frame: Any, label: Any) -> Any:

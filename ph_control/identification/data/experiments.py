@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -71,34 +70,36 @@ def as_experiments(
     (0.1, 0.2, False, [True, False, True, True])
     """
     if not _are_several(data):
-        _refuse_unknown(data)
         return _experiment(data, dt, weights, output_needed)
     if len(data) == 0:
         raise StructureError(f"data is an empty {type(data).__name__}; pass at least one experiment: {_KINDS}")
-    _refuse_mixture(data)
-    steps, shares = _one_for_each("dt", dt, len(data)), _weights_for_each(weights, len(data))
+    if weights is not None and not isinstance(weights, list | tuple):
+        raise StructureError(
+            f"weights are a {type(weights).__name__}; with a list of {len(data)} experiments give a list of as many "
+            "arrays"
+        )
+    steps, shares = _one_for_each("dt", dt, len(data)), _one_for_each("weights", weights, len(data))
     found: list[Any] = []
     for k, (one, step, share) in enumerate(zip(data, steps, shares, strict=True), start=1):
-        with _in_experiment(k):
-            found.extend(_experiment(one, step, share, output_needed))
+        try:
+            found.extend(_experiment(one, step, share, output_needed, first=data[0]))
             common_unit(found)
+        except (StructureError, IdentificationError) as error:
+            raise type(error)(f"experiment {k}: {error}") from None
     return tuple(found)
 
 
-def _refuse_mixture(data: Sequence[Any]) -> None:
-    """Refuse a list that holds anything but experiments, all in time or all in frequency."""
-    for k, one in enumerate(data, start=1):
-        with _in_experiment(k):
-            _refuse_unknown(one, listed=True)
-            if _is_spectral(one) != _is_spectral(data[0]):
-                kinds = [
-                    "a frequency response" if _is_spectral(each) else "a record in time" for each in (one, data[0])
-                ]
-                raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
-
-
-def _is_spectral(data: Any) -> bool:
-    return isinstance(data, FrequencyResponseData | FrequencyRecord)
+def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
+    """Make one record in time of data that `as_experiments` takes; a record is returned as it is."""
+    found = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
+    record = found[0]
+    if len(found) > 1 or not isinstance(record, Record):
+        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; needed one record in time")
+    if input_needed and not record.driven:
+        raise StructureError(
+            "the record has no input; needed one that varies (a free motion is estimated along with it)"
+        )
+    return record
 
 
 # --- one or several --------------------------------------------------------------------------------------------------
@@ -126,31 +127,37 @@ def _are_several(data: Any) -> bool:
     return len(data) != 2 or any(_is_object(one) for one in data) or any(map(_is_pair, data))
 
 
-def _refuse_unknown(data: Any, *, listed: bool = False) -> None:
+def _refuse_unknown(data: Any, listed: bool) -> None:
     """Refuse what is no experiment; one in a list is no list itself, since its signals could not be told from it."""
     if _is_object(data) or (isinstance(data, tuple if listed else list | tuple) and not _are_several(data)):
         return
     kind = type(data).__name__
     if isinstance(data, list | tuple) and any(_is_object(one) or _is_pair(one) for one in data):
         raise StructureError(f"this is a {kind} of experiments; lists are not nested: pass one list of all experiments")
-    hint = ""
+    more = "" if listed else ", or a list of these"
     if isinstance(data, str):
-        hint = "; phc.read_csv reads a file"
+        more += "; phc.read_csv reads a file"
     elif isinstance(data, Iterator):
-        hint = "; put what it yields in a list"
-    raise StructureError(
-        f"{'this' if listed else 'data'} is a {kind}; pass {_KINDS}{'' if listed else ', or a list of these'}{hint}"
-    )
+        more += "; put what it yields in a list"
+    raise StructureError(f"{'this' if listed else 'data'} is a {kind}; pass {_KINDS}{more}")
 
 
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 
-def _experiment(data: Any, dt: Any, weights: Any, output_needed: bool) -> tuple[Any, ...]:
-    if _is_spectral(data):
+def _experiment(data: Any, dt: Any, weights: Any, output_needed: bool, first: Any = None) -> tuple[Any, ...]:
+    """Records of one experiment; in a list it is of the kind of the `first`."""
+    _refuse_unknown(data, listed=first is not None)
+    spectral = isinstance(data, FrequencyResponseData | FrequencyRecord)
+    if first is not None and spectral != isinstance(first, FrequencyResponseData | FrequencyRecord):
+        kinds = ["a frequency response", "a record in time"][:: 1 if spectral else -1]
+        raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
+    if spectral:
         if dt is not None:
             raise StructureError("dt is the step of a record in time, and a frequency response has none; leave dt out")
-        return (_frequency_record(data, weights),)
+        if isinstance(data, FrequencyResponseData):
+            return (record_of_frequency_response(data, weights),)
+        return (data if weights is None else replace(data, weights=checked_weights(weights, data.samples)),)
     if weights is not None:
         raise StructureError(
             "weights belong to frequency responses, and this is a record in time; mark samples to leave out with NaN"
@@ -166,23 +173,6 @@ def _experiment(data: Any, dt: Any, weights: Any, output_needed: bool) -> tuple[
     return (record_of_pair(u, y, dt, output_needed=output_needed),)
 
 
-def _frequency_record(data: FrequencyResponseData | FrequencyRecord, weights: Any) -> FrequencyRecord:
-    if isinstance(data, FrequencyResponseData):
-        return record_of_frequency_response(data, weights)
-    return data if weights is None else replace(data, weights=checked_weights(weights, data.samples))
-
-
-# --- lists -----------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _in_experiment(k: int) -> Iterator[None]:
-    try:
-        yield
-    except (StructureError, IdentificationError) as error:
-        raise type(error)(f"experiment {k}: {error}") from None
-
-
 def _one_for_each(name: str, value: Any, count: int) -> Sequence[Any]:
     """A value for each experiment: the one for all, or those of a sequence."""
     if not isinstance(value, list | tuple) and not (isinstance(value, np.ndarray) and value.ndim == 1):
@@ -190,11 +180,3 @@ def _one_for_each(name: str, value: Any, count: int) -> Sequence[Any]:
     if len(value) != count:
         raise StructureError(f"{name} has {len(value)} entries for {count} experiments; give one for each")
     return list(value)
-
-
-def _weights_for_each(weights: Any, count: int) -> Sequence[Any]:
-    if weights is not None and not isinstance(weights, list | tuple):
-        raise StructureError(
-            f"weights are a {type(weights).__name__}; with a list of {count} experiments give a list of as many arrays"
-        )
-    return _one_for_each("weights", weights, count)

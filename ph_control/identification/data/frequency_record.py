@@ -50,10 +50,9 @@ class FrequencyRecord(Frozen):
 
     def __post_init__(self) -> None:
         weights = np.ones(len(self.omega)) if self.weights is None else self.weights
-        for name, value, kind in (
-            ("omega", self.omega, float), ("response", self.response, complex), ("weights", weights, float)
-        ):  # fmt: skip
-            object.__setattr__(self, name, _checks.readonly(np.array(value, dtype=kind)))
+        arrays = {"omega": np.array(self.omega, float), "weights": np.array(weights, float)}
+        vars(self).update(arrays, response=np.array(self.response, complex))
+        super().__post_init__()
 
     def __repr__(self) -> str:
         return f"<FrequencyRecord: {self.samples} frequencies, {self.output_label!r} from {self.input_label!r}>"
@@ -90,13 +89,21 @@ def record_of_frequency_response(data: FrequencyResponseData, weights: Any = Non
             f"the frequency response is that of a sampled system ({step}), and a lossless model runs in continuous "
             "time; if it was measured on a plant, pass control.frd(response, omega) without dt"
         )
-    omega, response = _frequencies(data.omega), np.array(data.frdata[0, 0], dtype=complex)
-    infinite = np.isinf(response)
-    if infinite.any():
-        k = int(np.argmax(infinite))
+    omega, response = _checks.real_array("omega", data.omega, 1), np.array(data.frdata[0, 0], dtype=complex)
+    if len(omega) == 0:
+        raise IdentificationError("the frequency response has no frequencies; a fit needs at least 2")
+    if omega.min() < 0:
+        k = int(np.argmax(omega < 0))
+        raise StructureError(
+            f"omega is negative at point {k}: {omega[k]:.6g}, allowed >= 0; pass one side of the spectrum, since the "
+            "other is its conjugate"
+        )
+    if np.isinf(response).any():
+        k = int(np.argmax(np.isinf(response)))
         raise StructureError(
             f"the response is infinite at point {k} (omega = {omega[k]:.6g}); mark missing points with NaN"
         )
+    refuse_out_of_range("omega", omega)
     refuse_out_of_range("the response", np.abs(response))
     order = np.argsort(omega, kind="stable")
     return FrequencyRecord(
@@ -108,20 +115,6 @@ def record_of_frequency_response(data: FrequencyResponseData, weights: Any = Non
         data.title or ("" if data._generic_name_check() else data.name),
         checked_unit(getattr(data, "time_unit", None)),
     )
-
-
-def _frequencies(value: Any) -> Array:
-    omega = _checks.real_array("omega", value, 1)
-    if len(omega) == 0:
-        raise IdentificationError("the frequency response has no frequencies; a fit needs at least 2")
-    if omega.min() < 0:
-        k = int(np.argmax(omega < 0))
-        raise StructureError(
-            f"omega is negative at point {k}: {omega[k]:.6g}, allowed >= 0; pass one side of the spectrum, since the "
-            "other is its conjugate"
-        )
-    refuse_out_of_range("omega", omega)
-    return omega
 
 
 def checked_weights(weights: Any, count: int) -> Array:

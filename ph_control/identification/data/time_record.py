@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
@@ -24,7 +23,6 @@ from ...exceptions import IdentificationError, StructureError
 Array = NDArray[np.float64]
 
 _LARGEST = 1e100  # of a signal whose squares are summed
-_BLOCK = 1 << 16  # samples looked at together, so that a long record is checked without arrays of its length
 _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record
 
 
@@ -85,31 +83,6 @@ class Record(Frozen):
         return with_unit(found, self.time_unit)
 
 
-def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, output_needed: bool = True) -> Record:
-    """Make one `Record` of `(u, y)` with `dt`, or of a `control.TimeResponseData`; nothing is modified."""
-    if isinstance(data, Record):
-        return data
-    if isinstance(data, TimeResponseData):
-        if data.ninputs and (data.ntraces > 1 or data.ninputs != 1 or data.noutputs != 1):
-            raise StructureError(
-                f"the record has {data.ninputs} inputs, {data.noutputs} outputs and {max(1, data.ntraces)} traces; "
-                "needed one of each: select them before fitting"
-            )
-        record = records_of_response(data, dt)[0]
-    elif isinstance(data, tuple | list) and len(data) == 2:
-        u, y = data
-        record = record_of_pair(u, y, dt, output_needed=output_needed)
-    else:
-        raise StructureError(
-            f"data is a {type(data).__name__}; pass a control.TimeResponseData, or the pair (u, y) together with dt"
-        )
-    if input_needed and not record.driven:
-        raise StructureError(
-            "the record has no input; needed one that varies (a free motion is estimated along with it)"
-        )
-    return record
-
-
 def record_of_pair(u: Any, y: Any, dt: Any, *, output_needed: bool = True) -> Record:
     """Record of two signals; without `u` an autonomous one, without `y` one of which no output is known."""
     if u is None and y is None:
@@ -121,8 +94,7 @@ def record_of_pair(u: Any, y: Any, dt: Any, *, output_needed: bool = True) -> Re
     step = _checks.sampling_step(dt)
     given = None if u is None else signal("the input", u)
     measured = None if y is None else signal("the output", y, missing=True)
-    samples = next(len(values) for values in (given, measured) if values is not None)
-    return checked_record(instants(samples, step), step, given, measured)
+    return checked_record(None, step, given, measured)
 
 
 def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record, ...]:
@@ -136,30 +108,20 @@ def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record,
     time, step = uniform_time("the time of the record", data.time, dt)
     unit = checked_unit(getattr(data, "time_unit", None))
     runs = max(1, data.ntraces)
-    u = None if data.ninputs == 0 else np.reshape(data.u, (runs, len(time)))
-    y = np.reshape(data.y, (runs, len(time)))
-    labels = {
-        name: given[0]
-        for name, given in (("input_label", data.input_labels), ("output_label", data.output_labels))
-        if given
-    }
+    inputs = runs * [None] if data.ninputs == 0 else np.reshape(data.u, (runs, len(time)))
+    outputs = np.reshape(data.y, (runs, len(time)))
     titles = data.trace_labels if runs > 1 and data.trace_labels else runs * [data.title or ""]
-
-    def record(k: int) -> Record:
-        given = None if u is None else signal("the input", u[k])
-        measured = signal("the output", y[k], missing=True)
-        return checked_record(time, step, given, measured, title=titles[k], time_unit=unit, **labels)
-
-    if runs == 1:
-        return (record(0),)
-    return tuple(_of_trace(record, k) for k in range(runs))
-
-
-def _of_trace(record: Callable[[int], Record], k: int) -> Record:
-    try:
-        return record(k)
-    except StructureError as error:
-        raise StructureError(f"trace {k + 1}: {error}") from None
+    names = {"input_label": data.input_labels, "output_label": data.output_labels}
+    labels = {name: given[0] for name, given in names.items() if given}
+    found = []
+    for k, (u, y, title) in enumerate(zip(inputs, outputs, titles, strict=True), start=1):
+        try:
+            given = None if u is None else signal("the input", u)
+            measured = signal("the output", y, missing=True)
+            found.append(checked_record(time, step, given, measured, title=title, time_unit=unit, **labels))
+        except StructureError as error:
+            raise StructureError(f"trace {k}: {error}" if runs > 1 else str(error)) from None
+    return tuple(found)
 
 
 def _listed(labels: list[str] | None) -> str:
@@ -195,10 +157,15 @@ def instants(samples: int, dt: float, start: float = 0.0) -> Array:
 
 
 def checked_record(
-    time: Array, dt: float, u: Array | None, y: Array | None, *, title: str = "", time_unit: str | None = None,
+    time: Array | None, dt: float, u: Array | None, y: Array | None, *, title: str = "", time_unit: str | None = None,
     **labels: str,
 ) -> Record:  # fmt: skip
-    """Put checked signals together and lock them; without `u` the record is autonomous."""
+    """Put checked signals together and lock them; without `u` the record is autonomous, without `time` it begins at 0.
+
+    Of the two signals there is at least one.
+    """
+    if time is None:
+        time = instants(len(y if u is None else u), dt)  # type: ignore[arg-type]
     lengths = [(name, len(x)) for name, x in (("input", u), ("output", y), ("time", time)) if x is not None]
     for (one, here), (other, there) in pairwise(lengths):
         if here != there:
@@ -239,7 +206,7 @@ def signal(name: str, value: Any, *, missing: bool = False) -> Array:
         # what lies on the disk stays there
         array: Array = np.asarray(value)
     else:
-        array = np.array(_numbers(name, value, missing), dtype=float)
+        array = np.array(_numbers(name, value), dtype=float)
     if array.ndim == 2 and 1 in array.shape:
         array = array.reshape(-1)
     if array.ndim != 1:
@@ -247,60 +214,42 @@ def signal(name: str, value: Any, *, missing: bool = False) -> Array:
             f"{name} has shape {array.shape}; needed one signal of shape (T,); several experiments are a list of "
             "tuples, [(u1, y1), (u2, y2)]"
         )
-    bad, first = _count(np.isinf if missing else _not_finite, array)
-    if bad and missing:
-        raise StructureError(f"{name} is infinite at sample {first}; mark missing samples with NaN")
-    if bad:
+    bad = np.isinf(array) if missing else ~np.isfinite(array)
+    count = int(np.count_nonzero(bad))
+    if count and missing:
+        raise StructureError(f"{name} is infinite at sample {np.argmax(bad)}; mark missing samples with NaN")
+    if count:
+        first = np.argmax(bad)
         raise StructureError(
-            f"{name} is not finite at sample {first}: {bad} of {len(array)} samples are NaN or infinite, the first at "
-            f"index {first}; every sample is needed, so fill them in or cut the record there"
+            f"{name} is not finite at sample {first}: {count} of {len(array)} samples are NaN or infinite, the first "
+            f"at index {first}; every sample is needed, so fill them in or cut the record there"
         )
     return array
 
 
-def _numbers(name: str, value: Any, missing: bool) -> NDArray[Any]:
+def _numbers(name: str, value: Any) -> NDArray[Any]:
     """Real numbers of any type, NaN where one is absent; not copied if that can be avoided."""
-    if isinstance(value, np.ma.MaskedArray):
-        mask = np.ma.getmaskarray(value)
-        if missing and value.dtype.kind in "biuf":
-            return np.where(mask, np.nan, value.data)
-        if mask.any():
-            raise StructureError(f"{name} is masked at sample {int(np.argmax(mask.ravel()))}; every sample is needed")
+    if isinstance(value, np.ma.MaskedArray) and value.dtype.kind in "biuf":
+        return np.where(np.ma.getmaskarray(value), np.nan, value.data)
     try:
         array = np.asarray(value)
     except ValueError:
         return _checks.real_array(name, value)
     if array.dtype.kind == "O":
         array = _unboxed(array, value)
-    if missing and array.dtype.kind == "c" and (lost := np.isnan(array)).any():
+    if array.dtype.kind == "c" and (lost := np.isnan(array)).any():
         return np.where(lost, np.nan, _checks.real_array(name, np.where(lost, 0.0, array)))
     return array if array.dtype.kind in "biuf" else _checks.real_array(name, array)
 
 
 def _unboxed(array: NDArray[Any], value: Any) -> NDArray[Any]:
     """Doubles of an array of Python numbers and marks of the missing; anything else is left for the check to refuse."""
-    if hasattr(value, "to_numpy"):
-        # only the library of a data frame knows its own mark
-        with suppress(TypeError, ValueError):
+    with suppress(TypeError, ValueError, OverflowError):
+        if hasattr(value, "to_numpy"):
+            # only the library of a data frame knows its own mark
             array = value.to_numpy(na_value=np.nan)
-    real = (numbers.Real, Decimal, np.bool_)
-    if array.ndim and all(item is None or isinstance(item, real) for item in array.flat):
-        with suppress(OverflowError):
+        if array.ndim and all(
+            item is None or isinstance(item, numbers.Real | Decimal | np.bool_) for item in array.flat
+        ):
             return array.astype(float)
     return array
-
-
-def _not_finite(values: Array) -> NDArray[np.bool_]:
-    return ~np.isfinite(values)
-
-
-def _count(test: Callable[[Array], NDArray[np.bool_]], array: Array) -> tuple[int, int]:
-    """How many entries pass the test, and the first that does; block by block."""
-    total, first = 0, -1
-    for start in range(0, len(array), _BLOCK):
-        found = test(array[start : start + _BLOCK])
-        here = int(np.count_nonzero(found))
-        if here and not total:
-            first = start + int(np.argmax(found))
-        total += here
-    return total, first

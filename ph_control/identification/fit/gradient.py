@@ -18,7 +18,8 @@ from ...modal.modal_form import from_frequencies
 from ...numerics.polynomials import cofactors
 from ...systems.canonical_forms import ObservableHamiltonian, oh
 from ...systems.port_hamiltonian import PortHamiltonian, ph
-from ..data.time_record import Record, as_record
+from ..data.experiments import as_record
+from ..data.time_record import Record
 from .observable_model import Point, Problem, columns, weights_of
 
 Array = NDArray[np.float64]

@@ -21,8 +21,9 @@ from ...modal.modal_form import ModalForm
 from ...plotting.bode_plot import bode_plot
 from ...plotting.fit_plot import fit_plot
 from ...systems.port_hamiltonian import PortHamiltonian
+from ..data.experiments import as_record
 from ..data.frequency_record import FrequencyRecord
-from ..data.time_record import Record, as_record
+from ..data.time_record import Record
 from ..diagnosis.damped_model import DampedModel, HypothesisTest
 from ..regression.prediction import (
     FittedExperiment,
