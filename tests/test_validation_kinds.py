@@ -16,8 +16,8 @@ from ph_control.identification.uncertainty.residual_tests import (
     autocorrelation,
     cross_correlation,
     influence,
+    ljung_box,
 )
-from ph_control.identification.uncertainty.whiteness import ljung_box
 
 EPS = np.finfo(float).eps
 STEP = 0.2
@@ -420,7 +420,7 @@ def test_a_long_record_worked_in_pieces_gives_the_statistics_of_one_worked_whole
     monkeypatch.setattr(residual_tests, "_PIECE", 64)
     monkeypatch.setattr(residual_tests, "_ROWS", 90)
     monkeypatch.setattr(residual_tests, "_TOGETHER", 1500)
-    monkeypatch.setattr(residual_data, "_SMALL", 100)
+    monkeypatch.setattr(residual_data, "_CACHED", 100)
     pieces = autocorrelation(data[1], 0.99), cross_correlation(data[1], 0.99), influence(data[1])
     assert pieces[0][1:] == pytest.approx(whole[0][1:], rel=1e-9)
     np.testing.assert_allclose(pieces[0][0].band, whole[0][0].band, rtol=1e-10)

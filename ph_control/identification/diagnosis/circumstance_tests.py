@@ -11,7 +11,7 @@ from ..regression.prediction import FittedExperiment
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Projection
 from ..search.circumstances import Cause, Finding, autoregression, input_noise
-from ..uncertainty.whiteness import ljung_box
+from ..uncertainty.residual_tests import ljung_box
 
 _LAGS = 20
 _WHITE = 1e-3

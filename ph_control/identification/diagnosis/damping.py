@@ -27,7 +27,7 @@ from ..search.criteria import criteria, preference
 from ..search.free_path import FreeStep, criterion, evidence, finished, free_criterion, free_path, free_unknowns
 from ..search.free_search import FreeSearch, Records, free_data, local_modes
 from ..search.steps import Step, mode_energies, more_than_noise
-from ..uncertainty.whiteness import ljung_box
+from ..uncertainty.residual_tests import ljung_box
 from .damped_model import DampedModel, HypothesisTest
 
 Array = NDArray[np.float64]

@@ -43,7 +43,7 @@ from ..search.response_noise import NoiseLaw, record_law
 from ..uncertainty.covariance import uncertainty
 from ..uncertainty.fisher import Information, information_at, listed
 from ..uncertainty.residual_data import without_peaks
-from ..uncertainty.whiteness import ljung_box
+from ..uncertainty.residual_tests import ljung_box
 from .result import PEMResult
 
 Array = NDArray[np.float64]

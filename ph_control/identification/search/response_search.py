@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.variable_projection import Problem, refine
 from ..uncertainty.residual_data import without_peaks
-from ..uncertainty.whiteness import ljung_box
+from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
 from .free_search import FreeSearch, Responses
 from .steps import Report, Step, mode_energies, more_than_noise

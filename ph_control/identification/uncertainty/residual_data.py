@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,7 +19,7 @@ RANK = 1e-8  # relative size of directions that a regression counts
 
 _REACH = 6.0  # times the median size, 4 standard deviations of normal noise
 _QUIETEST = 1e-6  # noise of a record beside that of the loudest
-_SMALL = 1 << 15  # numbers of a matrix whose singular vectors cost next to nothing
+_CACHED = 1 << 17  # numbers that fit in the cache
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,20 @@ class ResidualData:
     @cached_property
     def noise_covariance(self) -> Array:
         """Autocovariance of the noise, tapered so that its spectrum is positive."""
-        return _noise_covariance(self)
+        T, longest = len(self.e), max(part.stop - part.start for part in self.parts)
+        reach = min(longest - 1, max(self.lags, int(4 * np.sqrt(T))))
+        m = np.arange(reach + 1)
+        covariance, pairs, all_pairs = np.zeros((3, reach + 1))
+        for part in self.parts:
+            samples = part.stop - part.start
+            size = next_fast_len(samples + reach + 1, real=True)
+            covariance += irfft(np.abs(rfft(self.centred[part], size)) ** 2, size)[: reach + 1]
+            pairs += irfft(np.abs(rfft(self.seen[part].astype(float), size)) ** 2, size)[: reach + 1]
+            all_pairs += np.maximum(samples - m, 0)
+        # averaged over the pairs there are, and tapered as full records would be
+        covariance = np.where(pairs > 0.5, covariance / np.maximum(pairs, 1.0), 0.0) * all_pairs / T
+        free = max(1, self.count - self.fitted.size - len(self.parts))
+        return np.asarray(covariance * (self.count / free) * _parzen(m / (reach + 1)))
 
     def shifted_inputs(self, part: slice, lags: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> Array:
         """Row j holds the inputs `lags[j]` samples before the residuals of a record, or some of them; 0 if unknown."""
@@ -145,30 +158,16 @@ class Basis:
 
 
 def _basis(data: ResidualData, local: list[Array]) -> Basis:
-    own = [_orthonormal(columns * data.seen[part, None]) for part, columns in zip(data.parts, local, strict=True)]
+    own = [
+        orthonormal_of_unit(_unit(columns * data.seen[part, None]))
+        for part, columns in zip(data.parts, local, strict=True)
+    ]
     unit = _unit(data.directions * data.seen[:, None])
     for _ in range(2):  # once more for what rounding leaves
         for part, columns in zip(data.parts, own, strict=True):
             if columns.shape[1] and unit.shape[1]:
                 unit[part] -= columns @ (columns.T @ unit[part])
     return Basis(own, orthonormal_of_unit(unit))
-
-
-def _noise_covariance(data: ResidualData) -> Array:
-    T, longest = len(data.e), max(part.stop - part.start for part in data.parts)
-    reach = min(longest - 1, max(data.lags, int(4 * np.sqrt(T))))
-    m = np.arange(reach + 1)
-    covariance, pairs, all_pairs = np.zeros((3, reach + 1))
-    for part in data.parts:
-        samples = part.stop - part.start
-        size = next_fast_len(samples + reach + 1, real=True)
-        covariance += irfft(np.abs(rfft(data.centred[part], size)) ** 2, size)[: reach + 1]
-        pairs += irfft(np.abs(rfft(data.seen[part].astype(float), size)) ** 2, size)[: reach + 1]
-        all_pairs += np.maximum(samples - m, 0)
-    # averaged over the pairs there are, and tapered as full records would be
-    covariance = np.where(pairs > 0.5, covariance / np.maximum(pairs, 1.0), 0.0) * all_pairs / T
-    free = max(1, data.count - data.fitted.size - len(data.parts))
-    return np.asarray(covariance * (data.count / free) * _parzen(m / (reach + 1)))
 
 
 def _parzen(x: Array) -> Array:
@@ -185,18 +184,8 @@ def _unit(columns: Array) -> Array:
     return np.asarray(columns[:, lengths > 0] / lengths[lengths > 0])
 
 
-def _orthonormal(columns: Array) -> Array:
-    """Orthonormal basis of the span of columns."""
-    return orthonormal_of_unit(_unit(columns))
-
-
 def orthonormal_of_unit(columns: Array) -> Array:
     """Orthonormal basis of columns that had unit length before something was taken off."""
-    if columns.shape[1] == 0 or len(columns) == 0:
-        return np.zeros((len(columns), 0))
-    if columns.size <= _SMALL:
-        U, sigma, _ = np.linalg.svd(columns, full_matrices=False)
-        return np.asarray(U[:, sigma > RANK])
     for _ in range(2):  # of columns that are nearly dependent the first basis is orthonormal to half the digits only
         _, sigma, turn = np.linalg.svd(factor_of(columns.T))
         kept = sigma > RANK
@@ -205,19 +194,12 @@ def orthonormal_of_unit(columns: Array) -> Array:
 
 
 def factor_of(columns: Array) -> Array:
-    """Triangular factor of columns given as rows (p, m); those that are 0 have no part in it."""
-    live = np.flatnonzero(columns.any(axis=1))
-    shown = columns if len(live) == len(columns) else columns[live]
-    factor = np.zeros((len(columns), len(columns)))
-    factor[np.ix_(live, live)] = triangle(lambda: _blocks(shown), shown.shape[1]) if len(live) else 0.0
-    return factor
-
-
-def _blocks(rows: Array) -> Iterator[Array]:
-    """Columns of a wide matrix, as many at a time as fit in the cache."""
-    width = max(1024, _SMALL * 4 // max(1, len(rows)))
-    for first in range(0, rows.shape[1], width):
-        yield rows[:, first : first + width]
+    """Triangular factor of columns given as rows (p, m), made by blocks that fit in the cache."""
+    count, samples = columns.shape
+    width = max(1024, _CACHED // max(1, count))
+    if not columns.size:
+        return np.zeros((count, count))
+    return triangle(lambda: (columns[:, first : first + width] for first in range(0, samples, width)), samples)
 
 
 def without_peaks(residuals: Array) -> Array:

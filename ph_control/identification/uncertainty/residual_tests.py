@@ -7,25 +7,27 @@ one after the other; a correlation never reaches from one into the next.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len, rfft
 from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
-from ..regression.triangular import reduced
-from ..uncertainty.residual_data import RANK, ResidualData, factor_of, orthonormal_of_unit
+from ..regression.triangular import reduced, triangle
+from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit
 
 Array = NDArray[np.float64]
 
 _NOISE_ORDERS = 20  # most that are tried for the noise
 _ROWS_PER_ORDER = 10
 _FEWEST = 5  # degrees of freedom below which a test says nothing
-_PIECE = 2048  # samples of a few columns that fit in the cache
-_ROWS = 1 << 16  # of a regression that are made at a time
+_SAMPLES_PER_LAG = 5
+_PIECE = 512  # samples of a few columns that fit in the cache
+_ROWS = 1 << 13  # of a regression that are made at a time
 _TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
 
 
@@ -92,55 +94,66 @@ def _moments(data: ResidualData, lags: NDArray[np.intp], pairs: NDArray[np.intp]
     shared = data.fitted.shared.shape[1]
     common = np.zeros((len(lags), shared, shared))
     for part, local in zip(data.parts, data.fitted.local, strict=True):
-        Q = np.concatenate([local, data.fitted.shared[part]], axis=1)
+        Q, own = np.concatenate([local, data.fitted.shared[part]], axis=1), local.shape[1]
         if Q.shape[1]:
-            own = local.shape[1]
-            trace += _traces(Q, lags)
-            image += _images(Q, data.seen[part], lags)
-            C = _products_of_shifts(Q, lags)
-            S = 0.5 * (C + C.transpose(0, 2, 1))
+            products, sizes = _shifted(Q, data.seen[part], lags)
+            trace += np.trace(products, axis1=1, axis2=2)
+            image += sizes
             # what several records share is squared when all have been added
-            within += np.sum(S[:, :own] ** 2, axis=(1, 2)) + np.sum(S[:, own:, :own] ** 2, axis=(1, 2))
-            common += S[:, own:, own:]
+            within += np.sum(products[:, :, :own] ** 2, axis=(1, 2)) + np.sum(products[:, :own, own:] ** 2, axis=(1, 2))
+            common += products[:, own:, own:]
     within += np.sum(common**2, axis=(1, 2))
     square = 0.5 * pairs - 2.0 * image + within
     mean = -trace / free
     return mean, (trace**2 + 2.0 * square) / (free * (free + 2)) - mean**2
 
 
-def _products_of_shifts(Q: Array, lags: NDArray[np.intp]) -> Array:
-    """Products of the columns with those so many samples later, shape (lags, p, p); by pieces that fit in the cache."""
-    found = np.zeros((len(lags), Q.shape[1], Q.shape[1]))
+def _shifted(Q: Array, seen: NDArray[np.bool_], lags: NDArray[np.intp]) -> tuple[Array, Array]:
+    """`Q^T S Q`, shape (lags, p, p), and the squared size of `S Q`; by pieces that fit in the cache."""
+    products, sizes = np.zeros((len(lags), Q.shape[1], Q.shape[1])), np.zeros(len(lags))
+    L = int(lags.max())
+    padded = np.pad(Q, ((L, L), (0, 0)))
     for first in range(0, len(Q), _PIECE):
         piece = Q[first : first + _PIECE]
+        missing = ~seen[first : first + _PIECE]
         for row, k in enumerate(lags):
-            later = Q[first + k : first + k + len(piece)]
-            found[row] += piece[: len(later)].T @ later
-    return found
+            before, after = (padded[start : start + len(piece)] for start in (first + L - k, first + L + k))
+            both = before + after
+            both[missing] = 0.0
+            products[row] += piece.T @ both
+            sizes[row] += np.vdot(both, both)
+    return 0.5 * products, 0.25 * sizes
 
 
-def _traces(Q: Array, lags: NDArray[np.intp]) -> Array:
-    """`trace(Q^T S Q)`: the sum of the autocorrelations of the columns."""
-    found = np.zeros(len(lags))
-    size = next_fast_len(len(Q) + int(lags.max()), real=True)
-    power = sum(np.abs(rfft(column, size)) ** 2 for column in Q.T)
-    found[:] = irfft(power, size)[lags]
-    return np.where(lags < len(Q), found, 0.0)
+def ljung_box(
+    residuals: Sequence[Array],
+    lags: int,
+    *,
+    shared: Sequence[Array] | None = None,
+    local: Sequence[Array] | None = None,
+) -> float:
+    """p-value of the Ljung-Box test that residuals of several records, with NaN where missing, are white.
 
+    Each record may have noise of its own variance.
 
-def _images(Q: Array, seen: NDArray[np.bool_], lags: NDArray[np.intp]) -> Array:
-    """Squared size of `S Q`: each row is half the sum of the two rows so many samples before and after it."""
-    T = len(Q)
-    lengths = np.einsum("ij,ij->i", Q, Q)
-    across = _traces(Q, 2 * lags)
-    missing = np.flatnonzero(~seen)
-    found = np.zeros(len(lags))
-    for row, k in enumerate(lags[: T - 1]):
-        around = missing[(missing >= k) & (missing < T - k)]
-        lost = np.einsum("ij,ij->", Q[around - k], Q[around + k])
-        sides = seen[k:] @ lengths[:-k] + seen[:-k] @ lengths[k:]
-        found[row] = 0.25 * (sides + 2.0 * (across[row] - lost))
-    return found
+    `shared` (T_k, s) and `local` (T_k, p_k) are the directions in which a model was fitted to each, to all of them and
+    to one alone: they are missing from the residuals.  1 where there is too little to tell.
+    """
+    lengths = tuple(len(one) for one in residuals)
+    largest = max((float(np.fmax.reduce(np.abs(one), initial=0.0)) for one in residuals), default=0.0)
+    scales = noise_scales([one / (largest or 1.0) for one in residuals])
+    joined = np.concatenate([np.zeros(0), *(one / size for one, size in zip(residuals, scales, strict=True))])
+    count = min(lags, int((~np.isnan(joined)).sum()) // _SAMPLES_PER_LAG, max(lengths, default=0) - 1)
+    if count < 1 or largest == 0:
+        return 1.0
+    directions = np.zeros((len(joined), 0))
+    if shared is not None:
+        directions = np.concatenate([one / size for one, size in zip(shared, scales, strict=True)])
+    data = ResidualData(
+        joined / largest, np.zeros(len(joined)), directions, count, lengths, tuple(local) if local is not None else ()
+    )
+    p = autocorrelation(data, 0.95)[2]
+    return 1.0 if np.isnan(p) else p
 
 
 # --- correlation with the input --------------------------------------------------------------------------------------
@@ -268,19 +281,17 @@ def _record_factor(data: ResidualData, place: int, whitening: Array) -> tuple[Ar
     part, order, L = data.parts[place], len(whitening) - 1, data.lags
     rows = np.flatnonzero(_with_past(data.seen[part], order))
     e = data.e[part]
-    own, shared = _filtered(whitening, data.own[place]), _filtered(whitening, data.directions[part])
+    fitted = _filtered(whitening, np.concatenate([data.own[place], data.directions[part]], axis=1))
     lags = np.concatenate([np.arange(L + 1), np.arange(-L, 0)])
 
     def columns(rows: NDArray[np.intp]) -> Array:
         means = np.zeros((len(data.parts), len(rows)))
         means[place] = data.constant[part][rows]
         past = e[rows - np.arange(1, order + 1)[:, None]]
-        return np.concatenate(
-            [own[rows].T, shared[rows].T, past, means, data.shifted_inputs(part, lags, rows), e[None, rows]]
-        )
+        return np.concatenate([fitted[rows].T, past, means, data.shifted_inputs(part, lags, rows), e[None, rows]])
 
-    factors = [factor_of(columns(rows[k : k + _ROWS])) for k in range(0, max(1, len(rows)), _ROWS)]
-    return (factors[0] if len(factors) == 1 else reduced(np.concatenate(factors))), len(rows)
+    starts = range(0, max(1, len(rows)), _ROWS)
+    return triangle(lambda: (columns(rows[k : k + _ROWS]) for k in starts), len(rows)), len(rows)
 
 
 def _filtered(weights: Array, columns: Array) -> Array:
@@ -293,8 +304,7 @@ def _filtered(weights: Array, columns: Array) -> Array:
 
 def _with_past(seen: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
     """Where a residual and so many before it were observed."""
-    rows = np.convolve(seen, np.ones(order + 1))[: len(seen)] > order + 0.5
-    return np.asarray(rows)
+    return np.asarray(np.convolve(seen, np.ones(order + 1))[: len(seen)] > order + 0.5)
 
 
 def _whitening(data: ResidualData) -> Array:
