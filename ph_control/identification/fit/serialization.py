@@ -1,7 +1,12 @@
-"""How a result is written to a file and comes back."""
+"""How a result is written to a file and comes back.
+
+A table names the fields of a class and how each is read; writing needs no more than the names.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -24,290 +29,285 @@ from ..search.response_noise import NoiseKind, NoiseLaw
 from ..uncertainty.fisher import Information
 from .result import OrderRow, PEMResult
 
-_MODEL_NUMBERS = ("feedthrough", "noise_variance", "loss", "loglik", "fit_percent")
-_NUMBERS = ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "whiteness")
+Reader = Callable[[Fields, str], Any]
+
+
+# --- readers of one field --------------------------------------------------------------------------------------------
+
+
+def _array(*shape: int | None, kind: type = float, finite: bool = True) -> Reader:
+    """Array of that shape; None stands for a length that the file decides."""
+    take = Fields.complex_array if kind is complex else Fields.array
+    return lambda fields, name: take(fields, name, shape, finite=finite)
+
+
+def _one_of(allowed: Iterable[str]) -> Reader:
+    def read(fields: Fields, name: str) -> str:
+        found = fields.text(name)
+        if found not in allowed:
+            raise StructureError(f"{name} is {found!r}; it must be one of {', '.join(map(repr, allowed))}")
+        return found
+
+    return read
+
+
+def _member(kind: type[Enum]) -> Reader:
+    named = {str(one.value): one for one in kind}
+    return lambda fields, name: named[_one_of(named)(fields, name)]
+
+
+def _places(count: int | None = None) -> Reader:
+    """Whole numbers, as places in a list of so many."""
+
+    def read(fields: Fields, name: str) -> tuple[int, ...]:
+        values = fields.array(name, (None,))
+        if (values != np.rint(values)).any() or (values < 0).any():
+            raise StructureError(f"{name} does not hold whole numbers >= 0")
+        if count is not None and (values >= count).any():
+            raise StructureError(f"{name} names number {int(values.max())}; there are 0 to {count - 1}")
+        return tuple(values.astype(int).tolist())
+
+    return read
+
+
+def _marks(count: int) -> Reader:
+    """Flags, of which the file holds the places that are set."""
+    return lambda fields, name: np.isin(np.arange(count), _places(count)(fields, name))
+
+
+def _values(fields: Fields, name: str) -> tuple[float, ...]:
+    return tuple(fields.array(name, (None,)).tolist())
+
+
+def _if_there(read: Reader, otherwise: Any) -> Reader:
+    """Field that older files do not have, or that is left out where there is nothing to say."""
+    return lambda fields, name: read(fields, name) if name in fields else otherwise
+
+
+def _object(read: Callable[[Fields], Any]) -> Reader:
+    return lambda fields, name: read(fields.nested(name))
+
+
+def _numbered(read: Callable[[Fields], Any]) -> Reader:
+    """Objects under the names '1', '2', and so on."""
+
+    def read_all(fields: Fields, name: str) -> tuple[Any, ...]:
+        inner = fields.nested(name)
+        found: list[Any] = []
+        while str(len(found) + 1) in inner:
+            found.append(read(inner.nested(str(len(found) + 1))))
+        return tuple(found)
+
+    return read_all
+
+
+def _read(fields: Fields, readers: dict[str, Reader]) -> dict[str, Any]:
+    return {name: read(fields, name) for name, read in readers.items()}
+
+
+def _written(thing: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Fields of an object as a document holds them; what is None is left out."""
+    found = {}
+    for name in names:
+        value = getattr(thing, name)
+        if isinstance(value, Enum):
+            value = value.value
+        elif isinstance(value, np.ndarray) and value.dtype == bool:
+            value = np.flatnonzero(value).tolist()
+        elif isinstance(value, tuple):
+            value = list(value)
+        if value is not None:
+            found[name] = value
+    return found
+
+
+def _counted(things: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    return {str(k): one for k, one in enumerate(things, start=1)}
+
+
+# --- tables: the fields of each class --------------------------------------------------------------------------------
+
+_UNIT = _if_there(_one_of(SECONDS), None)
+_TEST: dict[str, Reader] = {
+    "hypothesis": Fields.text, "likelihood_ratio": Fields.number, "dof": Fields.integer, "p": Fields.number
+}  # fmt: skip
+_NOISE: dict[str, Reader] = {"kind": _member(NoiseKind), "floor": Fields.number, "share": Fields.number}
+_FINDING: dict[str, Reader] = {"cause": _member(Cause), "values": _values, "gain": Fields.number}
+_LABELS: dict[str, Reader] = {"input_label": Fields.text, "output_label": Fields.text, "time_unit": _UNIT}
+
+
+def _information(size: int) -> dict[str, Reader]:
+    return {
+        "lengths": _array(size),
+        "singular_values": _array(size),
+        "vectors": _array(size, size),
+        "tolerance": Fields.number,
+    }
+
+
+def _experiment(n: int, samples: int, in_time: bool) -> dict[str, Reader]:
+    return {
+        "initial_state": _array(2 * n if in_time else 0),
+        "free_amplitudes": _array(n if in_time else 0, kind=complex),
+        "offset": Fields.number,
+        "predicted": _array(samples, kind=float if in_time else complex),
+        "drift": _if_there(Fields.number, 0.0),
+        "outliers": _if_there(_places(samples), ()),
+    }
+
+
+def _damped_model(n: int) -> dict[str, Reader]:
+    numbers = ("feedthrough", "noise_variance", "loss", "loglik", "fit_percent")
+    return {
+        **dict.fromkeys(numbers, Fields.number),
+        "residues": _array(n, kind=complex),
+        "covariance": _array(4 * n + 1, 4 * n + 1, finite=False),
+        "damped": _marks(n),
+        "negative": _marks(n),
+        "quantity": _one_of(QUANTITIES),
+        "time_unit": _UNIT,
+    }
+
+
+def _result(n: int, size: int, experiments: int) -> dict[str, Reader]:
+    numbers = ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "whiteness")
+    return {
+        "covariance": _array(size, size, finite=False),
+        "offset_stderr": _array(experiments, finite=False),
+        **dict.fromkeys(numbers, Fields.number),
+        "active": _places(n),
+        "unseen": _places(n),
+        "success": Fields.flag,
+        "verdict": Fields.text,
+        "message": Fields.text,
+        "n_iterations": Fields.integer,
+        "method": _one_of(METHODS),
+        "intersample": _one_of(INTERSAMPLE),
+        "quantity": _one_of(QUANTITIES),
+        "representation": _one_of(REPRESENTATIONS),
+    }
+
+
+# --- a result --------------------------------------------------------------------------------------------------------
 
 
 def _to_dict(result: PEMResult) -> dict[str, Any]:
-    table, starts, information = result.order_table, result.starts, result.identifiability
-    return {
+    found = _written(result, _result(0, 0, 0)) | {
         "system": system_to_dict(result.system),
-        "experiments": {str(k): _experiment_to_dict(one) for k, one in enumerate(result.experiments, start=1)},
-        "covariance": result.covariance,
-        "offset_stderr": result.offset_stderr,
-        **{name: getattr(result, name) for name in _NUMBERS},
-        "noise": {"kind": result.noise.kind.value, "floor": result.noise.floor, "share": result.noise.share},
-        "active": list(result.active),
-        "unseen": list(result.unseen),
-        "identifiability": {
-            "names": list(information.names),
-            "lengths": information.lengths,
-            "singular_values": information.singular_values,
-            "vectors": information.vectors,
-            "tolerance": information.tolerance,
-        },
-        "order_table": {
-            "order": [row.order for row in table],
-            "loss": [row.loss for row in table],
-            "aic": [row.aic for row in table],
-            "bic": [row.bic for row in table],
-            "d": np.concatenate([np.zeros(0), *[row.d for row in table]]),
-        },
-        "starts": {
-            "kind": [start.kind for start in starts],
-            "loss": [start.loss for start in starts],
-            "order": [len(start.d) for start in starts],
-            "d": np.concatenate([np.zeros(0), *[start.d for start in starts]]),
-        },
-        "success": result.success,
-        "verdict": result.verdict,
-        "message": result.message,
-        "n_iterations": result.n_iterations,
-        "method": result.method,
-        "intersample": result.intersample,
-        "quantity": result.quantity,
-        "representation": result.representation,
-        "findings": {
-            str(k): {"cause": one.cause.value, "values": np.array(one.values), "gain": one.gain}
-            for k, one in enumerate(result.findings, start=1)
-        },
-        "tests": {str(k): dict(vars(one)) for k, one in enumerate(result.tests, start=1)},
-        **({} if result.damped is None else {"damped": damped_to_dict(result.damped)}),
+        "experiments": _counted(map(_experiment_to_dict, result.experiments)),
+        "noise": _written(result.noise, _NOISE),
+        "identifiability": _written(result.identifiability, ("names", *_information(0))),
+        "order_table": _table(result.order_table, ("order", "loss", "aic", "bic")),
+        "starts": _table(result.starts, ("kind", "loss")) | {"order": [len(start.d) for start in result.starts]},
+        "findings": _counted(_written(one, _FINDING) for one in result.findings),
+        "tests": _counted(_written(one, _TEST) for one in result.tests),
     }
-
-
-def damped_to_dict(model: DampedModel) -> dict[str, Any]:
-    """Fields of a damped model."""
-    fields = {name: getattr(model, name) for name in (*_MODEL_NUMBERS, "poles", "residues", "covariance", "quantity")}
-    fields |= {name: np.flatnonzero(getattr(model, name)).tolist() for name in ("damped", "negative")}
-    if model.time_unit is not None:
-        fields["time_unit"] = model.time_unit
-    every = range(len(model.predicted))
-    fields["experiments"] = {
-        str(k + 1): {"predicted": model.predicted[k], "offset": offset, "free_amplitudes": free}
-        for k, offset, free in zip(every, model.offsets, model.free_amplitudes, strict=True)
-    }
-    return fields
-
-
-def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
-    record = one.record
-    if isinstance(record, Record):
-        data: dict[str, Any] = {"time": record.time, "dt": record.dt, "input": record.u, "output": record.y}
-        data["driven"] = record.driven
-    else:
-        data = {"omega": record.omega, "response": record.response, "weights": record.weights, "title": record.title}
-    if record.time_unit is not None:
-        data["time_unit"] = record.time_unit
-    return {
-        "record": data | {"input_label": record.input_label, "output_label": record.output_label},
-        "initial_state": one.initial_state,
-        "free_amplitudes": one.free_amplitudes,
-        "offset": one.offset,
-        "drift": one.drift,
-        "predicted": one.predicted,
-        "outliers": list(one.outliers),
-    }
+    return found if result.damped is None else found | {"damped": _damped_to_dict(result.damped)}
 
 
 def _from_dict(fields: Fields) -> PEMResult:
     system = system_from_dict(fields.nested("system"))
     n = system.n
-    experiments = _experiments(fields.nested("experiments"), n)
+    experiments = _numbered(lambda inner: _experiment_from_dict(inner, n))(fields, "experiments")
+    if not experiments:
+        raise StructureError("there are no experiments; a fit has at least one")
     size = 2 * n + sum(len(one.initial_state) for one in experiments)
+    table = fields.nested("order_table")
+    orders = _places()(table, "order")
+    numbers = [table.array(name, (len(orders),)).tolist() for name in ("loss", "aic", "bic")]
+    starts = fields.nested("starts")
+    kinds = starts.texts("kind")
+    losses, sizes = starts.array("loss", (len(kinds),)).tolist(), _places()(starts, "order")
+    given = _read(fields, _result(n, size, len(experiments)))
+    # older files tell of one variance only
+    constant = NoiseLaw(NoiseKind.CONSTANT, float(np.sqrt(given["noise_variance"])))
     return PEMResult(
         system=system,
         experiments=experiments,
-        covariance=fields.array("covariance", (size, size), finite=False),
-        offset_stderr=fields.array("offset_stderr", (len(experiments),), finite=False),
-        noise=_noise(fields),
-        noise_variance=fields.number("noise_variance"),
-        loss=fields.number("loss"),
-        loglik=fields.number("loglik"),
-        aic=fields.number("aic"),
-        bic=fields.number("bic"),
-        fit_percent=fields.number("fit_percent"),
-        whiteness=fields.number("whiteness"),
-        active=_modes(fields, "active", n),
-        unseen=_modes(fields, "unseen", n),
-        identifiability=_information(fields.nested("identifiability")),
-        order_table=_order_table(fields.nested("order_table")),
-        starts=_starts(fields.nested("starts")),
-        success=fields.flag("success"),
-        verdict=fields.text("verdict"),
-        message=fields.text("message"),
-        n_iterations=fields.integer("n_iterations"),
-        method=_one_of(fields, "method", METHODS),
-        intersample=_one_of(fields, "intersample", INTERSAMPLE),
-        quantity=_one_of(fields, "quantity", QUANTITIES),
-        representation=_one_of(fields, "representation", REPRESENTATIONS),
-        findings=_findings(fields.nested("findings")) if "findings" in fields else (),
-        tests=_tests(fields.nested("tests")) if "tests" in fields else (),
-        damped=_damped(fields.nested("damped"), experiments) if "damped" in fields else None,
+        **given,
+        noise=_if_there(_object(lambda inner: NoiseLaw(**_read(inner, _NOISE))), constant)(fields, "noise"),
+        identifiability=_information_from_dict(fields.nested("identifiability")),
+        order_table=tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True)),
+        starts=tuple(Start(*one) for one in zip(kinds, losses, _split(starts, sizes), strict=True)),
+        findings=_if_there(_numbered(lambda inner: Finding(**_read(inner, _FINDING))), ())(fields, "findings"),
+        tests=_if_there(_numbered(lambda inner: HypothesisTest(**_read(inner, _TEST))), ())(fields, "tests"),
+        damped=_if_there(_object(lambda inner: _damped_from_dict(inner, experiments)), None)(fields, "damped"),
     )
 
 
-def _tests(fields: Fields) -> tuple[HypothesisTest, ...]:
-    found: list[HypothesisTest] = []
-    while str(len(found) + 1) in fields:
-        one = fields.nested(str(len(found) + 1))
-        numbers = one.number("likelihood_ratio"), one.integer("dof"), one.number("p")
-        found.append(HypothesisTest(one.text("hypothesis"), *numbers))
-    return tuple(found)
+def _table(rows: Iterable[Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Columns of rows that have frequencies each, these one after the other."""
+    columns: dict[str, Any] = {name: [getattr(row, name) for row in rows] for name in names}
+    return columns | {"d": np.concatenate([np.zeros(0), *[row.d for row in rows]])}
 
 
-def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> DampedModel:
-    poles = fields.complex_array("poles", (None,))
-    n, inner = len(poles), fields.nested("experiments")
-    parts = [inner.nested(str(k)) for k in range(1, len(fitted) + 1)]
-    in_time = isinstance(fitted[0].record, Record)
-    return DampedModel(
-        poles=poles,
-        residues=fields.complex_array("residues", (n,)),
-        covariance=fields.array("covariance", (4 * n + 1, 4 * n + 1), finite=False),
-        **{name: fields.number(name) for name in _MODEL_NUMBERS},
-        free_amplitudes=tuple(one.complex_array("free_amplitudes", (n if in_time else 0,)) for one in parts),
-        offsets=tuple(one.number("offset") for one in parts),
-        predicted=tuple(
-            one.array("predicted", (known.record.samples,))
-            if in_time
-            else one.complex_array("predicted", (known.record.samples,), finite=False)
-            for one, known in zip(parts, fitted, strict=True)
-        ),
-        damped=np.isin(np.arange(n), _modes(fields, "damped", n)),
-        negative=np.isin(np.arange(n), _modes(fields, "negative", n)),
-        quantity=_one_of(fields, "quantity", QUANTITIES),
-        time_unit=_one_of(fields, "time_unit", tuple(SECONDS)) if "time_unit" in fields else None,
-    )
+def _split(table: Fields, orders: tuple[int, ...]) -> list[NDArray[np.float64]]:
+    """Frequencies of each row."""
+    return np.split(table.array("d", (sum(orders),)), np.cumsum(orders))[:-1]
 
 
-def _noise(fields: Fields) -> NoiseLaw:
-    """Law of the noise; older files tell only of one variance."""
-    if "noise" not in fields:
-        return NoiseLaw(NoiseKind.CONSTANT, float(np.sqrt(fields.number("noise_variance"))))
-    inner = fields.nested("noise")
-    kind = NoiseKind(_one_of(inner, "kind", tuple(one.value for one in NoiseKind)))
-    return NoiseLaw(kind, inner.number("floor"), inner.number("share"))
+def _information_from_dict(fields: Fields) -> Information:
+    names = tuple(fields.texts("names"))
+    return Information(names, **_read(fields, _information(len(names))))
 
 
-def _findings(fields: Fields) -> tuple[Finding, ...]:
-    found: list[Finding] = []
-    while (key := str(len(found) + 1)) in fields:
-        inner = fields.nested(key)
-        cause = Cause(_one_of(inner, "cause", tuple(one.value for one in Cause)))
-        found.append(Finding(cause, tuple(inner.array("values", (None,)).tolist()), inner.number("gain")))
-    return tuple(found)
+# --- its experiments, and its damped model ---------------------------------------------------------------------------
 
 
-def _experiments(fields: Fields, n: int) -> tuple[FittedExperiment, ...]:
-    found: list[FittedExperiment] = []
-    while str(len(found) + 1) in fields or not found:
-        found.append(_experiment(fields.nested(str(len(found) + 1)), n))
-    return tuple(found)
+def _experiment_to_dict(one: FittedExperiment) -> dict[str, Any]:
+    record = one.record
+    if isinstance(record, Record):
+        data = {"time": record.time, "dt": record.dt, "input": record.u, "output": record.y, "driven": record.driven}
+    else:
+        data = {"omega": record.omega, "response": record.response, "weights": record.weights, "title": record.title}
+    return {"record": data | _written(record, _LABELS)} | _written(one, _experiment(0, 0, True))
 
 
-def _experiment(fields: Fields, n: int) -> FittedExperiment:
+def _experiment_from_dict(fields: Fields, n: int) -> FittedExperiment:
     inner = fields.nested("record")
-    record = _record(inner) if "time" in inner else _response(inner)
-    in_time = isinstance(record, Record)
-    take = fields.array if in_time else fields.complex_array
-    return FittedExperiment(
-        record,
-        fields.array("initial_state", (2 * n if in_time else 0,)),
-        fields.complex_array("free_amplitudes", (n if in_time else 0,)),
-        fields.number("offset"),
-        take("predicted", (record.samples,)),
-        fields.number("drift") if "drift" in fields else 0.0,
-        _samples(fields, record.samples) if "outliers" in fields else (),
-    )
-
-
-def _samples(fields: Fields, count: int) -> tuple[int, ...]:
-    found = _whole(fields.array("outliers", (None,)), "outliers")
-    if (found >= count).any():
-        raise StructureError(f"outliers name sample {int(found.max())}; the samples are 0 to {count - 1}")
-    return tuple(found.tolist())
+    in_time = "time" in inner
+    record = _record(inner) if in_time else _response(inner)
+    return FittedExperiment(record, **_read(fields, _experiment(n, record.samples, in_time)))
 
 
 def _record(fields: Fields) -> Record:
     time = fields.array("time", (None,))
-    return Record(
-        time,
-        fields.number("dt"),
-        fields.array("input", (len(time),)),
-        fields.array("output", (len(time),), finite=False),
-        fields.text("input_label"),
-        fields.text("output_label"),
-        fields.flag("driven"),
-        time_unit=_unit(fields),
-    )
+    u, y = fields.array("input", (len(time),)), fields.array("output", (len(time),), finite=False)
+    return Record(time, fields.number("dt"), u, y, driven=fields.flag("driven"), **_read(fields, _LABELS))
 
 
 def _response(fields: Fields) -> FrequencyRecord:
     omega = fields.array("omega", (None,))
-    return FrequencyRecord(
-        omega,
-        fields.complex_array("response", (len(omega),), finite=False),
-        fields.array("weights", (len(omega),)),
-        fields.text("input_label"),
-        fields.text("output_label"),
-        fields.text("title"),
-        _unit(fields),
+    response = fields.complex_array("response", (len(omega),), finite=False)
+    weights = fields.array("weights", (len(omega),))
+    return FrequencyRecord(omega, response, weights, title=fields.text("title"), **_read(fields, _LABELS))
+
+
+def _damped_to_dict(model: DampedModel) -> dict[str, Any]:
+    parts = zip(model.predicted, model.offsets, model.free_amplitudes, strict=True)
+    return _written(model, ("poles", *_damped_model(0))) | {
+        "experiments": _counted(
+            {"predicted": predicted, "offset": offset, "free_amplitudes": free} for predicted, offset, free in parts
+        )
+    }
+
+
+def _damped_from_dict(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> DampedModel:
+    poles = fields.complex_array("poles", (None,))
+    n, inner = len(poles), fields.nested("experiments")
+    in_time = isinstance(fitted[0].record, Record)
+    parts = []
+    for k, one in enumerate(fitted, start=1):
+        predicted = _array(one.record.samples, kind=float if in_time else complex, finite=in_time)
+        readers = {
+            "free_amplitudes": _array(n if in_time else 0, kind=complex), "offset": Fields.number,
+            "predicted": predicted,
+        }  # fmt: skip
+        parts.append(_read(inner.nested(str(k)), readers))
+    free, offsets, predictions = (tuple(part[name] for part in parts) for name in readers)
+    return DampedModel(
+        poles=poles, free_amplitudes=free, offsets=offsets, predicted=predictions, **_read(fields, _damped_model(n))
     )
-
-
-def _unit(fields: Fields) -> str | None:
-    """Unit of time of a record; older files tell none."""
-    return _one_of(fields, "time_unit", tuple(SECONDS)) if "time_unit" in fields else None
-
-
-def _information(fields: Fields) -> Information:
-    names = tuple(fields.texts("names"))
-    size = len(names)
-    return Information(
-        names,
-        fields.array("lengths", (size,)),
-        fields.array("singular_values", (size,)),
-        fields.array("vectors", (size, size)),
-        fields.number("tolerance"),
-    )
-
-
-def _starts(fields: Fields) -> tuple[Start, ...]:
-    kinds = fields.texts("kind")
-    loss = fields.array("loss", (len(kinds),))
-    orders = _whole(fields.array("order", (len(kinds),)), "order")
-    d = np.split(fields.array("d", (int(orders.sum()),)), np.cumsum(orders)[:-1])
-    return tuple(Start(*one) for one in zip(kinds, loss.tolist(), d, strict=True)) if kinds else ()
-
-
-def _order_table(fields: Fields) -> tuple[OrderRow, ...]:
-    orders = _whole(fields.array("order", (None,)), "order")
-    loss, aic, bic = (fields.array(name, (len(orders),)) for name in ("loss", "aic", "bic"))
-    d = np.split(fields.array("d", (int(orders.sum()),)), np.cumsum(orders)[:-1])
-    return tuple(
-        OrderRow(*row) for row in zip(orders.tolist(), loss.tolist(), aic.tolist(), bic.tolist(), d, strict=True)
-    )
-
-
-def _modes(fields: Fields, name: str, n: int) -> tuple[int, ...]:
-    found = _whole(fields.array(name, (None,)), name)
-    if (found >= n).any():
-        raise StructureError(f"{name} names mode {int(found.max())}; the modes are 0 to {n - 1}")
-    return tuple(found.tolist())
-
-
-def _whole(values: NDArray[np.float64], name: str) -> NDArray[np.intp]:
-    if (values != np.rint(values)).any() or (values < 0).any():
-        raise StructureError(f"{name} does not hold whole numbers >= 0")
-    return values.astype(np.intp)
-
-
-def _one_of(fields: Fields, name: str, allowed: tuple[str, ...]) -> str:
-    found = fields.text(name)
-    if found not in allowed:
-        raise StructureError(f"{name} is {found!r}; it must be one of {', '.join(map(repr, allowed))}")
-    return found
 
 
 CODEC = Codec(PEMResult, _to_dict, _from_dict)
