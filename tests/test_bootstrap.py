@@ -10,7 +10,6 @@ from reference import EPS
 
 import ph_control as phc
 from ph_control.identification.fit import bootstrap as module
-from ph_control.identification.fit.refit import problem_of, starts_from_rest
 from ph_control.identification.regression.variable_projection import refine
 
 STEP = 0.1
@@ -107,7 +106,7 @@ def near(first, second, resamples, spare=0.0):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_problem_made_again_has_its_minimum_at_the_result(kind, fitted):
     result = fitted(kind)
-    problem = problem_of(result)
+    problem = module.problem_of(result)
     at = problem.project(result.d)
     rounding = problem.samples * EPS
     assert abs(at.loss / problem.samples / result.loss - 1) < 100 * rounding
@@ -122,7 +121,8 @@ def test_the_problem_made_again_has_its_minimum_at_the_result(kind, fitted):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_records_from_rest_are_told_from_others(kind, fitted):
-    assert starts_from_rest(fitted(kind)) == kind.endswith("from rest")
+    rows = module.problem_of(fitted(kind)).experiments
+    assert any(getattr(one, "from_rest", False) for one in rows) == kind.endswith("from rest")
 
 
 # --- white noise: the standard errors of theory ----------------------------------------------------------------------

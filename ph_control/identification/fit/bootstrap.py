@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,14 +14,14 @@ from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import ModalForm
+from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.prediction import state_from_amplitudes
 from ..regression.time_rows import Experiment, Rows
 from ..regression.variable_projection import Problem, Projection, refine
-from ..search.formulation import check_workers
+from ..search.formulation import check_workers, rows_of
 from ..search.path import mapped
 from ..uncertainty.draws import ModeSamples, draws_from, tail_of
-from .refit import problem_of
 
 Array = NDArray[np.float64]
 
@@ -72,17 +72,18 @@ class Bootstrap(Frozen):
     def _kept(self) -> NDArray[np.bool_]:
         return np.asarray(~np.isnan(self.offset).any(axis=1))
 
-    def _columns(self) -> dict[str, Array]:
-        """What converged, by the keys of `PEMResult.stderr`."""
-        named = {"d": self.d, "r": self.r, "initial_state": self.initial_state, "offset": self.offset}
-        return {name: value[self._kept] for name, value in named.items()}
-
-    def _in_shape(self, name: str, values: Array) -> Array:
-        """Statistics (s, ...) of a key in the shape they have in `PEMResult`."""
-        n = self.d.shape[1]
-        if name == "initial_state" and len(values) > 2 * n:
-            values = values.reshape(-1, 2 * n, *values.shape[1:])
-        return values
+    def _statistic(self, of: Callable[[Array], Array], *shape: int) -> Mapping[str, Array]:
+        """Statistic of each parameter under the keys of `PEMResult.stderr`; NaN for what never changed."""
+        found = {}
+        for name in ("d", "r", "initial_state", "offset"):
+            draws = getattr(self, name)[self._kept]
+            known = (draws != draws[:1]).any(axis=0)
+            values = np.full((draws.shape[1], *shape), np.nan)
+            if known.any():
+                values[known] = of(draws[:, known])
+            several = name == "initial_state" and len(values) > 2 * self.d.shape[1]
+            found[name] = values.reshape(-1, 2 * self.d.shape[1], *shape) if several else values
+        return ReadOnlyMapping(found)
 
     @property
     def active_share(self) -> Array:
@@ -92,14 +93,7 @@ class Bootstrap(Frozen):
     @cached_property
     def stderr(self) -> Mapping[str, Array]:
         """Standard deviation over the resamples, under the keys of `PEMResult.stderr`; NaN for what never changed."""
-        found = {}
-        for name, draws in self._columns().items():
-            known = _varies(draws)
-            deviation = np.full(draws.shape[1], np.nan)
-            if len(draws) > 1:
-                deviation[known] = np.std(draws[:, known], axis=0, ddof=1)
-            found[name] = self._in_shape(name, deviation)
-        return ReadOnlyMapping(found)
+        return self._statistic(lambda draws: np.std(draws, axis=0, ddof=1))
 
     def interval(self, level: float = 0.95) -> Mapping[str, Array]:
         """Percentile intervals of the parameters.
@@ -138,24 +132,12 @@ class Bootstrap(Frozen):
         tail = tail_of(level)
         if not len(self):
             raise StructureError(f"none of {len(self.d)} refits converged, so there are no percentiles")
-        found = {}
-        for name, draws in self._columns().items():
-            known = _varies(draws)
-            ends = np.full((draws.shape[1], 2), np.nan)
-            ends[known] = np.quantile(draws[:, known], [tail, 1 - tail], axis=0).T
-            found[name] = self._in_shape(name, ends)
-        return ReadOnlyMapping(found)
+        return self._statistic(lambda draws: np.quantile(draws, [tail, 1 - tail], axis=0).T, 2)
 
     @property
     def samples(self) -> ModeSamples:
         """The models that were refitted, with the bands of their responses."""
-        kept = self._columns()
-        return ModeSamples(kept["d"], kept["r"], kept["initial_state"])
-
-
-def _varies(draws: Array) -> NDArray[np.bool_]:
-    """Columns that are not the same in all rows."""
-    return np.asarray((draws != draws[:1]).any(axis=0))
+        return ModeSamples(self.d[self._kept], self.r[self._kept], self.initial_state[self._kept])
 
 
 class Resampled:
@@ -218,13 +200,16 @@ class Resampled:
             raise StructureError("k is 0; a bootstrap needs at least one resample, and 200 for standard errors")
         check_workers(workers)
         refit = _Refit.of(self)
-        _refuse_off_minimum(refit.problem.project(refit.start), self.noise_variance)
+        at = refit.problem.project(refit.start)
+        _refuse_off_minimum(at, self.noise_variance)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
-        found = list(mapped(refit, seeds, workers, _Draw))
+        found = list(mapped(refit, seeds, workers, tuple))
+        # NaN where a refit did not converge
+        nothing = tuple(np.full(part.shape, 0 if part.dtype == bool else np.nan) for part in refit.estimate(at))
         d, r, state, offset, active = (
-            np.stack([getattr(one, name) for one in found]) for name in ("d", "r", "state", "offset", "active")
+            np.stack(parts) for parts in zip(*(one or nothing for one in found), strict=True)
         )
-        return Bootstrap(d, r, state, offset, active, failed=sum(not one.converged for one in found))
+        return Bootstrap(d, r, state, offset, active.astype(bool), failed=sum(not one for one in found))
 
 
 def _refuse_off_minimum(at: Projection, variance: float) -> None:
@@ -242,18 +227,6 @@ def _refuse_off_minimum(at: Projection, variance: float) -> None:
             f"allowed {_OFF:g}; refits would scatter about another model: fit again from initial_guess=result.system, "
             "or see in result.message what contradicts the model"
         )
-
-
-@dataclass(frozen=True)
-class _Draw:
-    """The estimate from one resample."""
-
-    d: Array
-    r: Array
-    state: Array
-    offset: Array
-    active: NDArray[np.bool_]
-    converged: bool
 
 
 @dataclass(frozen=True)
@@ -281,8 +254,8 @@ class _Refit:
         shown = result.order - len(result.unseen)
         return cls(problem, result.modes, shown, result.quantity, predicted, tuple(noise))
 
-    def __call__(self, seed: np.random.SeedSequence) -> _Draw:
-        """Estimate from the noise of one seed."""
+    def __call__(self, seed: np.random.SeedSequence) -> tuple[NDArray[Any], ...]:
+        """Estimate from the noise of one seed; nothing where that is not reached."""
         random = np.random.default_rng(seed)
         rows = tuple(
             _with_output(one, predicted, random.choice(noise, len(noise)))
@@ -291,25 +264,18 @@ class _Refit:
         try:
             end = refine(replace(self.problem, experiments=rows), self.start, rtol=_EXACT / self.problem.samples)
         except (np.linalg.LinAlgError, RuntimeError):  # of a decomposition or of nnls that does not converge
-            return self._nothing()
+            return ()
         if end.interrupted:
             raise KeyboardInterrupt
-        return self._draw(end.projection) if end.converged else self._nothing()
+        return self.estimate(end.projection) if end.converged else ()
 
     @property
     def start(self) -> Array:
         """Frequencies of the estimate, without those that the data do not show."""
         return self.modes.d[: self.shown]
 
-    def _nothing(self) -> _Draw:
-        """Stand-in for an estimate that was not reached."""
-        n, records = self.modes.n, len(self.problem.experiments)
-        moving = sum(isinstance(one, Experiment) for one in self.problem.experiments)
-        d, r, state, offset = (np.full(size, np.nan) for size in (n, n, 2 * n * moving, records))
-        return _Draw(d, r, state, offset, np.zeros(n, bool), converged=False)
-
-    def _draw(self, at: Projection) -> _Draw:
-        """Estimate in the user's terms; modes that the data do not show stay as they are."""
+    def estimate(self, at: Projection) -> tuple[NDArray[Any], ...]:
+        """Frequencies, weights, states, offsets, and what is held; modes that the data do not show stay as they are."""
         m, n = self.shown, self.modes.n
         rank = np.argsort(at.d)
         d, r, active = self.modes.d.copy(), self.modes.r.copy(), np.zeros(n, bool)
@@ -326,7 +292,23 @@ class _Refit:
                 amplitudes[:m] = own[:m][rank] + 1j * own[m : 2 * m][rank]
             states.append(state_from_amplitudes(modes, amplitudes, self.quantity))
             offsets[k] = own[-1] if rows.offset else 0.0
-        return _Draw(d, r, np.concatenate(states), offsets, active, converged=True)
+        return d, r, np.concatenate(states), offsets, active
+
+
+def problem_of(result: Any) -> Problem:
+    """Problem that a `PEMResult` is the minimum of, made again from what the result says of itself."""
+    driven = [one for one in result.experiments if isinstance(one.record, Record) and one.record.driven]
+    # an estimate of a free motion that is exactly 0 does not occur
+    rest = bool(driven) and not any(one.free_amplitudes.any() for one in driven)
+    offset = int(np.isfinite(result.offset_stderr).any())
+    rows = [
+        rows_of(
+            one.record, result.method, result.intersample, result.quantity, from_rest=rest,
+            offset=offset + (one.drift != 0),
+        )
+        for one in result.experiments
+    ]  # fmt: skip
+    return Problem(tuple(rows), structured=result.representation == "controllable")
 
 
 def _scale(rows: Rows) -> Array | float:
@@ -339,6 +321,4 @@ def _with_output(rows: Any, predicted: NDArray[Any], noise: NDArray[Any]) -> Any
     record = rows if isinstance(rows, Experiment) else rows.record
     output = np.where(record.observed, predicted, np.nan)
     output[record.observed] += noise / _scale(rows)
-    if isinstance(rows, Experiment):
-        return replace(rows, y=output)
-    return replace(rows, record=replace(record, response=output))
+    return replace(rows, y=output) if record is rows else replace(rows, record=replace(record, response=output))

@@ -15,11 +15,11 @@ from ..._display import Report
 from ..._frozen import Frozen
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import from_frequencies
-from ...numerics.polynomials import cofactors
 from ...systems.canonical_forms import ObservableHamiltonian, oh
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.experiments import as_record
 from ..data.time_record import Record
+from ..uncertainty.state_coordinates import observable_state
 from .observable_model import Point, Problem, columns, weights_of
 
 Array = NDArray[np.float64]
@@ -216,55 +216,59 @@ def gradient_descent(
     """
     _checks.choice("parameters", parameters, PARAMETERS)
     _checks.choice("optimizer", optimizer, OPTIMIZERS)
-    rate = _rate(learning_rate)
-    steps = _whole("epochs", epochs)
+    whole = (int, np.integer), "a whole number >= 1"
+    rate = float(_number("learning_rate", learning_rate, (int, float, np.integer, np.floating), "a positive number"))
+    steps = int(_number("epochs", epochs, *whole))
     record = as_record(data, dt)
-    n = _order(record, _whole("order", order))
+    n = _order(record, int(_number("order", order, *whole)))
     after = None if validation is None else as_record(validation, record.dt)
     if after is not None and not after.observed.any():
         raise StructureError("the validation record has no outputs to hold the model against; pass (u, y) with outputs")
     problem = Problem.of(record, after, n, parameters == "natural")
     start = _random_start(problem, rng) if initial_guess is None else _given_start(problem, initial_guess)
-    descent = _descend(problem, start, rate, steps, optimizer == "adam")
-    return _result(problem, descent, record, parameters, steps, optimizer, after is not None)
+    best, losses, validations = _descend(problem, start, rate, steps, optimizer == "adam")
+    best_epoch = int(np.argmin(losses))
+    d, r, s0 = problem.split(best.theta)
+    rank = np.arange(n) if problem.natural else np.argsort(d, kind="stable")
+    d, r = d[rank], r[rank]
+    v = best.theta[n : 3 * n].copy() if problem.natural else np.append(np.sqrt(r), np.zeros(n))
+    # 2 over the largest eigenvalue of `2/T J J^T`
+    size = float(np.linalg.norm(best.jacobian, 2)) if np.isfinite(best.jacobian).all() else np.inf
+    stable = int(problem.learned.sum()) / size**2 if size else np.inf
+    return GradientResult(
+        parameters=parameters, d=d, v=v, r=r, initial_state=s0.copy(), loss_history=losses,
+        validation_history=None if after is None else validations, best_epoch=best_epoch,
+        diverged=len(losses) <= steps, stable_rate=stable, record=record,
+        message=_message(problem, losses, best_epoch, steps, stable if optimizer == "plain" else None, d, r),
+    )  # fmt: skip
 
 
 # --- the descent -------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Descent:
-    best: Point
-    best_epoch: int
-    losses: Array
-    validations: Array
-    diverged: bool
-
-
-def _descend(problem: Problem, theta: Array, rate: float, epochs: int, adam: bool) -> _Descent:
-    """Take the steps, until they are done or the loss is not finite."""
+def _descend(problem: Problem, theta: Array, rate: float, epochs: int, adam: bool) -> tuple[Point, Array, Array]:
+    """Best point, and the losses on both records, of so many steps, or of those until the loss is not finite."""
     steps = _AdamSteps(len(theta)) if adam else None
     losses: list[float] = []
     validations: list[float] = []
     best: Point | None = None
-    best_epoch = 0
     # a descent that diverges leaves the range of doubles: seen in the loss, and reported
     with np.errstate(over="ignore", invalid="ignore"):
-        for epoch in range(epochs + 1):
+        for _ in range(epochs + 1):
             point = problem.at(theta)
             if not (np.isfinite(point.loss) and np.isfinite(point.gradient).all()):
                 break
             losses.append(point.loss)
             validations.append(point.validation)
             if best is None or point.loss < best.loss:
-                best, best_epoch = point, epoch
+                best = point
             step = steps.along(point.gradient) if steps else point.gradient
             theta = problem.projected(theta - rate * step)
     if best is None:
         raise StructureError(
             "the loss of the initial guess exceeds the range of doubles; start with smaller frequencies or states"
         )
-    return _Descent(best, best_epoch, np.array(losses), np.array(validations), len(losses) <= epochs)
+    return best, np.array(losses), np.array(validations)
 
 
 class _AdamSteps:
@@ -282,49 +286,21 @@ class _AdamSteps:
         return mean / (np.sqrt(square) + _FLOOR)
 
 
-def _result(
-    problem: Problem, descent: _Descent, record: Record, parameters: str, epochs: int, optimizer: str, validated: bool
-) -> GradientResult:
-    d, r, s0 = problem.split(descent.best.theta)
-    order = np.arange(problem.n) if problem.natural else np.argsort(d, kind="stable")
-    d, r = d[order], r[order]
-    v = np.split(descent.best.theta, problem.sizes)[1] if problem.natural else np.append(np.sqrt(r), np.zeros(len(r)))
-    stable = _stable_rate(descent.best.jacobian, int(problem.learned.sum()))
-    return GradientResult(
-        parameters=parameters, d=d.copy(), v=v.copy(), r=r.copy(), initial_state=s0.copy(),
-        loss_history=descent.losses, validation_history=descent.validations if validated else None,
-        best_epoch=descent.best_epoch, diverged=descent.diverged, stable_rate=stable,
-        message=_message(problem, descent, epochs, optimizer, stable, (d, r)), record=record,
-    )  # fmt: skip
-
-
-def _stable_rate(jacobian: Array, observed: int) -> float:
-    """2 over the largest eigenvalue of `2/T J J^T`."""
-    size = float(np.linalg.norm(jacobian, 2)) if np.isfinite(jacobian).all() else np.inf
-    return observed / size**2 if size else np.inf
-
-
 def _message(
-    problem: Problem, descent: _Descent, epochs: int, optimizer: str, stable: float, found: tuple[Array, Array]
+    problem: Problem, losses: Array, best_epoch: int, epochs: int, stable: float | None, d: Array, r: Array
 ) -> str:
-    losses, best = descent.losses, descent.best.loss
-    power = float(np.var(problem.y[problem.learned])) or 1.0
+    best, power = losses[best_epoch], float(np.var(problem.y[problem.learned])) or 1.0
     parts = [
         f"{len(losses) - 1} steps of {epochs}: mean squared error {losses[0]:.3g} at the start, {best:.3g} at best "
         f"({100 * best / power:.2g} % of the variance of the output)."
     ]
-    if descent.diverged:
-        parts.append(
-            f"The descent diverged: after step {len(losses)} the loss left the range of doubles. The parameters after "
-            f"step {descent.best_epoch} are kept."
-        )
-    elif descent.best_epoch < epochs:
-        parts.append(
-            f"The parameters after step {descent.best_epoch} are kept; the loss was {losses[-1]:.3g} at the end."
-        )
-    if optimizer == "plain":
+    kept = f"The parameters after step {best_epoch} are kept"
+    if len(losses) <= epochs:
+        parts.append(f"The descent diverged: after step {len(losses)} the loss left the range of doubles. {kept}.")
+    elif best_epoch < epochs:
+        parts.append(f"{kept}; the loss was {losses[-1]:.3g} at the end.")
+    if stable is not None:
         parts.append(f"Near the parameters kept plain steps are stable for learning rates below {stable:.2g}.")
-    d, r = found
     for name, held in (("d at its lower bound", d <= problem.slowest), ("r at 0", r == 0)):
         if held.any():
             listed = ", ".join(str(l + 1) for l in np.flatnonzero(held))
@@ -347,16 +323,9 @@ def _random_start(problem: Problem, rng: Any) -> Array:
     mean = np.linalg.norm(np.diff(y)) / problem.h / np.linalg.norm(y)
     d = np.sort(random.uniform(0.1, 2.0, n)) * max(mean, problem.slowest)
     v = random.standard_normal(2 * n) * np.sqrt(size / drive / (2 * n) if drive else 1.0)
-    motion = random.standard_normal((2, n)) * size / np.sqrt(n)
-    return np.concatenate([d, v if problem.natural else weights_of(v), _observable_state(d, *motion)])
-
-
-def _observable_state(d: Array, velocity: Array, position: Array) -> Array:
-    """State of the observable form in which mode l moves as `velocity cos(d t) + position sin(d t)`."""
-    others = cofactors(d)
-    s0 = np.empty(2 * len(d))
-    s0[0::2], s0[1::2] = (position * d) @ others, velocity @ others
-    return s0
+    velocity, position = random.standard_normal((2, n)) * size / np.sqrt(n)
+    motion, _ = observable_state(d, velocity + 1j * position)
+    return np.concatenate([d, v if problem.natural else weights_of(v), motion])
 
 
 def _given_start(problem: Problem, guess: Any) -> Array:
@@ -381,17 +350,10 @@ def _vector(name: str, value: Any, size: int) -> Array:
     return array
 
 
-def _rate(value: Any) -> float:
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not (number and 0 < value < np.inf):
-        raise StructureError(f"learning_rate is {value!r}; it must be a positive number")
-    return float(value)
-
-
-def _whole(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise StructureError(f"{name} is {value!r}; it must be a whole number >= 1")
-    return int(value)
+def _number(name: str, value: Any, kinds: Any, needed: str) -> Any:
+    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 < value < np.inf:
+        raise StructureError(f"{name} is {value!r}; it must be {needed}")
+    return value
 
 
 def _order(record: Record, order: int) -> int:
@@ -399,8 +361,7 @@ def _order(record: Record, order: int) -> int:
     if 4 * order >= observed:
         raise IdentificationError(
             f"order {_checks.shown(order)} has {_checks.shown(4 * order)} unknowns, more than the {observed} observed "
-            "samples can carry; the largest "
-            f"order for this record is {max(0, (observed - 1) // 4)}"
+            f"samples can carry; the largest order for this record is {max(0, (observed - 1) // 4)}"
         )
     if not record.y[record.observed].any():
         raise IdentificationError("the output is zero throughout the record; there is nothing to model")

@@ -38,18 +38,19 @@ def columns(d: Array, u: Array, h: float) -> tuple[Array, Array]:
     forced = np.array([_resonate(frequency, h, u)[1] for frequency in d])
     impulse = np.zeros(len(u))
     impulse[0] = 1.0
+    # one resonator after the other, the first before the step of delay that the others have
     w = lfilter([1.0], [1.0, complex(-1.0, h * d[0])], impulse)
-    position, velocity = np.empty((2, n, len(u)))
-    position[0], velocity[0] = w.imag / -d[0], w.real
-    for l in range(1, n):
-        position[l], velocity[l] = _resonate(d[l], h, position[l - 1])
+    position, velocity = [w.imag / -d[0]], [w.real]
+    for frequency in d[1:]:
+        for found, signal in zip((position, velocity), _resonate(frequency, h, position[-1]), strict=True):
+            found.append(signal)
     # delta^2 times the last position is the one before it less d^2 times itself, and so on
     links = np.diag(np.ones(n - 1), -1) - np.diag(d**2)
     rows = [np.eye(n)[-1]]
     for _ in range(n - 1):
         rows.append(rows[-1] @ links)
     free = np.empty((2 * n, len(u)))
-    free[0::2], free[1::2] = np.array(rows) @ position, np.array(rows) @ velocity
+    free[0::2], free[1::2] = np.array(rows) @ np.array(position), np.array(rows) @ np.array(velocity)
     return forced, free
 
 
@@ -80,12 +81,11 @@ class Problem:
     @classmethod
     def of(cls, record: Record, after: Record | None, n: int, natural: bool) -> Problem:
         """Put the two records behind one another; missing outputs count in neither."""
-        records = [record] if after is None else [record, after]
-        u, y = (np.concatenate([getattr(part, name) for part in records]) for name in ("u", "y"))
-        observed, early = ~np.isnan(y), np.arange(len(u)) < record.samples
-        return cls(
-            u, np.where(observed, y, 0.0), observed & early, observed & ~early, record.samples, record.dt, n, natural
-        )
+        u, y = record.u, record.y
+        if after is not None:
+            u, y = np.append(u, after.u), np.append(y, after.y)
+        seen, early = ~np.isnan(y), np.arange(len(u)) < record.samples
+        return cls(u, np.where(seen, y, 0.0), seen & early, seen & ~early, record.samples, record.dt, n, natural)
 
     @property
     def slowest(self) -> float:
@@ -104,12 +104,8 @@ class Problem:
 
     def projected(self, theta: Array) -> Array:
         """Nearest parameters of a port-Hamiltonian system."""
-        theta = theta.copy()
-        n = self.n
-        theta[:n] = np.maximum(theta[:n], self.slowest)
-        if not self.natural:
-            theta[n : 2 * n] = np.maximum(theta[n : 2 * n], 0.0)
-        return theta
+        d, p, s0 = np.split(theta, self.sizes)
+        return np.concatenate([np.maximum(d, self.slowest), p if self.natural else np.maximum(p, 0.0), s0])
 
     def at(self, theta: Array) -> Point:
         """Loss, exact gradient and Jacobian: O(T n^2)."""
