@@ -178,3 +178,10 @@ def p_value(p: float) -> str:
     if np.isnan(p):
         return "p unknown"
     return "p < 1e-300" if p < 1e-300 else f"p = {p:.2g}"
+
+
+def percent(fit: float) -> str:
+    """Text of a fit; never rounded up to a perfect one, nor wider than it can be read."""
+    if 99.995 <= fit < 100.0:
+        return "above 99.99 %"
+    return f"{fit:.2f} %" if fit > -1e4 else f"{fit:.3g} %"

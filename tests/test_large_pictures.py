@@ -58,10 +58,7 @@ def test_a_hundred_modes_are_told_apart_without_a_median():
 
 def test_a_part_of_two_thousand_modes_is_drawn_as_finely_as_a_small_system():
     sys = evenly_spaced()
-    numbers = bode_data(
-        sys, [500.1, 510.1], None, segments=8, intersample="zoh", omega_limits=None, omega_num=None, unit=1.0,
-        confidence=None, level=0.95, label=None, data_label=None,
-    )  # fmt: skip
+    numbers = bode_data(sys, [500.1, 510.1])
     (curve,) = numbers.curves
     assert curve.crowds(numbers.low, numbers.high) == []
     between = np.count_nonzero((curve.omega > 504.0) & (curve.omega < 504.5))
@@ -70,15 +67,16 @@ def test_a_part_of_two_thousand_modes_is_drawn_as_finely_as_a_small_system():
 
 
 def test_the_median_of_a_crowd_is_that_over_frequency_not_over_samples():
-    # half of the samples crowd in a hundredth of each bin
-    omega = np.sort(np.concatenate([np.geomspace(1.0, 10.0, 3001), np.geomspace(1.0, 10.0, 3001) * (1 + 1e-7)]))
-    curve = Curve("c", omega, np.ones((1, 1, len(omega))), np.geomspace(1.0, 10.0, 5000))
-    level = np.where(np.arange(len(omega)) % 2, 5.0, 0.0)
+    # three of five samples crowd behind every second one, with a quarter of the axis to themselves
+    even = np.geomspace(1.0, 10.0, 6001)
+    crowded = np.concatenate([even[::2] * (1 + k * 1e-7) for k in (1, 2, 3)])
+    omega = np.concatenate([even, crowded])
+    level = np.repeat([0.0, 5.0], [len(even), len(crowded)])[np.argsort(omega)]
+    curve = Curve("c", np.sort(omega), np.ones((1, 1, len(omega))), np.geomspace(1.0, 10.0, 5000))
+    assert np.median(level) == 5.0
     x, middle = curve.typical(level, 1.0, 10.0)
     assert np.isnan(middle[-1]) and (np.diff(x) > 0).all()
-    share = np.gradient(np.log(omega))
-    expected = 5.0 if share[level == 5.0].sum() > share[level == 0.0].sum() else 0.0
-    assert np.median(middle[:-1]) == expected
+    assert len(x) > 100 and (middle[:-1] == 0.0).all()
 
 
 def test_the_grid_has_three_to_thirty_points_on_each_side_of_a_mark_by_their_number_in_the_picture():

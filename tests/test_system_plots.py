@@ -16,8 +16,15 @@ from ph_control import NotLosslessError, StructureError
 from ph_control.identification.uncertainty.draws import ModeSamples
 from ph_control.plotting import time_data as transients
 from ph_control.plotting.energy_plot import energy_plot
-from ph_control.plotting.mode_data import PoleZeroMap, kappa_intervals, pole_zero_maps, strips
-from ph_control.plotting.mode_plot import modes_plot, pole_zero_plot
+from ph_control.plotting.inputs import subjects_of
+from ph_control.plotting.mode_plot import (
+    PoleZeroMap,
+    kappa_intervals,
+    modes_plot,
+    pole_zero_map,
+    pole_zero_plot,
+    strips,
+)
 from ph_control.plotting.time_data import response_of, transient_data
 from ph_control.plotting.time_plot import impulse_plot, step_plot
 
@@ -502,7 +509,7 @@ def test_poles_and_zeros_lie_on_the_axis_where_they_are_and_alternate():
 @quick
 @given(st.lists(st.floats(0.1, 10.0), min_size=1, max_size=10, unique_by=lambda d: round(d, 4)))
 def test_lossless_systems_alternate_and_a_swapped_pair_does_not(d):
-    (one,), _ = pole_zero_maps(phc.modes(d, np.ones(len(d))), None)
+    one = pole_zero_map(*subjects_of(phc.modes(d, np.ones(len(d))), None))
     assert one.alternating and one.cancelled == 0
     swapped = PoleZeroMap("", one.zeros, one.poles, True, False)
     assert swapped.alternating
@@ -533,14 +540,14 @@ def test_a_hundred_modes_are_parted_into_strips_that_show_each_once():
     # the strips join
     limits = [axis.get_xlim() for axis in plot.axes[:, 0]]
     assert all(a[1] == b[0] for a, b in itertools.pairwise(limits))
-    (one,), _ = pole_zero_maps(sys, None)
+    one = pole_zero_map(*subjects_of(sys, None))
     assert len(strips([one], 2)) == 2
 
 
 def test_the_axis_is_parted_where_there_is_room():
     # groups of five: equally many poles in each strip would part most of the groups that it meets
     d = np.arange(1.0, 25.0).repeat(5) + np.tile(0.02 * np.arange(5), 24)
-    (one,), _ = pole_zero_maps(phc.modes(d, np.ones(120)), None)
+    one = pole_zero_map(*subjects_of(phc.modes(d, np.ones(120)), None))
     ranges = strips([one])
     assert len(ranges) == 5
     marks = np.concatenate(one.upper)

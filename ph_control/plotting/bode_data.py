@@ -14,7 +14,7 @@ from .. import _checks
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import LosslessSystem
-from .inputs import as_systems, labels_of, models_around, title_of
+from .inputs import FitResult, Subject, models_around, subjects_of, title_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,11 +27,12 @@ _CLOSEST_BAND = 1e-6
 _CLOSEST = 1e-8  # relative distance of the nearest grid points to a pole or zero that is an eigenvalue with rounding
 _CLOSEST_PH = 1e-12  # and to one of a PH system: there a nearly cancelled resonance runs off the picture too
 _NEGLIGIBLE = 1e-9  # relative size below which a computed pole or zero is at the origin
+_SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _DOT = 1 / 1200  # of the width of a picture
+_CROWD = 72  # poles and zeros within so much of that width: a dot cannot tell one from the next
+_CROWD_WIDTH = 0.06
 _BINS = 150  # of a picture, each eight dots wide
-_CROWDED = 8  # poles and zeros in such a bin: a dot cannot tell one from the next
-_AROUND_BIN = 9
-_WIDE = 3  # bins next to one another: a crowd of fewer is no wider than a line, nor a hole in one
+_PER_BIN = 256  # levels of which a median is taken
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
@@ -57,14 +58,6 @@ class Curve:
     def vanishes(self) -> bool:
         """Whether the response is zero throughout, of which a logarithmic picture shows nothing."""
         return not np.any(self.response)
-
-    def times_s(self, power: int) -> Curve:
-        """The same response times s, or divided by it."""
-        if not power:
-            return self
-        s = 1j * self.omega
-        # a zero without sign leaves the phase of a lossless response at one side of half a turn
-        return replace(self, response=(self.response + 0.0) * (s if power > 0 else 1.0 / s))
 
     def magnitude(self, i: int, j: int) -> Array:
         """Decibels; NaN where infinite or zero."""
@@ -92,28 +85,38 @@ class Curve:
         shifted: Array = phase + 360.0 * turns
         return shifted
 
-    def visible(self, low: float, high: float, part: float) -> Mask:
+    def visible(self, low: float, high: float) -> Mask:
         """Where the curve counts for the range of a picture: inside, and not on an infinite peak.
 
         Nor within a dot of one: between two peaks that a picture cannot part, it would be as high as they are close.
         """
         inside = (self.omega >= low) & (self.omega <= high)
-        dot = _DOT * np.log(high / low) * self.omega if part else 0.0
-        return inside & away_from(self.omega, self.singular, part) & (_distance(self.omega, self.singular) >= dot)
+        if not len(self.singular):
+            return inside
+        fenced = np.concatenate([[0.0], self.singular, [2 * self.singular[-1]]])
+        above = np.clip(np.searchsorted(fenced, self.omega), 1, len(fenced) - 1)
+        least = np.maximum(_SHOWN * (fenced[above] - fenced[above - 1]), _DOT * np.log(high / low) * self.omega)
+        return inside & (distance(self.omega, self.singular) >= least)
+
+    def shown(self, levels: Array, low: float, high: float) -> Array:
+        """Levels of the curve that a picture must hold: no infinite peak and, of tabulated ones, no lone outlier."""
+        kept = levels[self.visible(low, high)]
+        kept = kept[np.isfinite(kept)]
+        if not self.tabulated or not len(kept):
+            return kept
+        bottom, top = np.quantile(kept, [0.02, 0.98])
+        return kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]
 
     def crowds(self, low: float, high: float) -> list[tuple[float, float]]:
         """Ranges, ascending and apart, where a picture from `low` to `high` cannot part poles from zeros."""
-        edges = np.geomspace(low, high, _BINS + 1)
-        counts = np.histogram(self.singular, edges)[0]
-        # on the average of the bins around, so that chance makes no holes
-        crowded = (np.convolve(counts, np.ones(_AROUND_BIN) / _AROUND_BIN, "same") >= _CROWDED) & (counts > 0)
-        turns = np.flatnonzero(np.diff(crowded, prepend=False, append=False))
-        if self.tabulated or not len(turns):
+        marks = self.singular[(self.singular >= low) & (self.singular <= high)]
+        first, last = marks[: 1 - _CROWD], marks[_CROWD - 1 :]
+        close = np.log(last / first) < _CROWD_WIDTH * np.log(high / low)
+        starts, ends = first[close], last[close]
+        if not len(starts):
             return []
-        holes = np.flatnonzero(turns[2::2] - turns[1:-1:2] <= _WIDE)
-        turns = np.delete(turns, [*(2 * holes + 1), *(2 * holes + 2)])
-        runs = zip(turns[::2], turns[1::2], strict=True)
-        return [(float(edges[start]), float(edges[end])) for start, end in runs if end - start >= _WIDE]
+        apart = np.flatnonzero(starts[1:] > ends[:-1])
+        return list(zip(starts[[0, *(apart + 1)]].tolist(), ends[[*apart, -1]].tolist(), strict=True))
 
     def typical(self, level: Array, low: float, high: float) -> tuple[Array, Array]:
         """Median of `level` over frequency in bins of the crowds, with a NaN between any two of these.
@@ -121,14 +124,16 @@ class Curve:
         Between a pole and the next zero a lossless response passes through all levels: lines that close fill the
         picture, and tell nothing of the size of what they fill it with.
         """
-        weight, known = np.gradient(np.log(self.omega)), np.isfinite(level)
+        log_omega, level = np.log(self.omega[np.isfinite(level)]), level[np.isfinite(level)]
+        between = 0.5 * (log_omega[1:] + log_omega[:-1])
         omega, middle = [np.zeros(0)], [np.zeros(0)]
         for start, end in self.crowds(low, high):
-            edges = np.geomspace(start, end, 1 + round(_BINS * np.log(end / start) / np.log(high / low)))
-            omega.append(np.append(np.sqrt(edges[1:] * edges[:-1]), end))
-            parts = np.split(np.arange(len(level)), np.searchsorted(self.omega, edges))[1:-1]
-            medians = [_median(level[part][known[part]], weight[part][known[part]]) for part in parts]
-            middle.append(np.append(medians, np.nan))
+            bins = max(1, round(_BINS * np.log(end / start) / np.log(high / low)))
+            points = np.geomspace(start, end, bins * _PER_BIN).reshape(bins, _PER_BIN)
+            # of the nearest samples: those on both sides of a peak are no line
+            levels = level[np.searchsorted(between, np.log(points))]
+            omega.append(np.append(points[:, _PER_BIN // 2], end))
+            middle.append(np.append(np.median(levels, axis=1), np.nan))
         return np.concatenate(omega), np.concatenate(middle)
 
     def gaps(self) -> NDArray[np.intp]:
@@ -141,27 +146,14 @@ class Curve:
         return k[self.omega[k] - self.omega[k - 1] > _SEEN * self.omega[k]]
 
 
-def _median(values: Array, weight: Array) -> float:
-    """Value that half of the weight is below."""
-    if not len(values):
-        return float("nan")
-    order = np.argsort(values, kind="stable")
-    share = np.cumsum(weight[order])
-    return float(values[order[np.searchsorted(share, 0.5 * share[-1])]])
-
-
 @dataclass(frozen=True)
-class Band:
+class BodeBand:
     """Confidence band of a curve: `magnitude` in decibels and `phase` in degrees, shape (2, N), at `omega`."""
 
     label: str
     omega: Array
     magnitude: Array
     phase: Array
-
-    def visible(self, curve: Curve, low: float, high: float, part: float) -> Array:
-        """Its ends where its curve counts for the range of a picture; beyond them it may run off as that does."""
-        return self.magnitude[:, replace(curve, omega=self.omega).visible(low, high, part)]
 
 
 @dataclass(frozen=True)
@@ -170,7 +162,7 @@ class BodeData:
 
     systems: list[Any]
     curves: list[Curve]
-    bands: list[Band | None]
+    bands: list[BodeBand | None]
     measured: Curve | None
     low: float
     high: float
@@ -188,40 +180,35 @@ class BodeData:
 
 def bode_data(
     sysdata: Any,
-    omega: ArrayLike | None,
-    data: Any,
+    omega: ArrayLike | None = None,
+    data: Any = None,
     *,
-    segments: int,
-    intersample: str,
-    omega_limits: ArrayLike | None,
-    omega_num: int | None,
-    unit: float,
-    confidence: Any,
-    level: float,
-    label: str | Sequence[str] | None,
-    data_label: str | None,
+    segments: int = 8,
+    intersample: str = "zoh",
+    omega_limits: ArrayLike | None = None,
+    omega_num: int | None = None,
+    unit: float = 1.0,
+    confidence: Any = None,
+    level: float = 0.95,
+    label: str | Sequence[str] | None = None,
+    data_label: str | None = None,
 ) -> BodeData:
     """Compute what `bode_plot` draws; its arguments, and the size of the unit of frequencies in rad per unit time."""
     if omega_num is not None:
         _checks.whole_number("omega_num", omega_num, 1)
-    systems = as_systems(sysdata, tabulated=True)
-    labels = labels_of(sysdata, systems, label)
-    models = models_around(confidence, sysdata, systems, "magnitude_band", "phase_band")
-    measured = _measurement(data, systems[0], segments, intersample, data_label)
-    extents = np.concatenate([_extent(sys) for sys in systems])
+    subjects = subjects_of(sysdata, label, tabulated=True)
+    first = subjects[0].system
+    models = models_around(confidence, subjects, "magnitude_band", "phase_band")
+    measured = _measurement(data, first, segments, intersample, data_label)
+    extents = np.concatenate([_extent(one.system) for one in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
-    given = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
-    powers = [_power_of_s(one) for one in given]
-    curves = [
-        _curve(sys, name, grid, low, high, omega_num).times_s(power)
-        for sys, name, power in zip(systems, labels, powers, strict=True)
-    ]
-    bands: list[Band | None] = []
-    for curve, drawn, power in zip(curves, models, powers, strict=True):
-        near = frequency_grid(curve.singular, low, high, _CLOSEST_BAND, omega_num, _AROUND_BAND)
-        bands.append(None if drawn is None else band_around(drawn, near if grid is None else grid, level, power))
-    title, first = title_of("Bode plot", systems, label is not None), systems[0]
-    observed = [getattr(one, "observed_system", sys) for one, sys in zip(given, systems, strict=True)]
+    curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
+    bands: list[BodeBand | None] = []
+    for one, curve, drawn in zip(subjects, curves, models, strict=True):
+        near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
+        bands.append(None if drawn is None else _band(drawn, near if grid is None else grid, level, _power_of_s(one)))
+    observed = [one.given.observed_system if isinstance(one.given, FitResult) else one.system for one in subjects]
+    title = title_of("Bode plot", subjects, label is not None)
     return BodeData(observed, curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
 
 
@@ -232,18 +219,19 @@ def decibels(values: ComplexArray) -> Array:
     return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
 
 
-def _power_of_s(given: Any) -> int:
+def _power_of_s(subject: Subject) -> int:
     """Power of s that leads from the velocity of a port to the quantity that a fit is of."""
-    return {"displacement": -1, "acceleration": 1}.get(getattr(given, "quantity", "velocity"), 0)
+    quantity = subject.given.quantity if isinstance(subject.given, FitResult) else "velocity"
+    return {"displacement": -1, "velocity": 0, "acceleration": 1}[quantity]
 
 
-def band_around(models: Any, omega: Array, level: float, power: int = 0) -> Band:
+def _band(models: Any, omega: Array, level: float, power: int) -> BodeBand:
     """Band of models drawn around a system, each times a power of s."""
     with np.errstate(divide="ignore"):
         size = 20.0 * np.log10(models.magnitude_band(omega, level)) + 20.0 * power * np.log10(omega)
     # infinite where draws have their pole, zero where they have their zero: beyond any picture
     size = np.clip(size, -_BEYOND, _BEYOND)
-    return Band(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level) + 90.0 * power)
+    return BodeBand(f"{100 * level:g} % band", omega, size, models.phase_band(omega, level) + 90.0 * power)
 
 
 def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: str | None) -> Curve | None:
@@ -274,28 +262,29 @@ def _tabulated(data: ct.FrequencyResponseData, label: str) -> Curve:
     seen = data.omega > 0
     if not seen.any():
         raise StructureError("the frequency response data have no frequency above 0; nothing can be drawn")
-    return Curve(label, data.omega[seen], data.frdata[:, :, seen], np.zeros(0), _nyquist(data), tabulated=True)
+    nyquist = data.nyquist if isinstance(data, SpectralEstimate) else _nyquist(data)
+    return Curve(label, data.omega[seen], data.frdata[:, :, seen], np.zeros(0), nyquist, tabulated=True)
 
 
-def _curve(sys: Any, label: str, grid: Array | None, low: float, high: float, count: int | None) -> Curve:
+def _curve(subject: Subject, grid: Array | None, low: float, high: float, count: int | None) -> Curve:
     """Response of a system at the given frequencies, or on a grid of its own."""
+    sys = subject.system
     if isinstance(sys, ct.FrequencyResponseData):
-        return _tabulated(sys, label)
+        return _tabulated(sys, subject.label)
     marks, singular = features(sys)
-    if grid is None:
-        closest = _CLOSEST_PH if isinstance(sys, LosslessSystem) else _CLOSEST
-        grid = frequency_grid(marks, low, high, closest, count)
+    grid = frequency_grid(marks, low, high, subject.lossless, count) if grid is None else grid
     nyquist = _nyquist(sys)
-    if nyquist is None:
-        return Curve(label, grid, sys(1j * grid, squeeze=False, warn_infinite=False), singular)
-    grid = grid[grid <= nyquist]
-    points = np.exp(1j * grid * _timebase(sys))
-    return Curve(label, grid, sys(points, squeeze=False, warn_infinite=False), singular, nyquist)
+    grid = grid if nyquist is None else grid[grid <= nyquist]
+    s = 1j * grid
+    response = sys(s if nyquist is None else np.exp(s * _timebase(sys)), squeeze=False, warn_infinite=False)
+    power = _power_of_s(subject)
+    if power:
+        # a zero without sign leaves the phase of a lossless response at one side of half a turn
+        response = (response + 0.0) * (s if power > 0 else 1.0 / s)
+    return Curve(subject.label, grid, response, singular, nyquist)
 
 
 def _nyquist(sys: Any) -> float | None:
-    if isinstance(sys, SpectralEstimate):
-        return sys.nyquist
     return float(np.pi) / _timebase(sys) if sys.isdtime(strict=True) else None
 
 
@@ -312,17 +301,13 @@ def _frequencies(
 ) -> tuple[Array | None, float, float]:
     """Frequencies asked for, if any, and the ends of the axis, all in rad per unit time."""
     given = None if omega is None else _ascending("omega", omega)
-    if given is not None and len(given) > 2:
-        ends = given[[0, -1]]
-    elif given is not None:
-        ends, given = given, None
-    else:
-        ends = _default_limits(extents, measured, unit)
+    ends = _default_limits(extents, measured, unit) if given is None else given[[0, -1]]
     if omega_limits is not None:
         ends = _ascending("omega_limits", omega_limits) * unit
         if len(ends) != 2:
             raise StructureError(f"omega_limits has {len(ends)} entries; give the lowest and the highest frequency")
-    return given, float(ends[0]), float(ends[1])
+    # two frequencies are limits
+    return (given if given is not None and len(given) > 2 else None), float(ends[0]), float(ends[1])
 
 
 def _ascending(name: str, value: Any) -> Array:
@@ -340,7 +325,7 @@ def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Arra
     if measured is not None:
         top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
         everything = np.concatenate([extents, [measured.omega[0] / 1.1, top * 1.1]])
-        return everything[[np.argmin(everything), np.argmax(everything)]]
+        return np.array([everything.min(), everything.max()])
     if not len(extents):
         return np.array([0.1, 10.0]) * unit
     # a table may end at a decade, to rounding
@@ -362,18 +347,19 @@ def features(sys: Any) -> tuple[Array, Array]:
 
     The second kind is where the response is infinite or zero; it includes every pole and zero of a lossless one-port.
     """
-    points = np.concatenate([np.zeros(0, complex), sys.poles(), _zeros(sys)])
+    # with several ports the zeros of the system itself are not seen in a picture
+    entries = [sys] if sys.issiso() else [sys[i, j] for i in range(sys.noutputs) for j in range(sys.ninputs)]
+    poles = np.asarray(sys.poles(), complex)
+    points = np.concatenate([poles, *(np.asarray(entry.zeros(), complex) for entry in entries)])
     if sys.isdtime(strict=True):
-        points = points[points != 0]
-        points = np.log(points.astype(complex)) / _timebase(sys)
+        points = np.log(points[points != 0]) / _timebase(sys)
     points = points[np.isfinite(points)]
     if isinstance(sys, LosslessSystem) and sys.issiso():
         on_axis = np.unique(points.imag[points.imag > 0])
         return on_axis, on_axis
     size = np.abs(points)
     # eigenvalue solvers return zeros at infinity as huge numbers, and those at the origin as tiny ones
-    poles = np.abs(sys.poles())
-    scale = np.max(poles, initial=0.0) if sys.isctime() else np.pi / _timebase(sys)
+    scale = np.max(np.abs(poles), initial=0.0) if sys.isctime() else np.pi / _timebase(sys)
     points = points[(size > _NEGLIGIBLE * scale) & ((size < scale / _NEGLIGIBLE) | (scale == 0))]
     on_axis = points[(np.abs(points.real) <= 1e-7 * np.abs(points)) & (points.imag > 0)].imag
     # well damped ones have no peak, and of repeated real ones the imaginary parts are rounding
@@ -381,21 +367,14 @@ def features(sys: Any) -> tuple[Array, Array]:
     return np.unique(np.concatenate([np.abs(points), peaks])), np.unique(on_axis)
 
 
-def _zeros(sys: Any) -> ComplexArray:
-    """Zeros of every entry of the response: with several ports those of the system itself are not seen in a picture."""
-    if sys.issiso():
-        return np.asarray(sys.zeros(), dtype=complex)
-    entries = [sys[i, j].zeros() for i in range(sys.noutputs) for j in range(sys.ninputs)]
-    return np.concatenate(entries).astype(complex)
-
-
 def frequency_grid(
     marks: ArrayLike,
     low: float,
     high: float,
-    closest: float = _CLOSEST,
+    exact: bool = False,
     count: int | None = None,
     around: int = _AROUND_ALL,
+    closest: float | None = None,
 ) -> Array:
     """Frequencies from `low` to `high`, dense on both sides of every mark and never on one.
 
@@ -405,23 +384,22 @@ def frequency_grid(
         Frequencies of poles and zeros, positive.
     low, high : float
         Ends of the grid, `0 < low < high`.
-    closest : float
-        Distance of the nearest points to a mark, relative to its frequency.
+    exact : bool
+        Whether marks are told apart however close they are; otherwise those closer than a tenth of `closest` may be one
+        that was rounded.
     count : int, optional
         Number of frequencies between the ends, those around the marks apart.
     around : int
         Number of those on each side of all marks between the ends together, as far as there are at least 3 and at most
         30 for each.
+    closest : float, optional
+        Distance of the nearest points to a mark, relative to its frequency; by default 1e-8, of exact ones 1e-12.
 
     Returns
     -------
     ndarray
         Ascending frequencies: 200 a decade, at least 500, and on each side of each mark 3 to 30 points at geometrically
         shrinking distances, from half way to the next mark, or half its frequency, down to `closest`.
-
-    Notes
-    -----
-    Marks closer than a tenth of `closest` count as one, but for a `closest` of 1e-12 or less have a point between them.
 
     Examples
     --------
@@ -431,58 +409,28 @@ def frequency_grid(
     >>> bool(np.abs(grid - 1.0).min() > 0), bool(np.abs(grid - 1.0).min() < 1e-7)
     (True, True)
     """
+    closest = closest or (_CLOSEST_PH if exact else _CLOSEST)
     if count is None:
         count = 2 + int(np.ceil(max(500.0, _PER_DECADE * np.log10(high / low))))
     base = np.geomspace(low, high, max(2, count))
     base[0], base[-1] = low, high
     marks = np.unique(np.asarray(marks, dtype=float))
-    if not len(marks):
-        return base
-    groups = marks[np.diff(marks, prepend=-np.inf) > 0.1 * closest * marks]
-    gaps = np.diff(groups, prepend=0.0, append=np.inf)
+    gaps = np.diff(marks, prepend=0.0, append=np.inf)
     # fewer for each of very many, which the picture cannot separate anyhow
-    inside = int(np.sum((groups >= low) & (groups <= high)))
+    inside = int(np.sum((marks >= low) & (marks <= high)))
     shrinking = np.linspace(0.0, 1.0, int(np.clip(around // max(1, inside), 3, 30)))
     parts = [base]
     for side, gap in ((-1.0, gaps[:-1]), (1.0, gaps[1:])):
-        far = 0.5 * np.minimum(gap, groups)
-        near = np.minimum(closest * groups, far)
-        parts.append((groups[:, None] + side * far[:, None] * (near / far)[:, None] ** shrinking).ravel())
+        far = 0.5 * np.minimum(gap, marks)
+        near = np.minimum(closest * marks, far)
+        parts.append((marks[:, None] + side * far[:, None] * (near / far)[:, None] ** shrinking).ravel())
     grid = np.unique(np.concatenate(parts))
-    grid = grid[(grid >= low) & (grid <= high)]
-    grid = grid[_distance(grid, marks) > 0.1 * closest * grid]
-    if closest > _CLOSEST_PH:
-        return grid
-    # marks that are exact are told apart however close they are, as long as a double is between them
-    below, above = marks[:-1], marks[1:]
-    middle = below + 0.5 * (above - below)
-    alone = (np.searchsorted(grid, below) == np.searchsorted(grid, above)) & (middle > below) & (middle < above)
-    middle = middle[alone & (middle >= low) & (middle <= high)]
-    return np.sort(np.concatenate([grid, middle])) if len(middle) else grid
+    clear = distance(grid, marks) > (0.0 if exact else 0.1 * closest * grid)
+    return grid[(grid >= low) & (grid <= high) & clear]
 
 
-def _distance(x: Array, marks: Array) -> Array:
+def distance(x: Array, marks: Array) -> Array:
     """Distance of each `x` to the nearest of the ascending marks."""
     fenced = np.concatenate([[-np.inf], marks, [np.inf]])
     above = np.searchsorted(fenced, x)
     return np.minimum(x - fenced[above - 1], fenced[above] - x)
-
-
-def away_from(x: Array, marks: Array, part: float) -> NDArray[np.bool_]:
-    """Tell which `x` keep at least `part` of the gap between their two neighbouring marks from both of them."""
-    if not len(marks):
-        return np.ones(x.shape, bool)
-    fenced = np.concatenate([[0.0], marks, [2 * marks[-1]]])
-    above = np.clip(np.searchsorted(fenced, x), 1, len(fenced) - 1)
-    gap = fenced[above] - fenced[above - 1]
-    return _distance(x, marks) >= part * gap
-
-
-def shown_range(curve: Curve, levels: Array, low: float, high: float, part: float) -> Array:
-    """Levels of a curve that a picture from `low` to `high` must hold: no infinite peak, and no lone outlier."""
-    kept = levels[curve.visible(low, high, part)]
-    kept = kept[np.isfinite(kept)]
-    if not curve.tabulated or not len(kept):
-        return kept
-    bottom, top = np.quantile(kept, [0.02, 0.98])
-    return kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,32 +16,19 @@ from .. import _checks
 from .._units import unit_for
 from ..analysis.margins import margin
 from ..exceptions import StructureError
-from .bode_data import BodeData, Curve, bode_data, shown_range
-from .style import (
-    BAND,
-    DOTS,
-    LineStyle,
-    Look,
-    PlainLogFormatter,
-    frequency_axis,
-    gain_label,
-    given_axes,
-    labelled,
-    new_axes,
-    plain,
-)
+from .bode_data import BodeData, Curve, bode_data
+from .style import BAND, DOTS, LineStyle, Look, PlainLogFormatter, frequency_axis, gain_label, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 Array = NDArray[np.float64]
 
-_SHOWN = 0.02  # of the gap between poles and zeros: nearer than this to one, an infinite peak leaves the picture
 _MANY = 50  # poles and zeros
 _NARROW = 100.0  # ratio of the ends of the frequency axis below which its labels are plain numbers
 _CROWD_BELOW = 2.0  # place among what is drawn, above the grid
 
-_PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78"}
+_PALE_DOTS: dict[str, Any] = {**DOTS, "markersize": 2.5, "color": "0.78", "zorder": 2.1}
 _LIMIT: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1.0}
 _MARGIN: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8, "zorder": 2.8}
 
@@ -173,63 +160,56 @@ def bode_plot(
         sysdata, omega, data, segments=segments, intersample=intersample, omega_limits=omega_limits,
         omega_num=omega_num, unit=unit, confidence=confidence, level=level, label=label, data_label=data_label,
     )  # fmt: skip
-    if display_margins and (len(numbers.output_labels), len(numbers.input_labels)) != (1, 1):
+    outputs, inputs, kinds = len(numbers.output_labels), len(numbers.input_labels), len(rows)
+    if display_margins and (outputs, inputs) != (1, 1):
         raise StructureError(
-            f"margins are those of one port; the systems have {len(numbers.output_labels)} outputs and "
-            f"{len(numbers.input_labels)} inputs: draw the loop sys[i, j]"
+            f"margins are those of one port; the systems have {outputs} outputs and {inputs} inputs: draw the loop "
+            "sys[i, j]"
         )
+    height = 1.6 + 1.6 * kinds if outputs == 1 else 1.9 * kinds * outputs
+    meaning = "magnitude above phase for each output" if kinds == 2 else ""
     with look.context():
-        figure, axes = _bode_axes(ax, len(numbers.output_labels), len(numbers.input_labels), len(rows))
-        lines = np.empty(axes.shape, dtype=object)
-        for (row, j), axis in np.ndenumerate(axes):
-            i, kind = row // len(rows), rows[row % len(rows)]
-            if kind == "phase":
-                lines[row, j] = _draw_phases(axis, numbers, i, j, unit, look, deg, wrap_phase)
+        drawn = picture(
+            look, ax, (kinds * outputs, inputs), (max(6.4, 3.8 * inputs), height), meaning=meaning, sharex=True
+        )
+        for (row, j), axis in np.ndenumerate(drawn.axes):
+            if rows[row % kinds] == "magnitude":
+                drawn.lines[row, j] = _draw_magnitudes(axis, numbers, row // kinds, j, unit, look, dB)
             else:
-                lines[row, j] = _draw_magnitudes(axis, numbers, i, j, unit, look, dB)
-                axis.set_ylabel("" if j else gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit))
+                drawn.lines[row, j] = _draw_phases(axis, numbers, row // kinds, j, unit, look, deg, wrap_phase)
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
             look.lattice(axis, minor="x")
-        _label_bode(axes, numbers, unit, unit_name, len(rows))
+        gain = gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit)
+        phase = "Phase [deg]" if deg else "Phase [rad]"
+        _label_axes(drawn.axes, numbers, unit, unit_name, [gain if kind == "magnitude" else phase for kind in rows])
         if display_margins:
-            _draw_margins(dict(zip(rows, axes[:, 0], strict=True)), numbers, lines[0, 0], unit, unit_name, dB, deg)
+            panels = dict(zip(rows, drawn.axes[:, 0], strict=True))
+            _draw_margins(panels, numbers, drawn.lines[0, 0], unit, unit_name, dB, deg)
         # a curve that is nowhere must at least be told
-        legend = look.legend(axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
-        look.entitle(figure, ax, numbers.title)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def _bode_axes(ax: Any, noutputs: int, ninputs: int, rows: int) -> tuple[Figure, NDArray[Any]]:
-    shape = (rows * noutputs, ninputs)
-    if ax is not None:
-        return given_axes(ax, shape, "magnitude above phase for each output" if rows == 2 else "")
-    height = (4.8 if rows == 2 else 3.2) if noutputs == 1 else 1.9 * rows * noutputs
-    return new_axes(None, shape, (max(6.4, 3.8 * ninputs), height), sharex=True)
+        legend = look.legend(drawn.axes[0, -1], 1 if any(curve.vanishes for curve in numbers.curves) else 2)
+        return drawn.finished(numbers.title, legend)
 
 
 def _draw_magnitudes(
     axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, decibels: bool
 ) -> list[Any]:
-    levels = [curve.magnitude(i, j) for curve in numbers.curves]
-    low, high = numbers.low, numbers.high
-    shown = [shown_range(curve, level, low, high, _SHOWN) for curve, level in zip(numbers.curves, levels, strict=True)]
-    for curve, band in zip(numbers.curves, numbers.bands, strict=True):
-        if band is not None:
-            seen = band.visible(curve, low, high, _SHOWN)
-            # nine tenths of it: next to a resonance it reaches as far as the peak
-            shown.append(np.quantile(seen, [0.05, 0.95]) if seen.size else np.zeros(0))
-
     def scaled(level: Array) -> Array:
         return level if decibels else 10.0 ** (level / 20.0)
 
-    lines = _draw_curves(axis, numbers, [scaled(level) for level in levels], unit, look)
-    _fade_crowds(axis, numbers, unit)
-    _draw_typical(axis, numbers, [scaled(level) for level in levels], lines, unit)
-    _draw_bands(axis, numbers, lines, [band and scaled(band.magnitude) for band in numbers.bands], unit)
-    if numbers.measured is not None:
-        dots = numbers.measured.magnitude(i, j)
-        lines += _draw_dots(axis, numbers.measured, scaled(dots), unit)
-        shown.append(shown_range(numbers.measured, dots, low, high, 0.0))
+    low, high, measured = numbers.low, numbers.high, numbers.measured
+    levels = [curve.magnitude(i, j) for curve in numbers.curves]
+    dots = None if measured is None else measured.magnitude(i, j)
+    bands = [None if band is None else scaled(band.magnitude) for band in numbers.bands]
+    drawn_dots = None if dots is None else scaled(dots)
+    lines = _draw_panel(axis, numbers, [scaled(level) for level in levels], bands, drawn_dots, unit, look, medians=True)
+    shown = [curve.shown(level, low, high) for curve, level in zip(numbers.curves, levels, strict=True)]
+    for curve, band in zip(numbers.curves, numbers.bands, strict=True):
+        if band is not None:
+            # beyond nine tenths of it the band may run off as its curve does: next to a resonance it is as high
+            seen = band.magnitude[:, replace(curve, omega=band.omega).visible(low, high)]
+            shown.append(np.quantile(seen, [0.05, 0.95]) if seen.size else np.zeros(0))
+    if measured is not None and dots is not None:
+        shown.append(measured.shown(dots, low, high))
     values = np.concatenate(shown)
     if not decibels:
         axis.set_yscale("log")
@@ -245,78 +225,69 @@ def _draw_magnitudes(
 def _draw_phases(
     axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool, wrap: bool
 ) -> list[Any]:
-    turn = 1.0 if degrees else np.pi / 180.0
+    size, first, measured = 1.0 if degrees else np.pi / 180.0, numbers.curves[0], numbers.measured
     phases = [curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
-    lines = _draw_curves(axis, numbers, [turn * phase for phase in phases], unit, look)
-    _fade_crowds(axis, numbers, unit)
-    _draw_bands(axis, numbers, lines, [band and turn * band.phase for band in numbers.bands], unit)
-    if numbers.measured is not None:
-        first, dots = numbers.curves[0], numbers.measured
-        phases.append(dots.phase(i, j, unwrap=False) if wrap else dots.phase_near(i, j, first))
-        lines += _draw_dots(axis, numbers.measured, turn * phases[-1], unit)
-    values = np.concatenate([[-90.0, 90.0], *phases])
+    bands, dots = [None if band is None else size * band.phase for band in numbers.bands], None
+    if measured is not None:
+        dots = measured.phase(i, j, unwrap=False) if wrap else measured.phase_near(i, j, first)
+    lines = _draw_panel(
+        axis, numbers, [size * phase for phase in phases], bands, None if dots is None else size * dots, unit, look
+    )
+    values = np.concatenate([[-90.0, 90.0], *phases, [] if dots is None else dots])
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     step = 90.0 if high - low <= 450.0 else 180.0
-    axis.set_ylim(turn * (low - 0.25 * step), turn * (high + 0.25 * step))
+    axis.set_ylim(size * (low - 0.25 * step), size * (high + 0.25 * step))
     if high - low <= 1440.0:
-        axis.yaxis.set_major_locator(MultipleLocator(turn * step))
-        axis.yaxis.set_minor_locator(MultipleLocator(turn * step / 2.0))
+        axis.yaxis.set_major_locator(MultipleLocator(size * step))
+        axis.yaxis.set_minor_locator(MultipleLocator(size * step / 2.0))
     if not degrees:
         axis.yaxis.set_major_formatter(lambda value, _: f"{value / np.pi:g}π" if value else "0")
-    if j == 0:
-        axis.set_ylabel("Phase [deg]" if degrees else "Phase [rad]")
     return lines
 
 
-def _draw_curves(axis: Axes, numbers: BodeData, values: list[Array], unit: float, look: Look) -> list[Any]:
+def _draw_panel(
+    axis: Axes, numbers: BodeData, values: list[Array], bands: list[Array | None], dots: Array | None, unit: float,
+    look: Look, medians: bool = False,
+) -> list[Any]:  # fmt: skip
+    """Curves, medians where they close to a block, bands around them, and the measurement; lines of all but bands."""
     lines = []
     for k, (curve, value) in enumerate(zip(numbers.curves, values, strict=True)):
         label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
-        breaks = curve.gaps()
-        # what stands between two breaks is no line
-        marker = {"marker": ".", "markersize": 4.0} if len(breaks) else {}
-        # many resonances are told apart by thinner lines only
-        thin = {} if len(curve.singular) <= _MANY or "linewidth" in look.line else {"linewidth": 0.7}
-        below = {"zorder": _CROWD_BELOW} if curve.crowds(numbers.low, numbers.high) else {}
+        properties, breaks = look.curve(k), curve.gaps()
+        if len(breaks):
+            # what stands between two breaks is no line
+            properties |= {"marker": ".", "markersize": 4.0}
+        if len(curve.singular) > _MANY and "linewidth" not in look.line:
+            # many resonances are told apart by thinner lines only
+            properties["linewidth"] = 0.7
+        if curve.crowds(numbers.low, numbers.high):
+            properties["zorder"] = _CROWD_BELOW
         omega, value = np.insert(curve.omega, breaks, np.nan), np.insert(value, breaks, np.nan)
-        lines += axis.plot(omega / unit, value, label=label, **{**look.curve(k), **marker, **thin, **below})
-    return lines
-
-
-def _fade_crowds(axis: Axes, numbers: BodeData, unit: float) -> None:
-    """Make pale what closes to a block, and nothing else: above such curves, below all others."""
+        lines += axis.plot(omega / unit, value, label=label, **properties)
+    # a block is pale, and nothing else: above such curves, below all others
     for start, end in {crowd for curve in numbers.curves for crowd in curve.crowds(numbers.low, numbers.high)}:
-        axis.axvspan(
-            start / unit, end / unit, color=axis.get_facecolor(), alpha=0.7, linewidth=0.0, zorder=_CROWD_BELOW + 0.05
-        )
-
-
-def _draw_typical(axis: Axes, numbers: BodeData, values: list[Array], lines: list[Any], unit: float) -> None:
-    """Draw what such a block is filled with on the average."""
+        pale: dict[str, Any] = {"color": axis.get_facecolor(), "alpha": 0.7, "linewidth": 0.0}
+        axis.axvspan(start / unit, end / unit, zorder=_CROWD_BELOW + 0.05, **pale)
     for curve, value, line in zip(numbers.curves, values, lines, strict=True):
         omega, middle = curve.typical(value, numbers.low, numbers.high)
-        if len(omega):
+        if medians and len(omega):
             label = plain(f"{curve.label}: median where resonances are closer than dots")
             axis.plot(omega / unit, middle, label=label, color=line.get_color(), linewidth=1.6, zorder=3.1)
+    for band, line, ends in zip(numbers.bands, lines, bands, strict=True):
+        if band is not None and ends is not None:
+            axis.fill_between(band.omega / unit, *ends, label=plain(band.label), color=line.get_color(), **BAND)
+    return lines if numbers.measured is None else lines + _draw_dots(axis, numbers.measured, dots, unit)
 
 
-def _draw_bands(axis: Axes, numbers: BodeData, lines: list[Any], values: list[Any], unit: float) -> None:
-    for band, line, ends in zip(numbers.bands, lines, values, strict=True):
-        if band is not None:
-            axis.fill_between(
-                band.omega / unit, *ends, label=plain(band.label), color=line.get_color(), **BAND
-            )  # fmt: skip
-
-
-def _draw_dots(axis: Axes, measured: Curve, values: Array, unit: float) -> list[Any]:
-    omega = measured.omega / unit
-    if measured.doubtful is None or not measured.doubtful.any():
-        return axis.plot(omega, values, label=plain(measured.label), zorder=2.2, **DOTS)
-    sure = ~measured.doubtful
-    return [
-        *axis.plot(omega[sure], values[sure], label=plain(measured.label), zorder=2.2, **DOTS),
-        *axis.plot(omega[~sure], values[~sure], label="coherence below 0.5", zorder=2.1, **_PALE_DOTS),
-    ]
+def _draw_dots(axis: Axes, measured: Curve, values: Any, unit: float) -> list[Any]:
+    doubtful = np.zeros(len(measured.omega), bool) if measured.doubtful is None else measured.doubtful
+    lines: list[Any] = []
+    for mask, label, properties in (
+        (~doubtful, plain(measured.label), {**DOTS, "zorder": 2.2}), (doubtful, "coherence below 0.5", _PALE_DOTS)
+    ):  # fmt: skip
+        if mask is not doubtful or mask.any():
+            lines += axis.plot(measured.omega[mask] / unit, values[mask], label=label, **properties)
+    return lines
 
 
 def _draw_limits(axis: Axes, limits: list[float], unit_name: str) -> None:
@@ -330,46 +301,44 @@ def _draw_margins(
     panels: dict[str, Axes], numbers: BodeData, lines: list[Any], unit: float, unit_name: str, dB: bool, deg: bool
 ) -> None:
     """Distances from -180 degrees where the gain is 1, and from a gain of 1 where the phase is -180 degrees."""
-    turn = 1.0 if deg else np.pi / 180.0
+    size = 1.0 if deg else np.pi / 180.0
     texts = []
     for system, curve, line in zip(numbers.systems, numbers.curves, lines[: len(numbers.curves)], strict=True):
         gm, pm, wcg, wcp = margin(system)
-        style = {"color": line.get_color(), **_MARGIN}
+        style = {"label": "_", "color": line.get_color(), **_MARGIN}
+        decibels = 20.0 * np.log10(gm) if gm else -np.inf
         if "phase" in panels and np.isfinite(pm):
             # the phase of the curve may be whole turns away
             at = np.interp(wcp, curve.omega, curve.phase(0, 0))
             critical = -180.0 + 360.0 * np.round((at - (pm - 180.0)) / 360.0)
             low, high = panels["phase"].get_ylim()
-            panels["phase"].set_ylim(min(low, turn * (critical - 20.0)), max(high, turn * (critical + 20.0)))
-            panels["phase"].axhline(turn * critical, **_LIMIT)
-            panels["phase"].plot([wcp / unit] * 2, [turn * critical, turn * (critical + pm)], label="_", **style)
-        decibels = 20.0 * np.log10(gm) if gm else -np.inf
+            panels["phase"].set_ylim(min(low, size * (critical - 20.0)), max(high, size * (critical + 20.0)))
+            panels["phase"].axhline(size * critical, **_LIMIT)
+            panels["phase"].plot([wcp / unit] * 2, [size * critical, size * (critical + pm)], **style)
         if "magnitude" in panels:
             panels["magnitude"].axhline(0.0 if dB else 1.0, **_LIMIT)
             if np.isfinite(decibels):
-                ends = [-decibels, 0.0] if dB else [1.0 / gm, 1.0]
-                panels["magnitude"].plot([wcg / unit] * 2, ends, label="_", **style)
+                panels["magnitude"].plot([wcg / unit] * 2, [-decibels, 0.0] if dB else [1.0 / gm, 1.0], **style)
         gain = f"{decibels:.4g} dB at {wcg / unit:.4g} {unit_name}" if np.isfinite(decibels) else f"{decibels:g}"
         phase = f"{pm:.4g}° at {wcp / unit:.4g} {unit_name}" if np.isfinite(pm) else f"{pm:g}"
         name = f"{curve.label}: " if len(numbers.curves) > 1 else ""
         texts.append(plain(f"{name}gain margin {gain}, phase margin {phase}"))
     axis = next(iter(panels.values()))
-    axis.text(
-        0.01, 0.02, "\n".join(texts), transform=axis.transAxes, fontsize="x-small", zorder=4,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5},
-    )  # fmt: skip
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.5}
+    axis.text(0.01, 0.02, "\n".join(texts), transform=axis.transAxes, fontsize="x-small", zorder=4, bbox=box)
 
 
-def _label_bode(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, kinds: int) -> None:
-    rows, columns = axes.shape
+def _label_axes(axes: NDArray[Any], numbers: BodeData, unit: float, unit_name: str, quantities: list[str]) -> None:
     for (row, j), axis in np.ndenumerate(axes):
+        i, kind = divmod(row, len(quantities))
         axis.set_xscale("log")
         axis.set_xlim(numbers.low / unit, numbers.high / unit)
         if numbers.high < _NARROW * numbers.low:
             axis.xaxis.set_major_formatter(PlainLogFormatter())
             axis.xaxis.set_minor_formatter(PlainLogFormatter(labelOnlyBase=False))
-        if row == rows - 1:
+        if j == 0:
+            axis.set_ylabel(quantities[kind])
+        if row == len(axes) - 1:
             axis.set_xlabel(labelled("Frequency", unit_name))
-        if (rows > kinds or columns > 1) and row % kinds == 0:
-            channel = f"{numbers.input_labels[j]} to {numbers.output_labels[row // kinds]}"
-            axis.set_title(plain(channel), loc="left")
+        if axes.size > len(quantities) and kind == 0:
+            axis.set_title(plain(f"{numbers.input_labels[j]} to {numbers.output_labels[i]}"), loc="left")

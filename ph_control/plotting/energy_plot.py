@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import control as ct
-import numpy as np
-from matplotlib.axes import Axes
 
 from .. import _checks
 from .._units import unit_for
 from ..analysis.energy import EnergyBalance
 from ..exceptions import StructureError
-from .style import DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
+from .inputs import as_list
+from .style import ZERO, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -70,7 +69,7 @@ def energy_plot(
     ['Energy', 'Stored less\nsupplied']
     >>> plt.close(plot.figure)
     """
-    balances: list[Any] = list(balance) if isinstance(balance, list | tuple) else [balance]
+    balances = as_list(balance)
     for one in balances:
         if not isinstance(one, EnergyBalance):
             raise StructureError(f"this is a {type(one).__name__}; pass what energy_balance(response, sys) gives")
@@ -79,32 +78,24 @@ def energy_plot(
         raise StructureError(f"{len(names)} labels for {len(balances)} balances; give one for each, and one at least")
     look = Look.of(style)
     with look.context():
-        figure, axes = new_axes(ax, (2, 1), (6.4, 4.6), sharex=True, height_ratios=[2.0, 1.0])
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = _draw_energies(axes[0, 0], balances, names, look)
-        lines[1, 0] = []
+        drawn = picture(look, ax, (2, 1), (6.4, 4.6), sharex=True, height_ratios=[2.0, 1.0])
+        above, below = drawn.axes[:, 0]
+        drawn.lines[:, 0] = [[], []]
         for k, (one, name) in enumerate(zip(balances, names, strict=True)):
-            properties = {"color": f"C{2 * k}", "linewidth": 1.0, **look.line}
-            lines[1, 0] += axes[1, 0].plot(*extremes(one.time, one.defect, DRAWN), label=plain(name), **properties)
-        for axis in axes[:, 0]:
+            stored, supplied = {"color": f"C{2 * k}"}, {"color": f"C{2 * k + 1}", "linestyle": "--"}
+            prefix = f"{name}: " if name else ""
+            for axis, energy, text, line in (
+                (above, one.stored, f"{prefix}stored", {**stored, "linewidth": 1.4}),
+                (above, one.supplied, f"{prefix}supplied since the start", {**supplied, "linewidth": 1.4}),
+                (below, one.defect, name, {**stored, "linewidth": 1.0}),
+            ):
+                found = axis.plot(*extremes(one.time, energy), label=plain(text), **{**line, **look.line})
+                drawn.lines[int(axis is below), 0] += found
+        for axis in (above, below):
             axis.axhline(0.0, **ZERO)
             axis.set_xlim(min(one.time[0] for one in balances), max(one.time[-1] for one in balances))
             look.lattice(axis)
-        axes[0, 0].set_ylabel(labelled("Energy", energy_unit))
-        axes[1, 0].set_ylabel(labelled("Stored less\nsupplied", energy_unit))
-        axes[1, 0].set_xlabel(labelled("Time", unit_for(time_unit, balances)))
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, "Energy balance")
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def _draw_energies(axis: Axes, balances: list[EnergyBalance], names: list[str], look: Look) -> list[Any]:
-    lines: list[Any] = []
-    for k, (one, name) in enumerate(zip(balances, names, strict=True)):
-        prefix = f"{name}: " if name else ""
-        for energy, what, style in ((one.stored, "stored", "-"), (one.supplied, "supplied since the start", "--")):
-            properties = {
-                "color": f"C{2 * k + (style == '--')}", "linestyle": style, "linewidth": 1.4, **look.line,
-            }  # fmt: skip
-            lines += axis.plot(*extremes(one.time, energy, DRAWN), label=plain(prefix + what), **properties)
-    return lines
+        above.set_ylabel(labelled("Energy", energy_unit))
+        below.set_ylabel(labelled("Stored less\nsupplied", energy_unit))
+        below.set_xlabel(labelled("Time", unit_for(time_unit, balances)))
+        return drawn.finished("Energy balance")

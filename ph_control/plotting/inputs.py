@@ -3,25 +3,68 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import control as ct
+import numpy as np
+from numpy.typing import NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
+from ..systems.base import LosslessSystem
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
-DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
+_DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
 _TITLE = 70  # letters that fit above a picture; the legend has the names as well
 
 
-def as_systems(sysdata: Any, *, tabulated: bool = False) -> list[Any]:
-    """Systems of one number of ports: lossless or not; of fits their models, and frequency responses on request."""
-    systems = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
-    if not systems:
+@runtime_checkable
+class FitResult(Protocol):
+    """What pictures take of the result of a fit; it draws the models of a band itself."""
+
+    system: PortHamiltonian
+    experiments: tuple[Any, ...]
+    quantity: str
+    covariance: NDArray[np.float64]
+    observed_system: ct.StateSpace
+
+    def sample(self, k: int, rng: Any = None) -> Any:
+        """Models drawn from the distribution of the estimate."""
+
+    def confidence_interval(self, level: float = 0.95) -> Any:
+        """Intervals of the parameters."""
+
+    def plot(self, experiment: int = 0, **kwargs: Any) -> Any:
+        """Picture of the fit."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A system to draw: as it was given, as a linear system, and its name in the legend."""
+
+    given: Any
+    system: Any
+    label: str
+
+    @property
+    def lossless(self) -> bool:
+        """Whether poles and zeros are known to be on the imaginary axis."""
+        return isinstance(self.system, LosslessSystem)
+
+
+def as_list(given: Any) -> list[Any]:
+    """One thing or several, as a list."""
+    return list(given) if isinstance(given, list | tuple) else [given]
+
+
+def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: bool = False) -> list[Subject]:
+    """Systems of one number of ports; of fits their models, and frequency responses where `tabulated` allows them."""
+    given = as_list(sysdata)
+    if not given:
         raise StructureError("the list of systems is empty; give at least one")
-    systems = [_as_system(sys) for sys in systems]
+    systems = [ph(one) if isinstance(one, ModalForm) else _inside(one) for one in given]
     kinds = (ct.StateSpace, ct.TransferFunction, *([ct.FrequencyResponseData] if tabulated else []))
     for sys in systems:
         if not isinstance(sys, kinds):
@@ -33,81 +76,68 @@ def as_systems(sysdata: Any, *, tabulated: bool = False) -> list[Any]:
     shapes = [(sys.noutputs, sys.ninputs) for sys in systems]
     if len(set(shapes)) > 1:
         raise StructureError(f"the systems differ in (outputs, inputs): {shapes}; draw them in pictures of their own")
-    return systems
-
-
-def _as_system(given: Any) -> Any:
-    """Return the system itself, or that of a modal form or of the result of a fit."""
-    if isinstance(given, ModalForm):
-        return ph(given)
-    inside = getattr(given, "system", None)
-    return inside if isinstance(inside, PortHamiltonian) else given
-
-
-def labels_of(sysdata: Any, systems: list[Any], label: str | Sequence[str] | None) -> list[str]:
-    """Legend entries: those given, or the names of the systems that `as_systems` has made of `sysdata`."""
-    if label is None:
-        given = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
-        names = [_name_of(one, sys) for one, sys in zip(given, systems, strict=True)]
-        if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and systems[0]._generic_name_check():
-            return ["model"]
-        # a system and what was sampled of it have the same name
-        return [
-            f"{name} (dt = {sys.dt})" if names.count(name) > 1 and sys.isdtime(strict=True) else name
-            for name, sys in zip(names, systems, strict=True)
-        ]
-    labels = _checks.labels(label)
+    labels = _names(given, systems) if label is None else _checks.labels(label)
     if len(labels) != len(systems):
         raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
-    return labels
+    return [Subject(*one) for one in zip(given, systems, labels, strict=True)]
 
 
-def _name_of(given: Any, sys: Any) -> str:
-    """Name of a system; a fit is called one, unless its system was named."""
-    if given is not sys and hasattr(given, "experiments") and sys._generic_name_check():
-        return f"fit ({sys.n} mode{'s' * (sys.n != 1)})"
-    return str(sys.name)
+def _inside(given: Any) -> Any:
+    return given.system if isinstance(given, FitResult) else given
 
 
-def title_of(kind: str, systems: list[Any], relabelled: bool) -> str:
+def _names(given: list[Any], systems: list[Any]) -> list[str]:
+    """Names of systems; a fit is called one, unless its system was named."""
+    names = [
+        f"fit ({sys.n} mode{'s' * (sys.n != 1)})"
+        if isinstance(one, FitResult) and sys._generic_name_check()
+        else str(sys.name)
+        for one, sys in zip(given, systems, strict=True)
+    ]
+    if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and systems[0]._generic_name_check():
+        return ["model"]
+    # a system and what was sampled of it have the same name
+    return [
+        f"{name} (dt = {sys.dt})" if names.count(name) > 1 and sys.isdtime(strict=True) else name
+        for name, sys in zip(names, systems, strict=True)
+    ]
+
+
+def title_of(kind: str, subjects: list[Subject], relabelled: bool) -> str:
     """Title of a picture, with the names of its systems where they are few and have some."""
+    systems = [one.system for one in subjects]
     named = [sys.name for sys in systems if not (relabelled or sys._generic_name_check())]
     title = f"{kind} of " + ", ".join(dict.fromkeys(named))
     return title if 0 < len(named) == len(systems) <= 3 and len(title) <= _TITLE else kind
 
 
-def models_around(confidence: Any, sysdata: Any, systems: list[Any], *bands: str) -> list[Any]:
+def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list[Any]:
     """For each system the models drawn around it, or None: they have methods with the names `bands`.
 
-    `confidence` belongs to the first system, a list to all of them, True to each of `sysdata` that is the result of a
-    fit; such a result draws its models itself.
+    `confidence` belongs to the first system, a list to all of them, True to each that is the result of a fit.
     """
+    several = isinstance(confidence, list | tuple)
+    given = as_list(confidence) + [None] * ((len(subjects) - 1) * (not several))
     if confidence is True:
-        everything = list(sysdata) if isinstance(sysdata, list | tuple) else [sysdata]
-        confidence = [one if hasattr(one, "experiments") else None for one in everything]
-        if not any(confidence):
+        given = [one.given if isinstance(one.given, FitResult) else None for one in subjects]
+        if not any(given):
             raise StructureError(
                 "confidence is True, but none of the systems is the result of a fit; pass what pem gives, "
                 "or confidence=result"
             )
-    given = list(confidence) if isinstance(confidence, list | tuple) else [confidence]
-    if len(given) > len(systems) or (len(given) < len(systems) and isinstance(confidence, list | tuple)):
+    if len(given) != len(subjects):
         raise StructureError(
-            f"confidence has {len(given)} entries for {len(systems)} systems; give one for each, None for those without"
+            f"confidence has {len(given)} entries for {len(subjects)} systems; give one for each, None for those "
+            "without"
         )
-    found: list[Any] = []
-    for sys, one in zip(systems, [*given, *[None] * (len(systems) - len(given))], strict=True):
-        if one is None:
-            found.append(None)
-            continue
-        if not sys.issiso():
+    for sys, one in zip((subject.system for subject in subjects), given, strict=True):
+        if one is not None and not sys.issiso():
             raise StructureError(f"bands are those of one port; {sys.name} has {sys.ninputs}")
-        if not all(hasattr(one, band) for band in bands) and hasattr(one, "sample"):
-            # the same picture each time
-            one = one.sample(DRAWS, 0)
-        if not all(hasattr(one, band) for band in bands):
+    # the same picture each time
+    found = [one.sample(_DRAWS, 0) if isinstance(one, FitResult) else one for one in given]
+    for one in found:
+        if one is not None and not all(hasattr(one, band) for band in bands):
             raise StructureError(
                 f"confidence is a {type(one).__name__}; pass the result of pem, or models drawn by its sample(k)"
             )
-        found.append(one)
     return found

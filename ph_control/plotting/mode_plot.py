@@ -1,8 +1,10 @@
-"""Pictures of modes: their weights over frequency, and poles and zeros on the imaginary axis."""
+"""Pictures of modes: their weights over frequency, and poles and zeros on the imaginary axis; numbers first."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -13,19 +15,25 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._units import unit_for
 from ..exceptions import StructureError
-from .mode_data import ModeTable, PoleZeroMap, mode_tables, pole_zero_maps, strips
-from .style import LineStyle, Look, MarkStyle, frequency_axis, labelled, new_axes, plain
+from ..systems.port_hamiltonian import ph
+from .inputs import FitResult, Subject, subjects_of, title_of
+from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
 _DECADES = 100.0  # ratio of frequencies beyond which they are
-_MANY = 12  # poles in a strip
 _MANY_STEMS = 40
 _MARKERS = ("o", "s", "^", "D", "v")
+
+_ON_AXIS = 1e-7  # relative real part of a pole or zero that is on the axis but for the rounding of an eigenvalue
+_POLES_IN_STRIP = 24  # that are told apart
+_STRIPS = 12  # that fit on a page; of more than 288 poles the marks overlap
+_MANY = 12  # poles in a strip
 _POLE: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 7.0, "markeredgewidth": 1.5, "zorder": 3}
 _ZERO: dict[str, Any] = {
     "linestyle": "none", "marker": "o", "markersize": 6.0, "markerfacecolor": "none", "markeredgewidth": 1.3,
@@ -100,42 +108,87 @@ def modes_plot(
     """
     time_unit = unit_for(time_unit, sysdata)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    tables, ports, default = mode_tables(sysdata, quantity, level, label)
+    _checks.choice("quantity", quantity, ("kappa", "r"))
+    subjects = subjects_of(sysdata, label)
+    tables = [mode_table(one, quantity, level) for one in subjects]
+    ports = subjects[0].system.output_labels
+    if quantity == "r":
+        weight = labelled("Weight r", gain_unit)
+    else:
+        slope = f"({gain_unit})/{time_unit or 'time'}" if _checks.unit_text(gain_unit) else None
+        weight = labelled("Residue κ = r d", slope)
     look = Look.of(style)
     with look.context():
         size = (6.4, 3.4 if len(ports) == 1 else 2.2 * len(ports))
-        figure, axes = new_axes(ax, (len(ports), 1), size, sharex=True)
-        lines = np.empty(axes.shape, dtype=object)
-        for port, axis in enumerate(axes[:, 0]):
-            lines[port, 0] = _draw_modes(axis, tables, port, unit, look)
+        drawn = picture(look, ax, (len(ports), 1), size, sharex=True)
+        for port, axis in enumerate(drawn.axes[:, 0]):
+            drawn.lines[port, 0] = _draw_modes(axis, tables, port, unit, look)
             look.lattice(axis)
-            axis.set_ylabel(_weight_label(quantity, gain_unit, time_unit))
+            axis.set_ylabel(weight)
             if len(ports) > 1:
                 axis.set_title(plain(f"Port {ports[port]}"), loc="left")
-        axes[-1, 0].set_xlabel(labelled("Natural frequency", unit_name))
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, default)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
+        drawn.axes[-1, 0].set_xlabel(labelled("Natural frequency", unit_name))
+        return drawn.finished(title_of("Modes", subjects, label is not None))
 
 
-def _weight_label(quantity: str, gain_unit: str | None, time_unit: str | None) -> str:
-    if quantity == "r":
-        return labelled("Weight r", gain_unit)
-    return labelled("Residue κ = r d", f"({gain_unit})/{time_unit or 'time'}" if _checks.unit_text(gain_unit) else None)
+@dataclass(frozen=True)
+class ModeTable:
+    """Modes of one system: weights `size`, shape (n, m), at `d`, shape (n,), and that of a pole at 0, shape (m,).
+
+    `d_range` and `size_range`, shape (n, 2), are confidence intervals: NaN where there is none, and infinite for what
+    the data do not show.
+    """
+
+    label: str
+    d: Array
+    size: Array
+    at_zero: Array
+    d_range: Array
+    size_range: Array
+    level: float | None
+
+
+def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
+    """Modes of a system; of a fit, with intervals at a level."""
+    modes = (subject.system if subject.lossless else ph(subject.system)).modes
+    size = (modes.kappa if quantity == "kappa" else modes.r).reshape(len(modes.d), modes.nports)
+    at_zero = np.atleast_2d(modes.kappa_0).diagonal() if quantity == "kappa" else np.zeros(modes.nports)
+    if not isinstance(subject.given, FitResult):
+        unknown = np.full((len(modes.d), 2), np.nan)
+        return ModeTable(subject.label, modes.d, size, at_zero, unknown, unknown, None)
+    intervals = subject.given.confidence_interval(level)
+    sizes = np.asarray(intervals["r"])
+    if quantity == "kappa":
+        sizes = kappa_intervals(modes.d, modes.r, subject.given.covariance, sizes)
+    return ModeTable(subject.label, modes.d, size, at_zero, np.asarray(intervals["d"]), sizes, level)
+
+
+def kappa_intervals(d: Array, r: Array, covariance: Array, r_intervals: Array) -> Array:
+    """Confidence intervals of `kappa = r d`, shape (n, 2), from those of `r` and the covariance of `(d, r, ..)`."""
+    n = len(d)
+    dd, rr, dr = (np.diagonal(covariance[i : i + n, j : j + n]) for i, j in ((0, 0), (n, n), (0, n)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # in units of those of r, so that one level serves both; a lower end cut off at 0 says nothing of the width
+        stretch = np.sqrt(np.maximum(d**2 * rr + r**2 * dd + 2 * d * r * dr, 0.0) / rr)
+        half = stretch * (r_intervals[:, 1] - r)
+    return np.maximum(np.stack([r * d - half, r * d + half], axis=1), 0.0)
 
 
 def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, look: Look) -> list[Any]:
-    d = np.concatenate([table.d for table in tables]) / unit
     size = np.concatenate([table.size[:, port] for table in tables])
     shown = size[size > 0]
     logarithmic = bool(len(shown)) and float(shown.max()) > _WIDE * float(shown.min())
-    _frequency_scale(axis, d, any(table.at_zero[port] > 0 for table in tables))
-    bottom = 0.0
-    if logarithmic:
-        bottom = float(10.0 ** np.floor(np.log10(shown.min()) - 0.3))
-        axis.set_yscale("log")
+    at_zero = max(float(table.at_zero[port]) for table in tables)
+    _frequency_scale(axis, np.concatenate([table.d for table in tables]) / unit, at_zero > 0)
+    bottom = float(10.0 ** np.floor(np.log10(shown.min()) - 0.3)) if logarithmic else 0.0
     lines = [_draw_stems(axis, k, table, port, unit, bottom, look) for k, table in enumerate(tables)]
-    _weight_range(axis, tables, port, bottom, logarithmic)
+    # above all weights, and above their intervals where these are not far longer
+    largest = max(float(size.max(initial=0.0)), at_zero) or 1.0
+    ends = np.concatenate([table.size_range[:, 1] for table in tables])
+    top = max(largest, min(float(ends[np.isfinite(ends)].max(initial=0.0)), 3.0 * largest))
+    if logarithmic:
+        axis.set_yscale("log")
+    axis.set_ylim((bottom, 2.0 * top) if logarithmic else (-0.03 * top, 1.08 * top))
     return lines
 
 
@@ -151,56 +204,35 @@ def _frequency_scale(axis: Axes, d: Array, from_zero: bool) -> None:
         axis.set_xlim(-0.02 * (high or 1.0), 1.05 * (high or 1.0))
 
 
-def _weight_range(axis: Axes, tables: list[ModeTable], port: int, bottom: float, logarithmic: bool) -> None:
-    """From the bottom of the stems to above all weights, and above their intervals where these are not far longer."""
-    largest = max(float(np.max(table.size[:, port], initial=float(table.at_zero[port]))) for table in tables)
-    largest = largest or 1.0
-    tops = [table.size_range[:, 1] for table in tables]
-    ends = np.concatenate([top[np.isfinite(top)] for top in tops])
-    top = max(largest, min(float(ends.max(initial=0.0)), 3.0 * largest))
-    axis.set_ylim(bottom if logarithmic else -0.03 * top, 2.0 * top if logarithmic else 1.08 * top)
-
-
 def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bottom: float, look: Look) -> Any:
-    colour = look.line.get("color", f"C{k}")
-    stem = {
-        "linewidth": 1.2 if len(table.d) <= _MANY_STEMS else 0.8 if len(table.d) <= 5 * _MANY_STEMS else 0.3,
-        "linestyle": "-",
-        **look.line,
-        "color": colour,
-    }
-    d, size = table.d / unit, table.size[:, port]
-    height = np.maximum(size, bottom)
-    known = (size > 0) & ~np.isinf(table.size_range[:, 1])
+    """Stems of one system with their heads, which are returned; intervals behind them."""
+    d, size, on_zero = table.d / unit, table.size[:, port], table.at_zero[port]
+    height, count = np.maximum(size, bottom), len(table.d)
+    width = 1.2 if count <= _MANY_STEMS else 0.8 if count <= 5 * _MANY_STEMS else 0.3
+    stem = {"linewidth": width, "linestyle": "-", "color": f"C{k}", **look.line}
+    mark: dict[str, Any] = {"linestyle": "none", "marker": _MARKERS[k % 5], "color": stem["color"], "zorder": 3}
+    head = {**mark, "markersize": 5.0 if count <= _MANY_STEMS else 3.0}
     axis.vlines(d, bottom, height, zorder=2, **stem)
     label = table.label
-    on_zero = table.at_zero[port]
     if on_zero > 0 and axis.get_xscale() == "log":
         label += f" (and {on_zero:.3g} at 0)"
     elif on_zero > 0:
         axis.vlines([0.0], bottom, [on_zero], zorder=2, **stem)
-        axis.plot([0.0], [on_zero], marker=_MARKERS[k % 5], color=colour, markersize=5.0, zorder=3)
-    head = 5.0 if len(d) <= _MANY_STEMS else 3.0
-    marker: dict[str, Any] = {"linestyle": "none", "marker": _MARKERS[k % 5], "markersize": head, "zorder": 3}
-    heads = axis.plot(d, height, label=plain(label), color=colour, **marker)[0]
-    hollow = {**marker, "markerfacecolor": "white", "color": colour, "zorder": 4, "clip_on": False}
-    if not known.all():
-        axis.plot(d[~known], height[~known], label="not reached, or not shown by the data", **hollow)
+        axis.plot([0.0], [on_zero], markersize=5.0, **mark)
+    heads = axis.plot(d, height, label=plain(label), **head)[0]
+    hidden = (size == 0) | np.isinf(table.size_range[:, 1])
+    if hidden.any():
+        hollow = {**head, "markerfacecolor": "white", "zorder": 4, "clip_on": False}
+        axis.plot(d[hidden], height[hidden], label="not reached, or not shown by the data", **hollow)
     if table.level is not None:
-        _draw_intervals(axis, table, d, height, unit, colour, stem["linewidth"])
+        reach = np.abs(table.size_range - table.size[:, :1]).T
+        spread = np.abs(table.d_range / unit - d[:, None]).T
+        yerr, xerr = (np.where(np.isfinite(bars), bars, 0.0) for bars in (reach, spread))
+        axis.errorbar(
+            d, height, yerr=yerr, xerr=xerr, fmt="none", ecolor=stem["color"], elinewidth=2.2 * stem["linewidth"],
+            capsize=3.0, alpha=0.45, zorder=2.5, label=f"{100 * table.level:g} % intervals",
+        )  # fmt: skip
     return heads
-
-
-def _draw_intervals(
-    axis: Axes, table: ModeTable, d: Array, height: Array, unit: float, colour: Any, width: float
-) -> None:
-    reach = np.abs(table.size_range - table.size[:, :1]).T
-    spread = np.abs(table.d_range / unit - d[:, None]).T
-    usable = [np.where(np.isfinite(bars), bars, 0.0) for bars in (reach, spread)]
-    axis.errorbar(
-        d, height, yerr=usable[0], xerr=usable[1], fmt="none", ecolor=colour, elinewidth=2.2 * width, capsize=3.0,
-        alpha=0.45, zorder=2.5, label=f"{100 * (table.level or 0.0):g} % intervals",
-    )  # fmt: skip
 
 
 # --- poles and zeros -------------------------------------------------------------------------------------------------
@@ -263,38 +295,122 @@ def pole_zero_plot(
     >>> plt.close(plot.figure)
     """
     unit, unit_name = frequency_axis(Hz, unit_for(time_unit, sysdata))
-    maps, default = pole_zero_maps(sysdata, label)
+    subjects = subjects_of(sysdata, label)
+    if len({one.system.isdtime(strict=True) for one in subjects}) > 1:
+        raise StructureError("continuous-time and discrete-time poles are in different planes; draw them apart")
+    maps = [pole_zero_map(one) for one in subjects]
     look = Look.of(style, MarkStyle)
     with look.context():
         if all(one.on_axis for one in maps):
-            figure, axes, lines = _draw_strips(ax, maps, unit, unit_name, look)
+            drawn = _draw_strips(ax, maps, unit, unit_name, look)
         else:
-            figure, axes = new_axes(ax, (1, 1), (5.6, 4.8))
-            lines = np.empty((1, 1), dtype=object)
-            lines[0, 0] = _draw_plane(axes[0, 0], maps, unit, unit_name, look)
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, default)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
+            drawn = picture(look, ax, (1, 1), (5.6, 4.8))
+            drawn.lines[0, 0] = _draw_plane(drawn.axes[0, 0], maps, unit, unit_name, look)
+        return drawn.finished(title_of("Poles and zeros", subjects, label is not None))
 
 
-def _draw_strips(ax: Any, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Any:
+@dataclass(frozen=True)
+class PoleZeroMap:
+    """Poles and zeros of one system; `on_axis` if all of them are on the imaginary axis."""
+
+    label: str
+    poles: ComplexArray
+    zeros: ComplexArray
+    on_axis: bool
+    discrete: bool
+    ports: int = 1
+
+    @property
+    def upper(self) -> tuple[Array, Array]:
+        """Imaginary parts of poles and zeros on the upper half of the axis, 0 included, ascending."""
+        w, z = np.sort(self.poles.imag), np.sort(self.zeros.imag)
+        return w[w >= 0], z[z >= 0]
+
+    @property
+    def cancelled(self) -> int:
+        """Number of poles on the upper half of the axis that a zero lies on."""
+        return int(np.isin(*self.upper).sum())
+
+    @property
+    def alternating(self) -> bool:
+        """Whether poles and zeros alternate on the upper half of the axis, as those of a lossless one-port do."""
+        poles, zeros = self.upper
+        places = np.concatenate([poles, zeros])
+        kinds = np.repeat([True, False], [len(poles), len(zeros)])[np.argsort(places, kind="stable")]
+        return bool(len(np.unique(places)) == len(places) and (kinds[1:] != kinds[:-1]).all())
+
+    @property
+    def counts(self) -> list[str]:
+        """How many there are and, of one port, how they lie; those of several ports need not alternate."""
+        poles, zeros = (
+            f"{len(w)} {what}{'s' * (len(w) != 1)}" for w, what in zip(self.upper, ("pole", "zero"), strict=True)
+        )
+        if self.ports != 1:
+            return [poles, zeros]
+        order = "alternating" if self.alternating else "not alternating"
+        return [poles, f"{zeros}, {f'{self.cancelled} cancelled' if self.cancelled else order}"]
+
+
+def pole_zero_map(subject: Subject) -> PoleZeroMap:
+    """Poles and zeros of a system."""
+    sys, label = subject.system, subject.label
+    if subject.lossless and not sys._integrated:
+        # those of the transfer function: the matrices have 0 twice where a mass is free, and show one of them
+        return PoleZeroMap(label, sys.modes.poles, sys.modes.zeros, True, False, sys.ninputs)
+    try:
+        poles, zeros = (np.asarray(points, complex) for points in (sys.poles(), sys.zeros()))
+    except NotImplementedError as error:
+        raise StructureError(f"{label}: {error} Convert the system with control.ss") from None
+    points = np.concatenate([poles, zeros])
+    discrete = bool(sys.isdtime(strict=True))
+    near = np.abs(points.real) <= _ON_AXIS * np.abs(points).max(initial=0.0)
+    return PoleZeroMap(label, poles, zeros, bool(near.all()) and not discrete, discrete, sys.ninputs)
+
+
+def strips(maps: Sequence[PoleZeroMap], count: int | None = None) -> list[tuple[float, float]]:
+    """Frequency ranges that hold equally many poles each, few enough to be told apart; `count` of them if given."""
+    poles = np.sort(np.concatenate([one.upper[0] for one in maps]))
+    marks = np.sort(np.concatenate([poles, *(one.upper[1] for one in maps)]))
+    if not len(marks):
+        return [(0.0, 1.0)] * (count or 1)
+    if count is None:
+        count = min(max(1, -(-max(len(one.upper[0]) for one in maps) // _POLES_IN_STRIP)), _STRIPS)
+    low, high = float(marks[0]), float(marks[-1])
+    # from 0 on, unless all are far from it
+    inner = [low if low > 0.3 * high else 0.0, *_cuts(marks, poles, count), high]
+    least = 0.1 * high or 1.0
+    margins = [0.03 * (inner[1] - inner[0]) or least, 0.03 * (inner[-1] - inner[-2]) or least]
+    return list(itertools.pairwise([inner[0] - margins[0], *inner[1:-1], high + margins[1]]))
+
+
+def _cuts(marks: Array, poles: Array, count: int) -> list[float]:
+    """Where to part the axis: below poles that leave about equally many in each strip, in the middle of wide gaps."""
+    cuts: list[float] = []
+    spread = len(poles) // (6 * count)
+    for target in np.arange(1, count) * len(poles) // count:
+        near = poles[max(1, target - spread) : target + spread + 1]
+        below = np.array([marks[marks < w].max(initial=0.0) for w in near])
+        if len(near):
+            widest = int(np.argmax(near - below))
+            cuts.append(0.5 * float(below[widest] + near[widest]))
+    return sorted(set(cuts))
+
+
+def _draw_strips(ax: Any, maps: list[PoleZeroMap], unit: float, unit_name: str, look: Look) -> Picture:
     ranges = strips(maps, None if ax is None else max(1, int(np.size(ax))))
     if ax is not None and np.size(ax) > len(ranges):
         raise StructureError(f"ax has {np.size(ax)} axes, but there are poles for {len(ranges)} only; pass as many")
-    shape = (len(ranges), 1)
-    figure, axes = new_axes(
-        ax, shape, (7.2, 1.0 + len(ranges) * (0.55 + (0.35 if len(maps) == 1 else 0.45) * len(maps)))
-    )
-    lines = np.empty(shape, dtype=object)
-    for row, (axis, (low, high)) in enumerate(zip(axes[:, 0], ranges, strict=True)):
-        lines[row, 0] = []
+    height = 0.55 + (0.35 if len(maps) == 1 else 0.45) * len(maps)
+    drawn = picture(look, ax, (len(ranges), 1), (7.2, 1.0 + len(ranges) * height))
+    for row, (axis, (low, high)) in enumerate(zip(drawn.axes[:, 0], ranges, strict=True)):
+        drawn.lines[row, 0] = []
         for k, one in enumerate(maps):
-            lines[row, 0] += _draw_row(axis, one, -k, low, high, unit, look.line, len(maps) > 1)
-        _strip_axis(axis, maps, low / unit, high / unit, lines[row, 0])
+            drawn.lines[row, 0] += _draw_row(axis, one, -k, low, high, unit, look.line, len(maps) > 1)
+        _strip_axis(axis, maps, low / unit, high / unit, drawn.lines[row, 0])
         if look.grid:
             axis.grid(True, axis="x", linewidth=0.5, alpha=0.6)
-    axes[-1, 0].set_xlabel(labelled("Imaginary part, upper half", unit_name))
-    return figure, axes, lines
+    drawn.axes[-1, 0].set_xlabel(labelled("Imaginary part, upper half", unit_name))
+    return drawn
 
 
 def _draw_row(
@@ -302,28 +418,20 @@ def _draw_row(
 ) -> list[Any]:
     axis.axhline(height, **_AXIS)
     poles, zeros = (w[(w >= low) & (w < high)] / unit for w in one.upper)
-    counts = [f"{len(w)} {what}{'s' * (len(w) != 1)}" for w, what in zip(one.upper, ("pole", "zero"), strict=True)]
-    counts[1] += _verdict(one)
+    labels = one.counts
     if named:
-        text = ", ".join(counts)
-        place = axis.get_yaxis_transform()
-        axis.text(1.0, height + 0.16, text, transform=place, ha="right", va="bottom", fontsize="x-small", color="0.35")
-        counts = ["poles", "zeros"] if height == 0 else ["_", "_"]
+        corner: dict[str, Any] = {"ha": "right", "va": "bottom", "fontsize": "x-small", "color": "0.35"}
+        axis.text(1.0, height + 0.16, ", ".join(labels), transform=axis.get_yaxis_transform(), **corner)
+        labels = ["poles", "zeros"] if height == 0 else ["_", "_"]
     # smaller where they are many
     share = 1.0 if len(poles) <= _MANY else max(0.4, 0.75 * min(1.0, (3 * _MANY / len(poles)) ** 0.5))
     lines = []
-    for places, style, label, colour in ((poles, _POLE, counts[0], "C0"), (zeros, _ZERO, counts[1], "C1")):
-        properties = {"color": colour, **line, **style, "markersize": share * style["markersize"]}
-        properties["markeredgewidth"] = style["markeredgewidth"] * (1.0 if share >= 0.75 else 0.5)
+    for places, style, label, colour in ((poles, _POLE, labels[0], "C0"), (zeros, _ZERO, labels[1], "C1")):
+        edge = style["markeredgewidth"] * (1.0 if share >= 0.75 else 0.5)
+        sizes = {"markersize": share * style["markersize"], "markeredgewidth": edge}
+        properties = {"color": colour, **line, **style, **sizes}
         lines += axis.plot(places, np.full(len(places), height), label=plain(label), **properties)
     return lines
-
-
-def _verdict(one: PoleZeroMap) -> str:
-    """Say how poles and zeros lie; of several ports nothing, where they need not alternate."""
-    if one.ports != 1:
-        return ""
-    return f", {one.cancelled} cancelled" if one.cancelled else f", {'not ' * (not one.alternating)}alternating"
 
 
 def _strip_axis(axis: Axes, maps: list[PoleZeroMap], low: float, high: float, lines: list[Any]) -> None:

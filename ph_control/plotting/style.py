@@ -24,7 +24,6 @@ from ..exceptions import StructureError
 
 Array = NDArray[np.float64]
 
-DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 STYLES = ("-", "--", "-.", ":")
 BAND: dict[str, Any] = {"alpha": 0.22, "linewidth": 0.0, "zorder": 1.5}
 ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
@@ -32,8 +31,10 @@ ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
 MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
 SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
+
+_DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 _PER_INCH = 12.5  # letters of a legend, with some room between its columns
-MINOR = 0.35  # opacity of the grid lines between the main ones
+_MINOR = 0.35  # opacity of the grid lines between the main ones
 
 
 class FrameStyle(TypedDict, total=False):
@@ -78,7 +79,16 @@ class Look:
             raise TypeError(f"unexpected keyword argument {unknown[0]!r}; of style: {', '.join(known.__annotations__)}")
         given = {name: value for name, value in style.items() if value is not None}
         frame = {name: given.pop(name) for name in FrameStyle.__annotations__ if name in given}
-        _refuse_unknown_look(given, frame)
+        _checks.flags(**{name: frame[name] for name in ("grid", "show_legend") if name in frame})
+        place = frame.get("legend_loc")
+        if isinstance(place, str):
+            _checks.choice("legend_loc", place, tuple(Legend.codes))
+        # what matplotlib would refuse in the middle of a picture
+        try:
+            Line2D([], [], **given)
+            RcParams(dict(frame.get("rcParams", {})))
+        except (ValueError, TypeError, KeyError, OSError) as error:  # python-control raises the last on being iterated
+            raise StructureError(f"matplotlib does not know this style: {error}") from None
         return cls(**frame, line=given)
 
     def context(self) -> AbstractContextManager[None]:
@@ -95,48 +105,82 @@ class Look:
         if self.grid:
             axis.grid(True, which="major", linewidth=0.5, alpha=0.6)
             if minor is not None:
-                axis.grid(True, which="minor", axis=minor, linewidth=0.3, alpha=MINOR)  # type: ignore[arg-type]
+                axis.grid(True, which="minor", axis=minor, linewidth=0.3, alpha=_MINOR)  # type: ignore[arg-type]
 
     def legend(self, axis: Axes, least: int = 2) -> Any:
         """Legend outside the data, or where it was asked to be; none for fewer entries than `least`."""
         if self.show_legend is False or (self.legend_loc is False and self.show_legend is None):
             return None
-        least = 1 if self.show_legend or isinstance(self.legend_loc, str) else least
-        if not isinstance(self.legend_loc, str):
-            return legend_above(axis, least)
-        place: Any = self.legend_loc
-        return axis.legend(loc=place) if len(axis.get_legend_handles_labels()[1]) >= least else None
-
-    def entitle(self, figure: Figure, ax: Any, default: str) -> None:
-        """Title of the figure; on axes of one's own only if it was asked for."""
-        if self.title is not None or ax is None:
-            figure.suptitle(plain(default if self.title is None else self.title))
+        placed = isinstance(self.legend_loc, str)
+        handles, labels = axis.get_legend_handles_labels()
+        if len(labels) < (1 if self.show_legend or placed else least):
+            return None
+        where: dict[str, Any] = {"loc": self.legend_loc} if placed else _above(axis, labels)
+        return axis.legend(handles, labels, **where)
 
 
-def _refuse_unknown_look(line: Mapping[str, Any], frame: Mapping[str, Any]) -> None:
-    """Refuse what matplotlib would refuse in the middle of a picture."""
-    _checks.flags(**{name: frame[name] for name in ("grid", "show_legend") if name in frame})
-    place = frame.get("legend_loc")
-    if isinstance(place, str) and place not in Legend.codes:
-        raise StructureError(f"legend_loc is {place!r}; it must be one of {', '.join(map(repr, Legend.codes))}")
-    try:
-        Line2D([], [], **line)
-        RcParams(dict(frame.get("rcParams", {})))
-    except (ValueError, TypeError, KeyError, OSError) as error:  # python-control raises the last on being iterated
-        raise StructureError(f"matplotlib does not know this style: {error}") from None
+def _above(axis: Axes, labels: list[str]) -> dict[str, Any]:
+    """Place of a legend where no line can hide behind it, in as many columns as there is room for."""
+    room = _PER_INCH * axis.figure.bbox.width / axis.figure.dpi
+    # matplotlib fills column by column, each as wide as its longest entry
+    parts = {count: np.array_split(np.array(labels, dtype=object), count) for count in (4, 2)}
+    widths = {count: sum(max(map(len, part), default=0) for part in some) for count, some in parts.items()}
+    columns = next((count for count, width in widths.items() if width < room), 1)
+    return {
+        "loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": columns, "frameon": False, "borderaxespad": 0.2,
+    }  # fmt: skip
 
 
-def new_axes(ax: Any, shape: tuple[int, int], size: tuple[float, float], **options: Any) -> tuple[Figure, NDArray[Any]]:
-    """Axes of the given shape in a new figure, or those that were passed."""
+# --- figures ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Picture:
+    """Axes to draw on and, for each of them, the lines that were drawn."""
+
+    look: Look
+    figure: Figure
+    axes: NDArray[Any]
+    new: bool
+    lines: NDArray[Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.lines = np.empty(self.axes.shape, dtype=object)
+
+    def finished(self, title: str, legend: Any = None) -> ct.ControlPlot:
+        """Entitle the figure, on axes of one's own only if asked for; the legend is that of the first axes by default.
+
+        To be called with the settings that the picture was drawn with.
+        """
+        legend = self.look.legend(self.axes[0, 0]) if legend is None else legend
+        if self.look.title is not None or self.new:
+            self.figure.suptitle(plain(title if self.look.title is None else self.look.title))
+        return ct.ControlPlot(self.lines, self.axes, self.figure, legend=legend)
+
+    def legends(self) -> NDArray[Any]:
+        """Legends of all axes."""
+        return np.array([[self.look.legend(axis) for axis in row] for row in self.axes], dtype=object)
+
+
+def picture(
+    look: Look, ax: Any, shape: tuple[int, int], size: tuple[float, float], *, meaning: str = "", tied: int = 0,
+    **options: Any,
+) -> Picture:  # fmt: skip
+    """Axes of the given shape in a new figure, or those that were passed; the first `tied` rows share their abscissa.
+
+    `meaning` says in errors what the axes are for.
+    """
     if ax is not None:
-        return given_axes(ax, shape)
+        return Picture(look, *_given_axes(ax, shape, meaning), new=False)
     figure, axes = plt.subplots(*shape, squeeze=False, layout="constrained", figsize=size, **options)
+    for row in range(1, tied):
+        axes[row, 0].sharex(axes[0, 0])
+        axes[row - 1, 0].tick_params(labelbottom=False)
     figure.align_ylabels()
-    return figure, axes
+    return Picture(look, figure, axes, new=True)
 
 
-def given_axes(ax: Any, shape: tuple[int, int], meaning: str = "") -> tuple[Figure, NDArray[Any]]:
-    """Axes that were passed, in the shape that the picture needs."""
+def _given_axes(ax: Any, shape: tuple[int, int], meaning: str) -> tuple[Figure, NDArray[Any]]:
     axes = np.array(ax, dtype=object)
     if axes.size != np.prod(shape):
         raise StructureError(
@@ -149,40 +193,18 @@ def given_axes(ax: Any, shape: tuple[int, int], meaning: str = "") -> tuple[Figu
     return axes[0, 0].figure, axes
 
 
-def stacked(ax: Any, heights: list[float], *, share: str = "first", meaning: str = "") -> tuple[Figure, NDArray[Any]]:
-    """One column of axes; the second, or all of them, share the abscissa of the first, or none does."""
-    if ax is not None:
-        return given_axes(ax, (len(heights), 1), meaning)
-    tall = 0.8 + 2.3 * len(heights) if share == "none" else 1.2 + 0.75 * sum(heights)
-    figure = plt.figure(figsize=(7.2, tall), layout="constrained")
-    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
-    panels = [figure.add_subplot(grid[0])]
-    for k in range(1, len(heights)):
-        shared = share == "all" or (share == "first" and k == 1)
-        panels.append(figure.add_subplot(grid[k], sharex=panels[0] if shared else None))
-        if shared:
-            panels[k - 1].tick_params(labelbottom=False)
-    figure.align_ylabels(panels)
-    return figure, np.array(panels, dtype=object)[:, None]
+# --- labels ----------------------------------------------------------------------------------------------------------
+
+
+def labelled(quantity: str, unit: str | None) -> str:
+    """Label of an axis, with its unit in brackets if it has one."""
+    return plain(f"{quantity} [{unit}]" if _checks.unit_text(unit) else quantity)
 
 
 def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
     """Label of an axis of decibels."""
     unit = _checks.unit_text(gain_unit)
     return labelled(quantity, f"dB re 1 {unit}" if unit else "dB")
-
-
-class PlainLogFormatter(LogFormatter):
-    """Labels such as 20 in place of powers of ten times a digit, where the axis has labels between powers of ten."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        """Label of a tick, if it is to have one."""
-        return f"{x:g}" if super().__call__(x, pos) else ""
-
-
-def labelled(quantity: str, unit: str | None) -> str:
-    """Label of an axis, with its unit in brackets if it has one."""
-    return plain(f"{quantity} [{unit}]" if _checks.unit_text(unit) else quantity)
 
 
 def frequency_axis(Hz: bool, time_unit: str | None) -> tuple[float, str]:
@@ -202,26 +224,18 @@ def plain(text: str) -> str:
     return str(text).replace("$", r"\$")
 
 
-def legend_above(axis: Axes, least: int = 2) -> Any:
-    """Legend outside the data, where no line can hide behind it; none for fewer entries than `least`."""
-    handles, labels = axis.get_legend_handles_labels()
-    if len(labels) < least:
-        return None
-    room = _PER_INCH * axis.figure.bbox.width / axis.figure.dpi
-    columns = next((count for count in (4, 2) if _letters(labels, count) < room), 1)
-    return axis.legend(
-        handles, labels, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns,
-        frameon=False, borderaxespad=0.2,
-    )  # fmt: skip
+class PlainLogFormatter(LogFormatter):
+    """Labels such as 20 in place of powers of ten times a digit, where the axis has labels between powers of ten."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Label of a tick, if it is to have one."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
-def _letters(labels: list[str], columns: int) -> int:
-    """Width of a legend: matplotlib fills column by column, each as wide as its longest entry."""
-    parts = np.array_split(np.array(labels, dtype=object), columns)
-    return sum(max(map(len, part)) for part in parts if len(part))
+# --- long lines ------------------------------------------------------------------------------------------------------
 
 
-def extremes(time: Array, values: Array, limit: int) -> tuple[Array, Array]:
+def extremes(time: Array, values: Array, limit: int = _DRAWN) -> tuple[Array, Array]:
     """At most about `limit` samples that draw the same line: the least and the greatest of each short bin, in order.
 
     A bin without any number is a gap.

@@ -18,10 +18,8 @@ from .. import _checks
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
-from ..numerics import double_double as tf
-from ..systems.base import LosslessSystem
 from ..systems.port_hamiltonian import ph
-from .inputs import as_systems, labels_of, models_around, title_of
+from .inputs import Subject, models_around, subjects_of, title_of
 
 Array = NDArray[np.float64]
 
@@ -29,7 +27,7 @@ KINDS = ("impulse", "step")
 
 _PERIODS = 3  # of the slowest mode
 _PER_PERIOD = 20  # samples in the shortest period
-_COARSEST = 8  # below, a line through the samples is not the motion
+_COARSEST = 2 * np.pi / 8  # phase between samples beyond which a line through them is not the motion
 _LEAST = 501  # samples
 _MOST = 200_000
 _TABLE = 5_000_000  # entries of a (mode x instant) table, in all
@@ -44,7 +42,8 @@ class Trace:
     """Response of one system, shape (p, m, T), at `time`, shape (T,).
 
     `fast` holds the natural frequencies that the instants do not resolve, and `reach`, shape (p, m), how far they
-    lead away from `slow`, the response without them; `sampled` systems change at their instants only.
+    lead away from `slow`, the response without them; `joined` if a line through the samples is the motion, or that
+    without the fast ones; `sampled` systems change at their instants only.
     """
 
     label: str
@@ -58,7 +57,7 @@ class Trace:
 
     @property
     def resolved(self) -> bool:
-        """Whether a line through the samples is the motion."""
+        """Whether the samples show every motion."""
         return not len(self.fast)
 
     @property
@@ -68,7 +67,7 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Band:
+class TimeBand:
     """Confidence band: lower and upper end, shape (2, T), at `time`."""
 
     label: str
@@ -77,7 +76,7 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredResponse:
     """Measured response, shape (p, m, T), at `time`; NaN where missing."""
 
     label: str
@@ -90,8 +89,8 @@ class TransientData:
     """All that a picture of step or impulse responses draws."""
 
     traces: list[Trace]
-    bands: list[Band | None]
-    measured: Measured | None
+    bands: list[TimeBand | None]
+    measured: MeasuredResponse | None
     end: float
     input_labels: list[str]
     output_labels: list[str]
@@ -111,36 +110,34 @@ def transient_data(
     data_label: str | None = None,
 ) -> TransientData:
     """Compute what `step_plot` and `impulse_plot` draw; the arguments are theirs."""
-    systems = as_systems(sysdata)
-    labels = labels_of(sysdata, systems, label)
-    models = models_around(confidence, sysdata, systems, "step_band", "impulse_band")
-    lossless = [_modes(sys) for sys in systems]
-    measured = None if data is None else _measured(data, systems[0], kind, data_label)
+    subjects = subjects_of(sysdata, label)
+    models = models_around(confidence, subjects, "step_band", "impulse_band")
+    forms = [_modes(one) for one in subjects]
+    first = subjects[0].system
+    measured = None if data is None else _measured(data, first, kind, data_label)
     if timepts is None and measured is not None:
         timepts = float(measured.time[-1])
-    given = None
-    if timepts is not None and np.ndim(timepts) > 0:
-        given = _instants(timepts)
-    end = _end(systems, lossless, timepts) if given is None else float(given[-1])
+    given = None if timepts is None or np.ndim(timepts) == 0 else _instants(timepts)
+    end = _end(subjects, forms, timepts) if given is None else float(given[-1])
     traces = [
-        _stepped(sys, name, kind, given, end, timepts_num)
+        _stepped(one, kind, given, end, timepts_num)
         if modes is None
-        else lossless_trace(modes, name, kind, _integrals(sys, kind), given, end, timepts_num)
-        for sys, modes, name in zip(systems, lossless, labels, strict=True)
+        else _lossless(one, modes, kind, given, end, timepts_num)
+        for one, modes in zip(subjects, forms, strict=True)
     ]
     bands = [
-        None if drawn is None else _band(sys, modes, trace, drawn, kind, level)
-        for sys, modes, trace, drawn in zip(systems, lossless, traces, models, strict=True)
+        None if drawn is None else _band(one, modes, trace, drawn, kind, level)
+        for one, modes, trace, drawn in zip(subjects, forms, traces, models, strict=True)
     ]
-    first = systems[0]
-    # names that differ from one system to the next would be wrong for all but one
-    common = all(sys.output_labels == first.output_labels for sys in systems)
-    outputs = first.output_labels if common else ["Output"] if first.noutputs == 1 else _numbered(first.noutputs)
-    title = title_of(f"{kind.capitalize()} response", systems, label is not None)
+    outputs = first.output_labels
+    if any(one.system.output_labels != outputs for one in subjects):
+        # names that differ from one system to the next would be wrong for all but one
+        outputs = ["Output"] if first.noutputs == 1 else [f"Output {k + 1}" for k in range(first.noutputs)]
+    title = title_of(f"{kind.capitalize()} response", subjects, label is not None)
     return TransientData(traces, bands, measured, end, first.input_labels, outputs, title)
 
 
-def _measured(data: Any, sys: Any, kind: str, label: str | None) -> Measured:
+def _measured(data: Any, sys: Any, kind: str, label: str | None) -> MeasuredResponse:
     if not isinstance(data, ct.TimeResponseData):
         raise StructureError(f"data is a {type(data).__name__}; pass the measured response as control.TimeResponseData")
     # one trace for each input, as control.step_response has it
@@ -152,23 +149,19 @@ def _measured(data: Any, sys: Any, kind: str, label: str | None) -> Measured:
             f"each of {shape[1]} inputs"
         )
     if kind == "step" and inputs is not None:
-        steps = inputs.reshape(sys.ninputs, sys.ninputs, -1)
-        heights = steps[np.arange(sys.ninputs), np.arange(sys.ninputs)]
+        heights = np.einsum("iik->ik", inputs.reshape(sys.ninputs, sys.ninputs, -1))
         if np.abs(heights - 1.0).max() > _UNIT_STEP:
             raise StructureError(
                 f"the input of the data is no unit step: it lies between {heights.min():.4g} and {heights.max():.4g}, "
                 f"allowed 1 +- {_UNIT_STEP}; divide the outputs by its height, or use compare(data, model)"
             )
-    return Measured(label or "data", np.asarray(data.time, float), outputs.reshape(*shape, -1))
+    return MeasuredResponse(label or "data", np.asarray(data.time, float), outputs.reshape(*shape, -1))
 
 
-def _numbered(count: int) -> list[str]:
-    return [f"Output {k + 1}" for k in range(count)]
-
-
-def _modes(sys: Any) -> ModalForm | None:
+def _modes(subject: Subject) -> ModalForm | None:
     """Modal form of a lossless system, also of one in plain form; None for any other."""
-    if isinstance(sys, LosslessSystem):
+    sys = subject.system
+    if subject.lossless:
         return sys.modes
     if sys.isdtime(strict=True) or sys.noutputs != sys.ninputs:
         return None
@@ -176,11 +169,6 @@ def _modes(sys: Any) -> ModalForm | None:
         return ph(sys).modes
     except PHControlError:
         return None
-
-
-def _integrals(sys: Any, kind: str) -> int:
-    """How often the impulse response of the modes is integrated over time."""
-    return KINDS.index(kind) + int(isinstance(sys, LosslessSystem) and sys._integrated)
 
 
 # --- instants --------------------------------------------------------------------------------------------------------
@@ -196,18 +184,16 @@ def _instants(timepts: Any) -> Array:
     return t
 
 
-def _end(systems: list[Any], lossless: list[ModalForm | None], timepts: Any) -> float:
+def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: Any) -> float:
     """Last instant: the one asked for, or one by which every system has shown its slowest motion."""
     if timepts is not None:
         return _checks.sampling_step(timepts, name="the last instant")
     ends = []
-    for sys, modes in zip(systems, lossless, strict=True):
+    for one, modes in zip(subjects, forms, strict=True):
         if modes is None:
-            ends.append(float(ct.step_response(sys).time[-1]))
-            continue
-        live = modes.d[modes.nu.any(axis=1)]
-        if len(live):
-            ends.append(_PERIODS * 2 * np.pi / float(live.min()))
+            ends.append(float(ct.step_response(one.system).time[-1]))
+        elif modes.nu.any():
+            ends.append(_PERIODS * 2 * np.pi / float(modes.d[modes.nu.any(axis=1)].min()))
     return max(ends, default=10.0)
 
 
@@ -221,59 +207,49 @@ def _count(end: float, fastest: float, asked: int | None, most: int) -> int:
     return int(np.clip(np.ceil(end * fastest / (2 * np.pi) * _PER_PERIOD) + 1, _LEAST, max(_LEAST, most)))
 
 
-# --- lossless systems ------------------------------------------------------------------------------------------------
+# --- responses -------------------------------------------------------------------------------------------------------
 
 
-def lossless_trace(
-    modes: ModalForm, label: str, kind: str, integrals: int, given: Array | None, end: float, asked: int | None
+def _lossless(
+    subject: Subject, modes: ModalForm, kind: str, given: Array | None, end: float, asked: int | None
 ) -> Trace:
     """Response of a lossless system, with an envelope in place of the modes that its instants do not resolve."""
-    live = modes.nu.any(axis=1)
-    d = modes.d[live]
+    integrals = KINDS.index(kind) + int(subject.lossless and subject.system._integrated)
+    live, d = modes.nu.any(axis=1), modes.d
     if given is None:
-        most = min(_MOST, _TABLE // max(1, len(d)))
-        count = _count(end, d.max(initial=0.0), asked, most)
-        fast = d * end / (count - 1) > 2 * np.pi / _COARSEST
-        if fast.any() and asked is None:
-            # without them far fewer samples are enough
-            count = _count(end, d[~fast].max(initial=0.0), None, most)
-        t = np.linspace(0.0, end, count)
+        most = min(_MOST, _TABLE // max(1, int(live.sum())))
+        count = _count(end, d[live].max(initial=0.0), asked, most)
+        fast = live & (d * end / (count - 1) > _COARSEST)
+        # without those far fewer samples are enough
+        t = np.linspace(0.0, end, _count(end, d[live & ~fast].max(initial=0.0), asked, most))
     else:
         t = given
-        fast = d * float(np.diff(t).max()) > 2 * np.pi / _COARSEST
-    fast_modes = np.zeros(modes.d.shape, bool)
-    fast_modes[live] = fast
-    slow = response_of(_part(modes, ~fast_modes), t, integrals)
-    # what the modes add on the average, a displacement or a drift, is no oscillation
-    rest = _part(modes, fast_modes, rigid=False)
-    slow = slow + _mean_of(rest, t, integrals)
-    values = slow
-    if fast.any() and (given is not None or asked is not None):
+        fast = live & (d * float(np.diff(t).max()) > _COARSEST)
+    slow = values = response_of(modes, t, integrals, ~fast)
+    chosen = bool(fast.any()) and (given is not None or asked is not None)
+    if chosen:
         values = response_of(modes, t, integrals)
-    joined = not (fast.any() and (given is not None or asked is not None))
-    return Trace(label, t, values, slow, d[fast], _reach(rest, integrals), joined)
+    # the largest sum of the oscillations
+    size = np.abs(modes.nu[fast])
+    reach: Array = np.einsum("li,lj,l->ij", size, size, d[fast] ** (1.0 - integrals))
+    return Trace(subject.label, t, values, slow, d[fast], reach, not chosen)
 
 
-def _part(modes: ModalForm, chosen: NDArray[np.bool_], *, rigid: bool = True) -> ModalForm:
-    return ModalForm._of(
-        modes.d[chosen], modes.nu[chosen], modes.rigid.copy() if rigid else modes.rigid[:0], modes.r[chosen]
-    )
-
-
-def response_of(modes: ModalForm, time: ArrayLike, integrals: int) -> Array:
+def response_of(modes: ModalForm, time: ArrayLike, integrals: int, moving: NDArray[np.bool_] | None = None) -> Array:
     """Impulse response of a modal form, integrated so many times (0, 1 or 2), shape (m, m, T).
 
-    `integrals` of 1 is the step response.  Each `d t` is formed to twice the digits: right to a few units in the last
-    place of the sum of amplitudes, at any time.  O(n T m^2).
+    `integrals` of 1 is the step response.  Of modes that are not `moving` only the mean over an oscillation is taken, a
+    displacement or a drift.  O(n T m^2).
     """
     t = np.asarray(time, float)
     residue = modes.rigid.T @ modes.rigid
     total: Array = residue[:, :, None] * np.array([np.ones_like(t), t, 0.5 * t**2][integrals])
-    for d, nu in zip(modes.d, modes.nu, strict=True):
+    for l, (d, nu) in enumerate(zip(modes.d, modes.nu, strict=True)):
         # Re(d conj(nu_i) nu_j exp(-i d t)), integrated
         weight = nu.conj()[:, None] * nu[None, :] * d
-        phase, rest = tf.two_prod(np.full_like(t, d), t)
-        cosine, sine = np.cos(phase) - rest * np.sin(phase), np.sin(phase) + rest * np.cos(phase)
+        cosine, sine = np.zeros((2, len(t)))
+        if moving is None or moving[l]:
+            cosine, sine = np.cos(d * t), np.sin(d * t)
         if integrals == 1:
             cosine, sine = sine / d, (1.0 - cosine) / d
         elif integrals == 2:
@@ -282,73 +258,39 @@ def response_of(modes: ModalForm, time: ArrayLike, integrals: int) -> Array:
     return total
 
 
-def _mean_of(modes: ModalForm, t: Array, integrals: int) -> Array:
-    """What a response is on the average over the oscillations."""
-    weight = np.einsum("li,lj->lij", modes.nu.conj(), modes.nu) * modes.d[:, None, None]
-    d = modes.d[:, None, None]
-    if integrals == 0:
-        return np.zeros((modes.nports, modes.nports, len(t)))
-    if integrals == 1:
-        return np.repeat((weight.imag / d).sum(axis=0)[:, :, None], len(t), axis=2)
-    mean: Array = (weight.real / d**2).sum(axis=0)[:, :, None] + (weight.imag / d).sum(axis=0)[:, :, None] * t
-    return mean
-
-
-def _reach(modes: ModalForm, integrals: int) -> Array:
-    """Largest sum of the oscillations, shape (m, m)."""
-    size = np.abs(modes.nu)
-    reach: Array = np.einsum("li,lj,l->ij", size, size, modes.d ** (1.0 - integrals))
-    return reach
-
-
-# --- other systems ---------------------------------------------------------------------------------------------------
-
-
-def _stepped(sys: Any, label: str, kind: str, given: Array | None, end: float, asked: int | None) -> Trace:
+def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked: int | None) -> Trace:
     """Response that python-control computes, at instants that resolve it."""
-    if sys.isdtime(strict=True):
+    sys, label, sampled = subject.system, subject.label, bool(subject.system.isdtime(strict=True))
+    fastest = 0.0
+    if sampled:
         step = 1.0 if sys.dt is True else float(sys.dt)
-        count = min(_MOST_STEPPED, int(np.floor(end / step * (1 + 1e-12))) + 1)
-        t = np.asarray(step * np.arange(count), float)
-        fastest = 0.0
+        t = step * np.arange(min(_MOST_STEPPED, int(np.floor(end / step * (1 + 1e-12))) + 1), dtype=float)
     else:
-        fastest = _fastest(sys, end)
-        if given is None:
-            count = _count(end, fastest, asked, _MOST_STEPPED)
-            if asked is None and fastest * end / (count - 1) > 2 * np.pi / _COARSEST:
-                # what is left of it is shown as it is, rather than all of it as it is not
-                end = (count - 1) * 2 * np.pi / _COARSEST / fastest
-                label = f"{label} (to {end:.3g}: it oscillates at {fastest:.3g} rad per unit time)"
-            given = np.linspace(0.0, end, count)
-        t = given
+        # the fastest of the oscillations that last longer than a dot of the picture
+        poles = sys.poles()
+        fastest = float(np.abs(poles[poles.real > -_GONE * _LEAST / end].imag).max(initial=0.0))
+        count = _count(end, fastest, asked, _MOST_STEPPED)
+        if given is None and asked is None and fastest * end / (count - 1) > _COARSEST:
+            # what is left of it is shown as it is, rather than all of it as it is not
+            end = (count - 1) * _COARSEST / fastest
+            label = f"{label} (to {end:.3g}: it oscillates at {fastest:.3g} rad per unit time)"
+        t = np.linspace(0.0, end, count) if given is None else given
     respond = ct.step_response if kind == "step" else ct.impulse_response
-    response = respond(sys, timepts=t, squeeze=False)
-    joined = fastest * float(np.diff(t).max(initial=0.0)) <= 2 * np.pi / _COARSEST
-    values = np.asarray(response.outputs).reshape(sys.noutputs, sys.ninputs, len(t))
-    return Trace(label, t, values, values, joined=joined, sampled=bool(sys.isdtime(strict=True)))
+    values = np.asarray(respond(sys, timepts=t, squeeze=False).outputs).reshape(sys.noutputs, sys.ninputs, len(t))
+    joined = fastest * float(np.diff(t).max(initial=0.0)) <= _COARSEST
+    return Trace(label, t, values, values, joined=joined, sampled=sampled)
 
 
-def _fastest(sys: Any, end: float) -> float:
-    """Highest frequency of oscillations that last longer than a dot of the picture."""
-    poles = sys.poles()
-    lasting = poles.real > -_GONE * _LEAST / end
-    return float(np.abs(poles[lasting].imag).max(initial=0.0))
-
-
-# --- bands -----------------------------------------------------------------------------------------------------------
-
-
-def _band(sys: Any, modes: ModalForm | None, trace: Trace, models: Any, kind: str, level: float) -> Band:
-    if modes is None or (isinstance(sys, LosslessSystem) and sys._integrated):
-        raise StructureError(f"bands are those of port-Hamiltonian systems; {sys.name} is none")
+def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
+    if modes is None or (subject.lossless and subject.system._integrated):
+        raise StructureError(f"bands are those of port-Hamiltonian systems; {subject.system.name} is none")
     if not trace.resolved:
         raise StructureError(
             f"no band can be drawn at instants that do not resolve {listed(trace.fast)}; pass timepts of at most "
             f"{_MOST * 2 * np.pi / _PER_PERIOD / float(trace.fast.max()):.3g}"
         )
     draws = len(models) if hasattr(models, "__len__") else 1
-    most = max(2, _MOST_IN_BAND // max(1, draws * modes.n))
-    t = trace.time[:most]
+    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * modes.n))]
     ends = (models.step_band if kind == "step" else models.impulse_band)(t, level)
     shown = f"{100 * level:g} % band" + ("" if len(t) == len(trace.time) else f" (to {t[-1]:.3g})")
-    return Band(shown, t, np.asarray(ends))
+    return TimeBand(shown, t, np.asarray(ends))

@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike, NDArray
 
 from .._units import unit_for
-from .style import BAND, DOTS, DRAWN, ZERO, LineStyle, Look, extremes, labelled, new_axes, plain
+from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
 from .time_data import Trace, TransientData, transient_data
 
 if TYPE_CHECKING:
@@ -147,24 +147,22 @@ def _draw(
     rows, columns = len(numbers.output_labels), len(numbers.input_labels)
     with look.context():
         size = (max(6.4, 3.8 * columns), 3.4 if rows == 1 else 2.2 * rows)
-        figure, axes = new_axes(ax, (rows, columns), size, sharex=True)
-        lines = np.empty(axes.shape, dtype=object)
-        for (i, j), axis in np.ndenumerate(axes):
-            lines[i, j] = _draw_responses(axis, numbers, i, j, look)
+        drawn = picture(look, ax, (rows, columns), size, sharex=True)
+        for (i, j), axis in np.ndenumerate(drawn.axes):
+            drawn.lines[i, j] = _draw_responses(axis, numbers, i, j, look)
             axis.axhline(0.0, **ZERO)
             axis.set_xlim(0.0, numbers.end)
             look.lattice(axis)
-            if j == 0:
-                axis.set_ylabel(labelled(numbers.output_labels[i], output_unit))
-            if i == rows - 1:
-                axis.set_xlabel(labelled("Time", time_unit))
-            if columns > 1 and i == 0:
-                axis.set_title(plain(f"From {numbers.input_labels[j]}"), loc="left")
+        for axis, label in zip(drawn.axes[:, 0], numbers.output_labels, strict=True):
+            axis.set_ylabel(labelled(label, output_unit))
+        for axis, label in zip(drawn.axes[0], numbers.input_labels * (columns > 1), strict=False):
+            axis.set_title(plain(f"From {label}"), loc="left")
+        for axis in drawn.axes[-1]:
+            axis.set_xlabel(labelled("Time", time_unit))
         # an envelope must be told apart from a response
         alone = all(trace.resolved and trace.joined for trace in numbers.traces)
-        legend = look.legend(axes[0, -1], 2 if alone else 1)
-        look.entitle(figure, ax, numbers.title)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
+        legend = look.legend(drawn.axes[0, -1], 2 if alone else 1)
+        return drawn.finished(numbers.title, legend)
 
 
 def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Look) -> list[Any]:
@@ -175,15 +173,14 @@ def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Lo
         if not trace.resolved:
             _draw_envelope(axis, trace, i, j, line.get_color())
         if band is not None:
-            t, low = extremes(band.time, band.ends[0], DRAWN)
-            other, high = extremes(band.time, band.ends[1], DRAWN)
-            if len(t) != len(band.time):
-                # the two ends are thinned at instants of their own
-                both = np.union1d(t, other)
-                low, high, t = np.interp(both, t, low), np.interp(both, other, high), both
-            axis.fill_between(t, low, high, label=plain(band.label), color=line.get_color(), **BAND)
+            t, low = extremes(band.time, band.ends[0])
+            other, high = extremes(band.time, band.ends[1])
+            # the two ends may be thinned at instants of their own
+            both = np.union1d(t, other)
+            low, high = np.interp(both, t, low), np.interp(both, other, high)
+            axis.fill_between(both, low, high, label=plain(band.label), color=line.get_color(), **BAND)
     if numbers.measured is not None:
-        t, y = extremes(numbers.measured.time, numbers.measured.values[i, j], DRAWN)
+        t, y = extremes(numbers.measured.time, numbers.measured.values[i, j])
         lines += axis.plot(t, y, label=plain(numbers.measured.label), zorder=2.2, **DOTS)
     return lines
 
@@ -195,14 +192,11 @@ def _draw_trace(axis: Axes, trace: Trace, i: int, j: int, style: dict[str, Any])
         return axis.plot(trace.time, trace.values[i, j], label=f"{label} (samples)", **dots)[0]
     if trace.sampled:
         style = {**style, "drawstyle": "steps-post", "linestyle": "-", "linewidth": 1.0}
-    return axis.plot(*extremes(trace.time, trace.values[i, j], DRAWN), label=label, **style)[0]
+    return axis.plot(*extremes(trace.time, trace.values[i, j]), label=label, **style)[0]
 
 
 def _draw_envelope(axis: Axes, trace: Trace, i: int, j: int, colour: Any) -> None:
-    t, slow = extremes(trace.time, trace.slow[i, j], DRAWN)
+    t, slow = extremes(trace.time, trace.slow[i, j])
     reach = trace.reach[i, j]
-    pale = to_rgba(colour, 0.12)
-    axis.fill_between(
-        t, slow - reach, slow + reach, label=plain(trace.warning), facecolor=pale, edgecolor=to_rgba(colour, 0.45),
-        **_ENVELOPE,
-    )  # fmt: skip
+    shade: dict[str, Any] = {"facecolor": to_rgba(colour, 0.12), "edgecolor": to_rgba(colour, 0.45)}
+    axis.fill_between(t, slow - reach, slow + reach, label=plain(trace.warning), **shade, **_ENVELOPE)

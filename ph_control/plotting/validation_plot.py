@@ -1,4 +1,4 @@
-"""Pictures of validation: models beside a record, correlations of residuals, and the choice of the order.
+"""Pictures of validation: models beside a frequency response, correlations of residuals, and the choice of the order.
 
 Each function returns a `control.ControlPlot`, and draws on given axes or a new figure, which `heading` entitles.
 """
@@ -6,6 +6,7 @@ Each function returns a `control.ControlPlot`, and draws on given axes or a new 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -14,25 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from .. import _checks
 from .bode_data import decibels
-from .fit_data import chosen_part, percent, strongest_part
-from .style import (
-    BAND,
-    DRAWN,
-    MEASURED,
-    SAMPLES,
-    ZERO,
-    FrameStyle,
-    Look,
-    extremes,
-    frequency_axis,
-    gain_label,
-    labelled,
-    new_axes,
-    plain,
-    stacked,
-)
+from .fit_plot import line_of_model
+from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_label, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -41,103 +26,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
-_STYLES = ("-", "--", "-.", ":")
-_COLOURS = ("C0", "C3", "C2", "C4", "C5", "C6", "C8", "C9")  # not that of the measurement
 # the line between two points is not the response, which may have a resonance there
-_POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0}
+_POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "zorder": 3}
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
-
-
-# --- models beside a record ------------------------------------------------------------------------------------------
-
-
-def comparison_plot(
-    time: Array,
-    measured: Array,
-    predicted: Array,
-    *,
-    labels: Sequence[str],
-    fit_percent: Array,
-    time_unit: str | None = None,
-    output_label: str = "Output",
-    output_unit: str | None = None,
-    detail: Any = "auto",
-    heading: str,
-    ax: Any = None,
-    **style: Unpack[FrameStyle],
-) -> ct.ControlPlot:
-    """Outputs of all models over the measured one, their errors below, and a few periods enlarged.
-
-    `predicted` has shape (k, T); the other arguments are those of `fit_plot`.
-    """
-    look = Look.of(style, FrameStyle)
-    part = _enlarged(time, measured, predicted, detail, ax)
-    names = [plain(f"{label} ({percent(fit)})") for label, fit in zip(labels, fit_percent, strict=True)]
-    everything = slice(None)
-    with look.context():
-        figure, axes = stacked(ax, [3.0, 2.0] + [3.0] * (part is not None))
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = _draw_outputs(axes[0, 0], time, measured, predicted, names, everything, MEASURED)
-        lines[1, 0] = _draw_errors(axes[1, 0], time, measured - predicted, names)
-        if part is not None:
-            axes[0, 0].axvspan(time[part][0], time[part][-1], color="0.85", zorder=0)
-            lines[2, 0] = _draw_outputs(axes[2, 0], time, measured, predicted, names, part, SAMPLES)
-            axes[2, 0].set_title("Detail (shaded above)", loc="left")
-        for axis, quantity in zip(axes[:, 0], (output_label, "Error", output_label), strict=False):
-            axis.set_ylabel(labelled(quantity, output_unit))
-            axis.set_xlabel(labelled("Time", time_unit))
-            look.lattice(axis)
-        if ax is None:
-            axes[0, 0].set_xlabel("")
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, heading)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def _enlarged(time: Array, measured: Array, predicted: Array, detail: Any, ax: Any) -> slice | None:
-    """Part to enlarge; with axes of one's own, there must be one for it."""
-    if detail is None or (isinstance(detail, str) and ax is not None and np.size(ax) == 2):
-        return None
-    if isinstance(detail, str):
-        _checks.choice("detail", detail, ("auto",))
-        errors = np.nan_to_num(measured - predicted)
-        # where the models differ most from the measurement, all together
-        sizes = np.maximum(np.sqrt(np.mean(errors**2, axis=1, keepdims=True)), np.finfo(float).tiny)
-        return strongest_part(measured, np.sqrt(np.sum((errors / sizes) ** 2, axis=0)))
-    return chosen_part(time, detail)
-
-
-def _draw_outputs(
-    axis: Axes, time: Array, measured: Array, predicted: Array, names: list[str], part: slice, style: dict[str, Any]
-) -> list[Any]:
-    t = time[part]
-    axis.set_xlim(t[0], t[-1])
-    lines = axis.plot(*extremes(t, measured[part], DRAWN), label="measured", zorder=2, **style)
-    for k, (name, output) in enumerate(zip(names, predicted, strict=True)):
-        lines += axis.plot(*extremes(t, output[part], DRAWN), label=name, linewidth=1.1, zorder=3, **_line(k))
-    # a model that runs away must not hide the others
-    known = measured[np.isfinite(measured)]
-    reach = float(np.ptp(known)) or float(np.max(np.abs(known))) or 1.0
-    low, high = axis.get_ylim()
-    axis.set_ylim(max(low, float(known.min()) - reach), min(high, float(known.max()) + reach))
-    return lines
-
-
-def _draw_errors(axis: Axes, time: Array, errors: Array, names: list[str]) -> list[Any]:
-    axis.axhline(0.0, **ZERO)
-    lines: list[Any] = []
-    sizes = [float(np.sqrt(np.nanmean(error**2))) for error in errors]
-    for k in np.argsort(sizes)[::-1]:
-        # the smaller error is drawn over the larger
-        lines += axis.plot(*extremes(time, errors[k], DRAWN), label=names[k], linewidth=0.8, **_line(int(k)))
-    axis.set_xlim(time[0], time[-1])
-    return lines
-
-
-def _line(k: int) -> dict[str, Any]:
-    return {"color": _COLOURS[k % len(_COLOURS)], "linestyle": _STYLES[k % len(_STYLES)]}
 
 
 # --- models beside a frequency response ------------------------------------------------------------------------------
@@ -149,7 +42,6 @@ def response_comparison_plot(
     predicted: ComplexArray,
     *,
     labels: Sequence[str],
-    fit_percent: Array,
     time_unit: str | None = None,
     Hz: bool = False,
     gain_unit: str | None = None,
@@ -163,48 +55,46 @@ def response_comparison_plot(
     """
     look = Look.of(style, FrameStyle)
     unit, unit_name = frequency_axis(Hz, time_unit)
-    frequency = omega / unit
-    names = [plain(f"{name} ({percent(fit)})") for name, fit in zip(labels, fit_percent, strict=True)]
-    turn = _phase_cut(measured)
+    frequency, cut = omega / unit, _phase_cut(measured)
     with look.context():
-        figure, axes = stacked(ax, [2.4, 1.7, 1.7], share="all")
-        lines = np.empty(axes.shape, dtype=object)
-        for row, of in enumerate((decibels, lambda values: _degrees(values, turn))):
-            axis = axes[row, 0]
-            drawn = axis.plot(frequency, of(measured), label="measured", zorder=2, **SAMPLES)
-            for k, (name, values) in enumerate(zip(names, predicted, strict=True)):
-                drawn += axis.plot(frequency, of(values), label=name, zorder=3, **_POINTS, **_line(k))
-            lines[row, 0] = drawn
-        sizes = [float(np.nanmean(np.abs(measured - values) ** 2)) for values in predicted]
-        lines[2, 0] = []
-        for k in np.argsort(sizes)[::-1]:
-            # the smaller error is drawn over the larger
-            error = decibels(measured - predicted[k])
-            lines[2, 0] += axes[2, 0].plot(frequency, error, label=names[k], linewidth=1.0, **_line(int(k)))
-        _limit_to_dots(axes[0, 0], decibels(measured))
-        axes[1, 0].set_ylim(turn - 20.0, turn + 380.0)
-        axes[1, 0].yaxis.set_major_locator(MultipleLocator(90.0))
-        wording = (gain_label(gain_unit), "Phase [deg]", gain_label(gain_unit, "Error"))
-        for axis, name in zip(axes[:, 0], wording, strict=True):
-            axis.set_ylabel(name)
+        drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
+        gains, phases, errors = drawn.axes[:, 0]
+        for row, of in enumerate((decibels, lambda values: _degrees(values, cut))):
+            axis = drawn.axes[row, 0]
+            drawn.lines[row, 0] = axis.plot(frequency, of(measured), label="measured", zorder=2, **SAMPLES)
+            for k, (label, values) in enumerate(zip(labels, predicted, strict=True)):
+                line = axis.plot(frequency, of(values), label=plain(label), **_POINTS, **line_of_model(k))
+                drawn.lines[row, 0] += line
+        drawn.lines[2, 0] = []
+        # the smaller error is drawn over the larger
+        for k in np.argsort([float(np.nanmean(np.abs(measured - values) ** 2)) for values in predicted])[::-1]:
+            properties = {"label": plain(labels[k]), "linewidth": 1.0, **line_of_model(int(k))}
+            drawn.lines[2, 0] += errors.plot(frequency, decibels(measured - predicted[k]), **properties)
+        # models on their peaks run out of the picture
+        known = decibels(measured)[np.isfinite(decibels(measured))]
+        if len(known):
+            margin = 5.0 + 0.25 * float(np.ptp(known))
+            gains.set_ylim(float(known.min()) - margin, float(known.max()) + margin)
+        phases.set_ylim(cut - 20.0, cut + 380.0)
+        phases.yaxis.set_major_locator(MultipleLocator(90.0))
+        gains.set_ylabel(gain_label(gain_unit))
+        phases.set_ylabel("Phase [deg]")
+        errors.set_ylabel(gain_label(gain_unit, "Error"))
+        for axis in (gains, phases, errors):
             _over_frequency(axis, frequency, look)
-        axes[2, 0].set_xlabel(labelled("Frequency", unit_name))
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, heading)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
+        errors.set_xlabel(labelled("Frequency", unit_name))
+        return drawn.finished(heading)
 
 
 def _over_frequency(axis: Axes, frequency: Array, look: Look) -> None:
     """Logarithmic over more than a decade; a point at 0 has no place there."""
     positive = frequency[frequency > 0]
-    if len(positive) and positive[-1] > 10.0 * positive[0]:
+    logarithmic = len(positive) > 0 and positive[-1] > 10.0 * positive[0]
+    if logarithmic:
         axis.set_xscale("log")
-        axis.set_xlim(positive[0], positive[-1])
-        look.lattice(axis, minor="x")
-        return
     if frequency[-1] > frequency[0]:
-        axis.set_xlim(frequency[0], frequency[-1])
-    look.lattice(axis)
+        axis.set_xlim(*(positive if logarithmic else frequency)[[0, -1]])
+    look.lattice(axis, minor="x" if logarithmic else None)
 
 
 def _degrees(values: ComplexArray, low: float) -> Array:
@@ -222,7 +112,7 @@ def _phase_cut(measured: ComplexArray) -> float:
     angle = np.sort(np.degrees(np.angle(measured[np.isfinite(measured) & (measured != 0)])))
     if not len(angle):
         return -180.0
-    gaps = np.diff(np.concatenate([angle, [angle[0] + 360.0]]))
+    gaps = np.diff(angle, append=angle[0] + 360.0)
     k = int(np.argmax(gaps))
     # to tens of degrees, where the gap is wide enough for that
     cut = angle[k] + 0.5 * gaps[k]
@@ -230,152 +120,89 @@ def _phase_cut(measured: ComplexArray) -> float:
     return float(np.mod(cut, 360.0) - 360.0)
 
 
-def _limit_to_dots(axis: Axes, dots: Array) -> None:
-    """Range of a picture in which the measurement is seen; models on their peaks run out of it."""
-    known = dots[np.isfinite(dots)]
-    if len(known):
-        margin = 5.0 + 0.25 * float(np.ptp(known))
-        axis.set_ylim(float(known.min()) - margin, float(known.max()) + margin)
+# --- residuals -------------------------------------------------------------------------------------------------------
 
 
-# --- correlations of residuals ---------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class CorrelationPanel:
+    """Correlation at each lag, and half the width of its band."""
 
+    lags: NDArray[np.intp]
+    values: Array
+    band: Array
+    confidence: float
+    title: str
+    abscissa: str
 
-def correlation_plot(
-    autocorrelation: Array,
-    autocorrelation_band: Array,
-    cross_correlation: Array,
-    cross_correlation_band: Array,
-    *,
-    confidence: float,
-    panel_titles: tuple[str, str],
-    heading: str,
-    ax: Any = None,
-    **style: Unpack[FrameStyle],
-) -> ct.ControlPlot:
-    """Autocorrelation at lags 1 to L above the correlation with the input at lags -L to L, with their bands."""
-    look = Look.of(style, FrameStyle)
-    L = len(autocorrelation)
-    panels = (
-        (np.arange(1, L + 1), autocorrelation, autocorrelation_band),
-        (np.arange(-L, L + 1), cross_correlation, cross_correlation_band),
-    )
-    with look.context():
-        figure, axes = stacked(ax, [1.0, 1.0], share="none")
-        lines = np.empty(axes.shape, dtype=object)
-        for row, ((lags, values, band), panel_title) in enumerate(zip(panels, panel_titles, strict=True)):
-            axis = axes[row, 0]
-            lines[row, 0] = _draw_correlation(axis, lags, values, band, confidence, look)
-            axis.set_title(plain(panel_title), loc="left")
-            axis.set_ylabel("Correlation")
-        axes[0, 0].set_xlabel("Lag [samples]")
-        axes[1, 0].set_xlabel("Lag of the residual behind the input [samples]")
-        axes[1, 0].axvline(-0.5, color="0.3", linestyle=":", linewidth=1.0, zorder=1)
-        for place, text, side in ((0.01, "feedback", "left"), (0.99, "response", "right")):
-            axes[1, 0].text(
-                place, 0.97, text, transform=axes[1, 0].transAxes, ha=side, va="top", color="0.35", fontsize="small"
-            )
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, heading)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def whiteness_plot(
-    autocorrelation: Array,
-    band: Array,
-    *,
-    confidence: float,
-    panel_title: str,
-    heading: str,
-    ax: Any = None,
-    **style: Unpack[FrameStyle],
-) -> ct.ControlPlot:
-    """Autocorrelation at lags 1 to L with its band, where there is no input to correlate with."""
-    look = Look.of(style, FrameStyle)
-    with look.context():
-        figure, axes = stacked(ax, [1.0], share="none")
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = _draw_autocorrelation(axes[0, 0], autocorrelation, band, confidence, panel_title, "samples", look)
-        legend = look.legend(axes[0, 0])
-        look.entitle(figure, ax, heading)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def residual_response_plot(
-    omega: Array,
-    measured: ComplexArray,
-    residuals: ComplexArray,
-    autocorrelation: Array,
-    band: Array,
-    *,
-    confidence: float,
-    panel_titles: tuple[str, str],
-    time_unit: str | None = None,
-    Hz: bool = False,
-    gain_unit: str | None = None,
-    heading: str,
-    ax: Any = None,
-    **style: Unpack[FrameStyle],
-) -> ct.ControlPlot:
-    """Size of the residual beside that of the response, over frequency, above its autocorrelation."""
-    look = Look.of(style, FrameStyle)
-    unit, unit_name = frequency_axis(Hz, time_unit)
-    frequency = omega / unit
-    with look.context():
-        figure, axes = stacked(ax, [1.0, 1.0], share="none")
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = [
-            *axes[0, 0].plot(frequency, decibels(measured), label="measured", **SAMPLES),
-            *axes[0, 0].plot(frequency, decibels(residuals), label="residual", color="C0", linewidth=1.1, zorder=3),
-        ]
-        _over_frequency(axes[0, 0], frequency, look)
-        axes[0, 0].set_title(plain(panel_titles[0]), loc="left")
-        axes[0, 0].set_xlabel(labelled("Frequency", unit_name))
-        axes[0, 0].set_ylabel(gain_label(gain_unit))
-        lines[1, 0] = _draw_autocorrelation(
-            axes[1, 0], autocorrelation, band, confidence, panel_titles[1], "points", look
-        )
-        legend = np.array([[look.legend(axes[0, 0])], [look.legend(axes[1, 0])]], dtype=object)
-        look.entitle(figure, ax, heading)
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
-
-
-def _draw_autocorrelation(
-    axis: Axes, values: Array, band: Array, confidence: float, title: str, unit: str, look: Look
-) -> list[Any]:
-    lines = _draw_correlation(axis, np.arange(1, len(values) + 1), values, band, confidence, look)
-    axis.set_title(plain(title), loc="left")
-    axis.set_ylabel("Correlation")
-    axis.set_xlabel(f"Lag [{unit}]")
-    return lines
-
-
-def _draw_correlation(
-    axis: Axes, lags: NDArray[Any], values: Array, band: Array, confidence: float, look: Look
-) -> list[Any]:
-    """Stems; those that leave the band in another colour."""
-    shown = np.where(np.isfinite(band), band, 0.0)
-    # one step wide at each lag
-    edges = np.concatenate([lags - 0.5, [lags[-1] + 0.5]])
-    axis.fill_between(
-        edges, np.append(shown, shown[-1]), -np.append(shown, shown[-1]), step="post",
-        label=f"{100 * confidence:g} % band", color="C0", **BAND,
-    )  # fmt: skip
-    axis.axhline(0.0, **ZERO)
-    out = np.abs(values) > band
-    lines: list[Any] = []
-    for mask, colour, name in ((~out, _INSIDE, "inside"), (out, _OUTSIDE, "outside")):
-        axis.vlines(lags[mask], 0.0, values[mask], color=colour, linewidth=1.2, zorder=2)
-        lines += axis.plot(
-            lags[mask], values[mask], linestyle="none", marker="o", markersize=3.5, color=colour, zorder=3,
-            label=name,
+    def draw(self, axis: Axes, look: Look) -> list[Any]:
+        """Stems; those that leave the band in another colour; feedback and response are parted at lag 0."""
+        band = np.where(np.isfinite(self.band), self.band, 0.0)
+        # one step wide at each lag
+        edges, ends = np.append(self.lags - 0.5, self.lags[-1] + 0.5), np.append(band, band[-1])
+        axis.fill_between(
+            edges, ends, -ends, step="post", label=f"{100 * self.confidence:g} % band", color="C0", **BAND
         )  # fmt: skip
-    reach = 1.25 * max(float(np.nanmax(np.abs(values), initial=0.0)), float(shown.max()), 1e-3)
-    axis.set_ylim(-reach, reach)
-    axis.set_xlim(edges[0], edges[-1])
-    axis.xaxis.set_major_locator(MaxNLocator(nbins=11, integer=True, steps=[1, 2, 5, 10]))
-    look.lattice(axis)
-    return lines
+        axis.axhline(0.0, **ZERO)
+        out = np.abs(self.values) > self.band
+        lines: list[Any] = []
+        for mask, colour, name in ((~out, _INSIDE, "inside"), (out, _OUTSIDE, "outside")):
+            lags, values = self.lags[mask], self.values[mask]
+            axis.vlines(lags, 0.0, values, color=colour, linewidth=1.2, zorder=2)
+            dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": colour, "zorder": 3}
+            lines += axis.plot(lags, values, label=name, **dots)
+        reach = 1.25 * max(float(np.nanmax(np.abs(self.values), initial=0.0)), float(band.max()), 1e-3)
+        axis.set_ylim(-reach, reach)
+        axis.set_xlim(edges[0], edges[-1])
+        axis.xaxis.set_major_locator(MaxNLocator(nbins=11, integer=True, steps=[1, 2, 5, 10]))
+        look.lattice(axis)
+        axis.set_ylabel("Correlation")
+        axis.set_xlabel(self.abscissa)
+        if self.lags[0] < 0:
+            axis.axvline(-0.5, color="0.3", linestyle=":", linewidth=1.0, zorder=1)
+            corner: dict[str, Any] = {"va": "top", "color": "0.35", "fontsize": "small"}
+            axis.text(0.01, 0.97, "feedback", transform=axis.transAxes, ha="left", **corner)
+            axis.text(0.99, 0.97, "response", transform=axis.transAxes, ha="right", **corner)
+        return lines
+
+
+@dataclass(frozen=True)
+class ResponsePanel:
+    """Residual beside what was measured of a frequency response."""
+
+    omega: Array
+    measured: ComplexArray
+    residuals: ComplexArray
+    title: str
+    time_unit: str | None = None
+    Hz: bool = False
+    gain_unit: str | None = None
+
+    def draw(self, axis: Axes, look: Look) -> list[Any]:
+        """Both in decibels over frequency."""
+        unit, unit_name = frequency_axis(self.Hz, self.time_unit)
+        frequency = self.omega / unit
+        lines = axis.plot(frequency, decibels(self.measured), label="measured", **SAMPLES)
+        properties: dict[str, Any] = {"label": "residual", "color": "C0", "linewidth": 1.1, "zorder": 3}
+        lines += axis.plot(frequency, decibels(self.residuals), **properties)
+        _over_frequency(axis, frequency, look)
+        axis.set_xlabel(labelled("Frequency", unit_name))
+        axis.set_ylabel(gain_label(self.gain_unit))
+        return lines
+
+
+def residual_panels_plot(
+    panels: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: Any = None, **style: Unpack[FrameStyle]
+) -> ct.ControlPlot:
+    """Panels below one another; a legend for each kind of them."""
+    look = Look.of(style, FrameStyle)
+    count = len(panels)
+    with look.context():
+        drawn = picture(look, ax, (count, 1), (7.2, 0.8 + 2.3 * count))
+        for row, (axis, panel) in enumerate(zip(drawn.axes[:, 0], panels, strict=True)):
+            drawn.lines[row, 0] = panel.draw(axis, look)
+            axis.set_title(plain(panel.title), loc="left")
+        kinds = len({type(panel) for panel in panels})
+        return drawn.finished(heading, drawn.legends() if kinds > 1 else None)
 
 
 # --- the order -------------------------------------------------------------------------------------------------------
@@ -399,24 +226,22 @@ def stabilisation_plot(
     unit, unit_name = frequency_axis(Hz, time_unit)
     frequencies = [row / unit for row in frequencies]
     with look.context():
-        figure, axes = new_axes(ax, (1, 2), (7.8, 4.4), sharey=True, width_ratios=[1.7, 1.0])
-        lines = np.empty(axes.shape, dtype=object)
-        lines[0, 0] = _draw_stabilisation(axes[0, 0], orders, frequencies, stable)
-        lines[0, 1] = _draw_criteria(axes[0, 1], orders, criteria)
+        drawn = picture(look, ax, (1, 2), (7.8, 4.4), sharey=True, width_ratios=[1.7, 1.0])
+        modes, above = drawn.axes[0]
+        drawn.lines[0, 0] = _draw_stabilisation(modes, orders, frequencies, stable)
+        drawn.lines[0, 1] = _draw_criteria(above, orders, criteria)
         for frequency in frequencies[list(orders).index(chosen)]:
-            axes[0, 0].axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
-        axes[0, 0].set_xlabel(labelled("Natural frequency", unit_name))
-        axes[0, 0].set_ylabel("Order (number of modes)")
-        axes[0, 1].set_xlabel("Criterion above its least value")
+            modes.axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
+        modes.set_xlabel(labelled("Natural frequency", unit_name))
+        modes.set_ylabel("Order (number of modes)")
+        above.set_xlabel("Criterion above its least value")
         choice = f"{criterion} chooses {chosen}" + ", the largest tried" * int(chosen == orders[-1])
-        for axis, label in zip(axes[0], (choice, "_"), strict=True):
+        for axis, label in ((modes, choice), (above, "_")):
             axis.axhline(chosen, color="C3", linewidth=6.0, alpha=0.15, zorder=0, label=label)
             axis.set_ylim(orders[0] - 0.5, orders[-1] + 0.5)
             axis.yaxis.set_major_locator(MaxNLocator(integer=True))
             look.lattice(axis)
-        legend = np.array([[look.legend(axes[0, 0]), look.legend(axes[0, 1])]], dtype=object)
-        look.entitle(figure, ax, "Choice of the order")
-    return ct.ControlPlot(lines, axes, figure, legend=legend)
+        return drawn.finished("Choice of the order", drawn.legends())
 
 
 def _draw_stabilisation(

@@ -10,10 +10,9 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._display import Report, aligned, to_its_error
+from ..._display import Report, aligned, percent, to_its_error
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._units import hertz_size
-from ...plotting.fit_data import percent
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._display import Report, aligned, html_heading, html_report, html_table, to_its_error
+from ..._display import Report, aligned, html_heading, html_report, html_table, percent, to_its_error
 from ..._units import common_unit, hertz_size, in_unit, rate, step_of
 from ...exceptions import shortened
-from ...plotting.fit_data import percent
 from ..data.time_record import Record
 from ..diagnosis.damped_model import damped_lines
 

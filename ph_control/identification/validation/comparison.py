@@ -11,29 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._display import Report
+from ..._display import Report, percent
 from ..._frozen import Frozen
 from ..._units import unit_for
 from ...exceptions import StructureError
-from ...plotting.fit_data import percent
-from ...plotting.validation_plot import comparison_plot, response_comparison_plot
+from ...plotting.fit_plot import comparison_plot
+from ...plotting.validation_plot import response_comparison_plot
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.prediction import chosen_experiment
 from .measured import (
-    check_options,
+    HeldData,
+    HeldExperiment,
+    Kind,
     experiments_to_hold_against,
     fit_to,
     in_experiment,
-    joined_frequencies,
-    joined_time,
     names_of,
     rms_of,
-    values_of,
-    which_of,
 )
-from .response_simulation import respond_to
-from .simulation import Rules, Simulation, simulate_on
+from .simulation import Rules, answer_to
 
 Array = NDArray[np.float64]
 
@@ -41,7 +38,7 @@ _SHOWN = 8  # experiments listed one by one
 
 
 @dataclass(frozen=True, eq=False)
-class ComparedExperiment(Frozen):
+class ComparedExperiment(HeldExperiment):
     """Models beside one another in one experiment.
 
     Attributes
@@ -56,20 +53,14 @@ class ComparedExperiment(Frozen):
         Whether the model was fitted to these very data.
     """
 
-    record: Record | FrequencyRecord
     predicted: NDArray[Any]
     fit_percent: Array
     rms_error: Array
     own_record: tuple[bool, ...]
 
-    @property
-    def measured(self) -> NDArray[Any]:
-        """What was measured; NaN where missing."""
-        return values_of(self.record)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(Report, Frozen):
+class Comparison(Report, HeldData, Frozen):
     """Models beside one another on the same data; made by `compare`.
 
     Attributes
@@ -107,21 +98,6 @@ class Comparison(Report, Frozen):
     def predicted(self) -> NDArray[Any]:
         """Output of each model, shape (k, T), all experiments one after the other."""
         return _checks.readonly(np.concatenate([one.predicted for one in self.experiments], axis=1))
-
-    @property
-    def measured(self) -> NDArray[Any]:
-        """What was measured, shape (T,), all experiments one after the other; NaN where missing."""
-        return _checks.readonly(np.concatenate([one.measured for one in self.experiments]))
-
-    @property
-    def time(self) -> Array:
-        """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
-        return joined_time([one.record for one in self.experiments])
-
-    @property
-    def omega(self) -> Array:
-        """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
-        return joined_frequencies([one.record for one in self.experiments])
 
     def __str__(self) -> str:
         """Table of the models in the order given."""
@@ -188,20 +164,19 @@ class Comparison(Report, Frozen):
         See `compare`.
         """
         one = chosen_experiment(self.experiments, experiment)
-        record, which = one.record, which_of(experiment, len(self.experiments))
+        record, which = one.record, self._which(experiment)
         kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), record)
+        kwargs["labels"] = [
+            f"{label} ({percent(fit)})" for label, fit in zip(self.labels, one.fit_percent, strict=True)
+        ]
         if isinstance(record, FrequencyRecord):
-            heading = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
-            return response_comparison_plot(
-                record.omega, record.response, one.predicted,
-                labels=self.labels, fit_percent=one.fit_percent, heading=heading, **kwargs,
-            )  # fmt: skip
-        kwargs = _labels_of_output(self.output_label) | kwargs
+            kwargs["heading"] = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
+            return response_comparison_plot(record.omega, record.response, one.predicted, **kwargs)
+        # a label such as "velocity [m/s]" carries its unit
+        name, bracket, unit = self.output_label.partition(" [")
+        kwargs = {"output_label": name} | ({"output_unit": unit.removesuffix("]")} if bracket else {}) | kwargs
         heading = f"{kwargs['output_label']}, measured and simulated{which}"
-        return comparison_plot(
-            record.time, record.y, one.predicted,
-            labels=self.labels, fit_percent=one.fit_percent, heading=heading, **kwargs,
-        )  # fmt: skip
+        return comparison_plot(record.time, record.y, one.predicted, heading=heading, **kwargs)
 
 
 def compare(
@@ -306,18 +281,26 @@ def compare(
       model             fit  RMS error
       plant         88.88 %     0.6437
     """
-    check_options(method, intersample, initial_state, offset)
+    rules = Rules(method, intersample, initial_state, offset)
     if not models:
         raise StructureError("no model given; pass at least one after the data")
     records = experiments_to_hold_against(data, dt, models, weights)
     names = names_of(models, labels)
-    rules = Rules(method, intersample, initial_state, offset)
     experiments = []
     for place, record in enumerate(records):
         with in_experiment(place, len(records)):
             answers = [answer_to(model, name, record, rules) for model, name in zip(models, names, strict=True)]
-        experiments.append(_compared(record, answers))
-    together = [[(one.record, row) for one, row in zip(experiments, rows, strict=True)] for rows in _rows(experiments)]
+        outputs = [[(record, answer.output)] for answer in answers]
+        experiments.append(
+            ComparedExperiment(
+                record,
+                np.array([answer.output for answer in answers]),
+                np.array([fit_to(output) for output in outputs]),
+                np.array([rms_of(output) for output in outputs]),
+                tuple(answer.own for answer in answers),
+            )
+        )
+    together = [[(one.record, one.predicted[k]) for one in experiments] for k in range(len(models))]
     return Comparison(
         labels=names,
         fit_percent=np.array([fit_to(pairs) for pairs in together]),
@@ -329,29 +312,7 @@ def compare(
     )
 
 
-def answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
-    """What a model says of an experiment of either kind."""
-    if isinstance(record, FrequencyRecord):
-        return respond_to(model, label, record)
-    return simulate_on(model, label, record, rules)
-
-
-def _rows(experiments: list[ComparedExperiment]) -> list[tuple[NDArray[Any], ...]]:
-    """Outputs of each model in all experiments."""
-    return list(zip(*(one.predicted for one in experiments), strict=True))
-
-
-def _compared(record: Record | FrequencyRecord, answers: list[Simulation]) -> ComparedExperiment:
-    return ComparedExperiment(
-        record,
-        np.array([answer.output for answer in answers]),
-        np.array([fit_to([(record, answer.output)]) for answer in answers]),
-        np.array([rms_of([(record, answer.output)]) for answer in answers]),
-        tuple(answer.own for answer in answers),
-    )
-
-
-def _described(records: Sequence[Record | FrequencyRecord], initial_state: str) -> str:
+def _described(records: Sequence[Kind], initial_state: str) -> str:
     """What the data are, in a line."""
     samples = sum(record.samples for record in records)
     missing = sum(int((~record.observed).sum()) for record in records)
@@ -365,9 +326,3 @@ def _described(records: Sequence[Record | FrequencyRecord], initial_state: str) 
     if initial_state == "zero" and not all(record.driven for record in records if isinstance(record, Record)):
         states = "zero, of free motions estimated"
     return f"{len(records)} experiments, " * several + f"{samples} samples{tail}; initial state{'s' * several} {states}"
-
-
-def _labels_of_output(label: str) -> dict[str, Any]:
-    """A label such as "velocity [m/s]" carries its unit."""
-    name, bracket, unit = label.partition(" [")
-    return {"output_label": name} | ({"output_unit": unit.removesuffix("]")} if bracket else {})

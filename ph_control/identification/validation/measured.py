@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import control as ct
@@ -12,41 +13,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
+from ..._frozen import Frozen
 from ..._units import common_unit
 from ...exceptions import StructureError
-from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.data_frames import is_data_frame
 from ..data.experiments import as_experiments
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..fit.result import PEMResult
 from ..regression.prediction import fit_percent, unit_norm
-from .simulation import INITIAL_STATES
 
 Array = NDArray[np.float64]
 Kind = Record | FrequencyRecord
 
 
-def check_options(method: str, intersample: str, initial_state: str, offset: bool) -> None:
-    """Refuse unknown names of methods, holds and initial states, and an offset that is neither True nor False."""
-    _checks.choice("method", method, METHODS)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
-    _checks.choice("initial_state", initial_state, INITIAL_STATES)
-    _checks.flags(offset=offset)
+@dataclass(frozen=True, eq=False)
+class HeldExperiment(Frozen):
+    """An experiment that models are held against."""
+
+    record: Kind
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """What was measured; NaN where missing."""
+        return values_of(self.record)
+
+
+class HeldData:
+    """All experiments that models are held against, one after the other."""
+
+    experiments: tuple[Any, ...]
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """What was measured, shape (T,), all experiments one after the other; NaN where missing."""
+        return _checks.readonly(np.concatenate([one.measured for one in self.experiments]))
+
+    @property
+    def time(self) -> Array:
+        """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
+        return self._joined(Record, "time", "frequency responses and have no time; use omega")
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
+        return self._joined(FrequencyRecord, "omega", "records in time and have no frequencies; use time")
+
+    def _joined(self, kind: type, name: str, what: str) -> Array:
+        parts = [getattr(one.record, name) for one in self.experiments if isinstance(one.record, kind)]
+        if not parts:
+            raise StructureError(f"these data are {what}")
+        return _checks.readonly(np.concatenate(parts))
+
+    def _which(self, place: int) -> str:
+        """Which of several experiments a picture shows."""
+        return f" (experiment {place + 1} of {len(self.experiments)})" if len(self.experiments) > 1 else ""
 
 
 def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weights: Any = None) -> tuple[Kind, ...]:
     """The experiments, their step from a model where nothing else tells it; refused without any output."""
     if dt is None and _lacks_step(data):
-        fitted = [
-            one.record.dt
-            for model in models
-            if isinstance(model, PEMResult)
-            for one in model.experiments
-            if isinstance(one.record, Record)
-        ]
+        fitted = [one.record for model in models if isinstance(model, PEMResult) for one in model.experiments]
         sampled = [getattr(model, "dt", None) for model in models]
-        steps = fitted + [step for step in sampled if step and not isinstance(step, bool)]
+        steps = [record.dt for record in fitted if isinstance(record, Record)]
+        steps += [step for step in sampled if step and not isinstance(step, bool)]
         dt = steps[0] if steps else None
     records: tuple[Kind, ...] = as_experiments(data, dt, weights=weights)
     common_unit(records, models)
@@ -72,27 +102,6 @@ def values_of(record: Kind) -> NDArray[Any]:
     return record.y if isinstance(record, Record) else record.response
 
 
-def joined_time(records: Sequence[Kind]) -> Array:
-    """Instants of records one after the other."""
-    parts = [record.time for record in records if isinstance(record, Record)]
-    if not parts:
-        raise StructureError("these data are frequency responses and have no time; use omega")
-    return _checks.readonly(np.concatenate(parts))
-
-
-def joined_frequencies(records: Sequence[Kind]) -> Array:
-    """Frequencies of responses one after the other."""
-    parts = [record.omega for record in records if isinstance(record, FrequencyRecord)]
-    if not parts:
-        raise StructureError("these data are records in time and have no frequencies; use time")
-    return _checks.readonly(np.concatenate(parts))
-
-
-def which_of(place: int, count: int) -> str:
-    """Which of several experiments a picture shows."""
-    return f" (experiment {place + 1} of {count})" if count > 1 else ""
-
-
 @contextmanager
 def in_experiment(place: int, count: int) -> Iterator[None]:
     """Name the experiment in errors, if there are several."""
@@ -109,12 +118,10 @@ def in_experiment(place: int, count: int) -> Iterator[None]:
 
 def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple[str, ...]:
     """One name for each model, all different."""
-    given = None if labels is None else _checks.labels(labels)
-    if given is not None and len(given) != len(models):
-        raise StructureError(f"{len(given)} labels for {len(models)} models; give one for each")
-    names = [_name(model) for model in models] if given is None else given
-    repeated = Counter(names)
-    counts: Counter[str] = Counter()
+    names = [_name(model) for model in models] if labels is None else _checks.labels(labels)
+    if len(names) != len(models):
+        raise StructureError(f"{len(names)} labels for {len(models)} models; give one for each")
+    repeated, counts = Counter(names), Counter[str]()
     for k, name in enumerate(names):
         if repeated[name] > 1:
             counts[name] += 1
@@ -130,8 +137,7 @@ def _name(model: Any) -> str:
     n = getattr(system, "n", None)
     if isinstance(n, int):
         return f"{kind} ({n} mode{'s' * (n != 1)})"
-    states = getattr(system, "nstates", None)
-    return f"{kind} ({states} states)" if isinstance(model, ct.StateSpace) else kind
+    return f"{kind} ({system.nstates} states)" if isinstance(system, ct.StateSpace) else kind
 
 
 def fit_to(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
@@ -143,15 +149,11 @@ def fit_to(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
 def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
     """Root of the mean squared error of a model in some experiments together, weighted as the fit."""
     _, error, weights = _observed(pairs)
-    if weights is None:
-        return unit_norm(error, 1.0) / float(np.sqrt(len(error)))
-    share = weights / weights.max()
+    share = np.ones(len(error)) if weights is None else weights / weights.max()
     return unit_norm(np.sqrt(share) * error, 1.0) / float(np.sqrt(share.sum()))
 
 
-def _observed(
-    pairs: Sequence[tuple[Kind, NDArray[Any]]],
-) -> tuple[NDArray[Any], NDArray[Any], Array | None]:
+def _observed(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> tuple[NDArray[Any], NDArray[Any], Array | None]:
     """What was measured, the errors there, and the weights of responses."""
     y = np.concatenate([values_of(record)[record.observed] for record, _ in pairs])
     error = np.concatenate([(values_of(record) - output)[record.observed] for record, output in pairs])

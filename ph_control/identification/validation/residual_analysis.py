@@ -11,31 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._display import Report, p_value
+from ..._display import Report, p_value, percent
 from ..._frozen import Frozen
 from ..._units import unit_for
 from ...exceptions import StructureError
-from ...plotting.fit_data import percent
-from ...plotting.validation_plot import correlation_plot, residual_response_plot, whiteness_plot
+from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.prediction import chosen_experiment
 from ..uncertainty.residual_data import ResidualData, noise_scales, without_peaks
 from ..uncertainty.residual_tests import Correlation, autocorrelation, cross_correlation, influence
-from .comparison import answer_to
 from .findings import Findings
 from .measured import (
-    check_options,
+    HeldData,
+    HeldExperiment,
+    Kind,
     experiments_to_hold_against,
     fit_to,
     in_experiment,
-    joined_frequencies,
-    joined_time,
     names_of,
     values_of,
-    which_of,
 )
-from .simulation import Rules, Simulation
+from .simulation import Rules, Simulation, answer_to
 
 Array = NDArray[np.float64]
 
@@ -46,7 +43,7 @@ _MOST = 60_000_000  # numbers in the directions that were fitted; with more samp
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualExperiment(Frozen):
+class ResidualExperiment(HeldExperiment):
     """What a model leaves in one experiment.
 
     Attributes
@@ -61,19 +58,13 @@ class ResidualExperiment(Frozen):
         Whether the model was fitted to these very data.
     """
 
-    record: Record | FrequencyRecord
     residuals: NDArray[Any]
     fit_percent: float
     own_record: bool
 
-    @property
-    def measured(self) -> NDArray[Any]:
-        """What was measured; NaN where missing."""
-        return values_of(self.record)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ResidualAnalysis(Report, Frozen):
+class ResidualAnalysis(Report, HeldData, Frozen):
     """What the residuals of a model say; made by `residual_analysis`.
 
     Attributes
@@ -153,16 +144,6 @@ class ResidualAnalysis(Report, Frozen):
         return _checks.readonly(np.concatenate([one.residuals for one in self.experiments]))
 
     @property
-    def time(self) -> Array:
-        """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
-        return joined_time([one.record for one in self.experiments])
-
-    @property
-    def omega(self) -> Array:
-        """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
-        return joined_frequencies([one.record for one in self.experiments])
-
-    @property
     def dt(self) -> float:
         """Time between samples; raises `StructureError` where the experiments have none, or several."""
         steps = {one.record.dt for one in self.experiments if isinstance(one.record, Record)}
@@ -233,29 +214,25 @@ class ResidualAnalysis(Report, Frozen):
         See `residual_analysis`.
         """
         one = chosen_experiment(self.experiments, experiment)
-        heading = f"Residuals of {self.label}: {self.verdict}"
-        white = f"Autocorrelation of the residuals (Ljung-Box {p_value(self.whiteness)})"
-        auto = self.autocorrelation, self.autocorrelation_band
-        if isinstance(one.record, FrequencyRecord):
-            titles = (
-                f"Residual over frequency{which_of(experiment, len(self.experiments))}",
-                f"Autocorrelation from point to point (Ljung-Box {p_value(self.whiteness)})",
-            )
-            kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), one.record)
-            return residual_response_plot(
-                one.record.omega, one.measured, one.residuals, *auto,
-                confidence=self.confidence, panel_titles=titles, heading=heading, **kwargs,
-            )  # fmt: skip
-        if not self._driven:
-            return whiteness_plot(*auto, confidence=self.confidence, panel_title=white, heading=heading, **kwargs)
-        across = (
-            f"Correlation with the input (response {p_value(self.response_p_value)}, "
-            f"feedback {p_value(self.feedback_p_value)})"
-        )
-        return correlation_plot(
-            *auto, self.cross_correlation, self.cross_correlation_band,
-            confidence=self.confidence, panel_titles=(white, across), heading=heading, **kwargs,
-        )  # fmt: skip
+        record, L, test = one.record, len(self.autocorrelation), f"(Ljung-Box {p_value(self.whiteness)})"
+        auto = np.arange(1, L + 1), self.autocorrelation, self.autocorrelation_band, self.confidence
+        panels: list[CorrelationPanel | ResponsePanel]
+        if isinstance(record, FrequencyRecord):
+            units = {name: kwargs.pop(name) for name in ("time_unit", "Hz", "gain_unit") if name in kwargs}
+            units["time_unit"] = unit_for(units.get("time_unit"), record)
+            title = f"Residual over frequency{self._which(experiment)}"
+            panels = [
+                ResponsePanel(record.omega, record.response, one.residuals, title, **units),
+                CorrelationPanel(*auto, f"Autocorrelation from point to point {test}", "Lag [points]"),
+            ]
+        else:
+            panels = [CorrelationPanel(*auto, f"Autocorrelation of the residuals {test}", "Lag [samples]")]
+        if self._driven:
+            cross = self.lags, self.cross_correlation, self.cross_correlation_band, self.confidence
+            found = f"response {p_value(self.response_p_value)}, feedback {p_value(self.feedback_p_value)}"
+            title, lag = f"Correlation with the input ({found})", "Lag of the residual behind the input [samples]"
+            panels.append(CorrelationPanel(*cross, title, lag))
+        return residual_panels_plot(panels, f"Residuals of {self.label}: {self.verdict}", **kwargs)
 
 
 def residual_analysis(
@@ -341,12 +318,11 @@ def residual_analysis(
     'NOT all of the response to the input is in the model'
     >>> picture = analysis.plot()
     """
-    check_options(method, intersample, initial_state, offset)
+    rules = Rules(method, intersample, initial_state, offset)
     records = experiments_to_hold_against(data, dt, [model], weights)
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)
     level = _checks.level("confidence", confidence)
-    rules = Rules(method, intersample, initial_state, offset)
     answers = []
     for place, record in enumerate(records):
         with in_experiment(place, len(records)):
@@ -365,22 +341,27 @@ def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
 
 
 def _analysed(
-    records: tuple[Any, ...], name: str, answers: list[Simulation], lags: int, confidence: float
+    records: tuple[Kind, ...], name: str, answers: list[Simulation], lags: int, confidence: float
 ) -> ResidualAnalysis:
     left = [values_of(record) - answer.output for record, answer in zip(records, answers, strict=True)]
-    spectral = isinstance(records[0], FrequencyRecord)
-    data, unit = (_over_frequency if spectral else _over_time)(records, left, answers, lags)
+    outputs = [(record, answer.output) for record, answer in zip(records, answers, strict=True)]
+    data, unit = _residual_data(records, left, answers, lags)
     auto, statistic, whiteness = autocorrelation(data, confidence)
-    driven = bool(data.v.any())
-    cross = cross_correlation(data, confidence) if _have_input(records) else _none(lags)
+    have_input = any(isinstance(record, Record) and record.driven for record in records)
+    unknown = np.full(2 * lags + 1, np.nan)
+    cross = Correlation(np.arange(-lags, lags + 1), unknown, unknown, np.zeros(2 * lags + 1, int))
+    if have_input:
+        cross = cross_correlation(data, confidence)
     causes = influence(data)
     largest = max(float(np.nanmax(np.abs(one))) for one in left)
-    size = max(float(np.nanmax(np.abs(a.output[r.observed]))) for a, r in zip(answers, records, strict=True))
+    size = max(float(np.nanmax(np.abs(output[record.observed]))) for record, output in outputs)
     # rounding of recursions run in doubles grows with the samples
     rounding = largest <= _checks.EPS * sum(record.samples for record in records) * size
+    spectral = isinstance(records[0], FrequencyRecord)
     findings = Findings(
-        rounding, whiteness, causes, 1 - confidence, driven, _have_input(records), spectral, _means(data, unit, left)
-    )
+        rounding, whiteness, causes, 1 - confidence, bool(data.v.any()), have_input, spectral,
+        _means(data, unit, spectral),
+    )  # fmt: skip
     return ResidualAnalysis(
         label=name, verdict=findings.headline, message=findings.message(),
         autocorrelation=auto.values, autocorrelation_band=auto.band, lags=cross.lags,
@@ -390,84 +371,67 @@ def _analysed(
         ljung_box=statistic, whiteness=whiteness, response_p_value=causes.response, feedback_p_value=causes.feedback,
         offset_p_value=causes.offset, noise_order=causes.noise_order, confidence=confidence,
         experiments=tuple(
-            ResidualExperiment(record, residuals, fit_to([(record, answer.output)]), answer.own)
-            for record, residuals, answer in zip(records, left, answers, strict=True)
+            ResidualExperiment(output[0], residuals, fit_to([output]), answer.own)
+            for output, residuals, answer in zip(outputs, left, answers, strict=True)
         ),
-        fit_percent=fit_to([(record, answer.output) for record, answer in zip(records, answers, strict=True)]),
-        own_record=any(answer.own for answer in answers),
+        fit_percent=fit_to(outputs), own_record=any(answer.own for answer in answers),
         input_label=records[0].input_label, output_label=records[0].output_label,
     )  # fmt: skip
 
 
-def _have_input(records: tuple[Any, ...]) -> bool:
-    return any(isinstance(record, Record) and record.driven for record in records)
-
-
-def _none(lags: int) -> Correlation:
-    """No correlation with an input, where there is none."""
-    unknown = np.full(2 * lags + 1, np.nan)
-    return Correlation(np.arange(-lags, lags + 1), unknown, unknown, np.zeros(2 * lags + 1, int))
-
-
-def _means(data: ResidualData, unit: float, left: list[NDArray[Any]]) -> list[complex]:
+def _means(data: ResidualData, unit: float, spectral: bool) -> list[complex]:
     """Mean of each experiment; of responses with their weights."""
     levels = [np.where(data.seen[part], data.constant[part], 0.0) for part in data.parts]
     means = [
         unit * float(level @ data.e[part]) / float(level @ level or 1.0)
         for level, part in zip(levels, data.parts, strict=True)
     ]
-    if len(means) == len(left):
-        return list(means)
-    return [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)]
+    return [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)] if spectral else list(means)
 
 
-def _over_time(
-    records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
+def _residual_data(
+    records: tuple[Kind, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
 ) -> tuple[ResidualData, float]:
-    """Records one after the other, each in the scale of its own noise, and the unit of all."""
-    unit = max(float(np.nanmax(np.abs(one))) for one in left) or 1.0
-    scales = noise_scales([one / unit for one in left])
-    lengths = tuple(record.samples for record in records)
-    level = np.repeat(1.0 / np.array(scales), lengths)
-    u = np.concatenate([record.u for record in records])
-    # least squares with these weights
-    u = u / (np.max(np.abs(u)) or 1.0) * level
-    shared, local = _directions(answers, [1.0 / scale for scale in scales])
-    residuals = np.concatenate(left) / unit * level
-    return ResidualData(residuals, u, shared, lags, lengths, tuple(local), level), unit
+    """Series one after the other, each in the scale of its weights and its own noise; and the unit of all.
+
+    A response has two series, the real and the imaginary parts.
+    """
+    spectral = isinstance(records[0], FrequencyRecord)
+
+    def series(values: list[NDArray[Any]]) -> list[Array]:
+        return [part for one in values for part in (one.real, one.imag)] if spectral else values
+
+    scales = _scales(records)
+    unit = max(float(np.nanmax(np.abs(scale * one))) for scale, one in zip(scales, left, strict=True)) or 1.0
+    left = [scale * one / unit for scale, one in zip(scales, left, strict=True)]
+    noise = noise_scales([np.abs(one) for one in left])
+    scales = [scale / size for scale, size in zip(scales, noise, strict=True)]
+    residuals = np.concatenate(series([one / size for one, size in zip(left, noise, strict=True)]))
+    shared, local = _directions(answers, scales)
+    level = np.concatenate([np.repeat(scale[None], 1 + spectral, axis=0).ravel() for scale in scales])
+    u = np.zeros(len(residuals))
+    if not spectral:
+        u = np.concatenate([record.u for record in records if isinstance(record, Record)])
+        # least squares with these weights
+        u = u / (np.max(np.abs(u)) or 1.0) * level
+    return ResidualData(
+        without_peaks(residuals) if spectral else residuals, u, np.concatenate(series(shared)), lags,
+        tuple(len(one) for one in series(shared)), tuple(series(local)), level,
+    ), unit  # fmt: skip
 
 
-def _over_frequency(
-    records: tuple[Any, ...], left: list[NDArray[Any]], answers: list[Simulation], lags: int
-) -> tuple[ResidualData, float]:
-    """Real and imaginary parts of each response one after the other, in the scale of weights and noise; the unit."""
-    largest = max(float(np.max(record.weights)) for record in records)
-    scales = [np.sqrt(record.weights / largest) for record in records]
-    quiet = noise_scales([np.abs(scale * one) for scale, one in zip(scales, left, strict=True)])
-    size = max(quiet)
-    scales = [scale * (size / noise) for scale, noise in zip(scales, quiet, strict=True)]
-    weighted = [scale * one for scale, one in zip(scales, left, strict=True)]
-    residuals = np.concatenate([part for one in weighted for part in (one.real, one.imag)])
-    unit = float(np.nanmax(np.abs(residuals))) or 1.0
-    shared, _ = _directions(answers, scales)
-    split = np.split(shared, np.cumsum([record.samples for record in records])[:-1])
-    shared = np.concatenate([part for one in split for part in (one.real, one.imag)])
-    residuals = without_peaks(residuals)
-    lengths = tuple(np.repeat([record.samples for record in records], 2).tolist())
-    local = tuple(np.zeros((length, 0)) for length in lengths)
-    level = np.concatenate([part for scale in scales for part in (scale, scale)])
-    none = np.zeros(len(residuals))
-    return ResidualData(residuals / unit, none, shared, lags, lengths, local, level), unit
+def _scales(records: tuple[Kind, ...]) -> list[Array]:
+    """Root of the weight of each sample."""
+    weights = [record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples) for record in records]
+    largest = max(float(np.max(weight)) for weight in weights)
+    return [np.sqrt(weight / largest) for weight in weights]
 
 
-def _directions(answers: list[Simulation], scales: list[Any]) -> tuple[NDArray[Any], list[Array]]:
-    """What was fitted to all experiments, under one another, and what to each alone; nothing of very long records."""
+def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
+    """What was fitted to all experiments, and what to each alone; nothing of very long records."""
     found = [answer.directions() for answer in answers]
-    width = max(one.shared.shape[1] for one in found)
     if sum(one.shared.size + one.local.size for one in found) > _MOST:
-        return np.zeros((sum(len(one.shared) for one in found), 0)), [one.local[:, :0] for one in found]
-    parts = []
-    for one, scale in zip(found, scales, strict=True):
-        shared = one.shared if one.shared.shape[1] else np.zeros((len(one.shared), width))
-        parts.append(shared * np.reshape(scale, (-1, 1)))
-    return np.concatenate(parts), [one.local for one in found]
+        return [one.shared[:, :0] for one in found], [one.local[:, :0] for one in found]
+    width = max(one.shared.shape[1] for one in found)
+    shared = [one.shared if one.shared.shape[1] else np.zeros((len(one.shared), width)) for one in found]
+    return [scale[:, None] * one for scale, one in zip(scales, shared, strict=True)], [one.local for one in found]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
-from ...modal.discretization import Hold
+from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem
@@ -23,15 +22,15 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.fitted_directions import Directions, of_record, of_response, same_data
 from ..fit.result import PEMResult
-from ..regression.prediction import estimated_state, response_on
+from ..regression.frequency_rows import modal_columns
+from ..regression.prediction import response_on
 from ..uncertainty.residual_data import factor_of
-from .linear_simulation import STEP_TOLERANCE, sampled_system
+from .linear_simulation import STEP_TOLERANCE, Motions, linear_motions
 
 Array = NDArray[np.float64]
 
-INITIAL_STATES = ("estimate", "zero", "fitted")
-
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
+_ROUNDING = 1e-9  # relative: a frequency at the Nyquist frequency may round beyond it
 
 
 @dataclass(frozen=True)
@@ -57,59 +56,77 @@ class Rules:
     initial_state: str
     offset: bool
 
+    def __post_init__(self) -> None:
+        _checks.choice("method", self.method, METHODS)
+        _checks.choice("intersample", self.intersample, INTERSAMPLE)
+        _checks.choice("initial_state", self.initial_state, ("estimate", "zero", "fitted"))
+        _checks.flags(offset=self.offset)
+
     def hold(self, dt: float) -> Hold:
         """The hold at a step."""
         return Hold(dt, self.method, self.intersample)
 
-    def estimates(self, record: Record) -> bool:
-        """Whether the initial state is fitted; without it nothing moves in a record without input."""
-        return self.initial_state == "estimate" or not record.driven
 
-
-def simulate_on(model: Any, label: str, record: Record, rules: Rules) -> Simulation:
-    """Output of a `PEMResult`, a system of this package, or a linear system of python-control along a record."""
+def answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
+    """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
+    places = range(len(model.experiments)) if isinstance(model, PEMResult) else []
+    place = next((k for k in places if same_data(record, model.experiments[k].record)), None)
+    if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
+        return Simulation(model.experiments[place].predicted, lambda: fitted_directions(model, place), True)
+    if isinstance(record, FrequencyRecord):
+        return Simulation(_response(model, label, record), lambda: _no_directions(record))
     if isinstance(model, PEMResult):
-        return _fitted_model(model, label, record, rules)
+        return _fitted_model(model, place, label, record, rules)
     if rules.initial_state == "fitted":
         raise StructureError(
             f"initial_state='fitted' is that of a PEMResult; model {label!r} is a {type(model).__name__}, which keeps "
             "none: use 'estimate' or 'zero'"
         )
-    if isinstance(model, ModalForm | LosslessSystem):
-        return _lossless_system(model, label, record, rules)
-    refuse_unknown_model(model, label)
-    one_port(label, model.ninputs, model.noutputs, "record")
-    sampled = sampled_system(model, label, record.dt, rules.hold(record.dt))
-    return _completed(sampled.forced(record.u), sampled.free, label, record, rules, sampled.growth)
+    system, hold = _one_port(model, label, "record"), rules.hold(record.dt)
+    if isinstance(system, LosslessSystem):
+        return _completed(_lossless_motions(system, record, hold), label, record, rules)
+    return _completed(linear_motions(system, label, record, hold), label, record, rules)
 
 
-def refuse_unknown_model(model: Any, label: str) -> None:
-    """Refuse what is no linear system of python-control in matrices or polynomials."""
-    if not isinstance(model, ct.StateSpace | ct.TransferFunction):
+def _keeps_its_state(one: Any, initial_state: str) -> bool:
+    """Whether the prediction of the fit itself is asked for: that from its state, estimated on these very data."""
+    if isinstance(one.record, FrequencyRecord) or initial_state == "fitted":
+        return True
+    from_rest = one.record.driven and not one.free_amplitudes.any()
+    return bool((initial_state == "zero" and one.record.driven) == from_rest)
+
+
+def _no_directions(record: Record | FrequencyRecord) -> Directions:
+    return Directions(*np.zeros((2, record.samples, 0)))
+
+
+def _one_port(model: Any, label: str, data: str) -> Any:
+    """The system of a model; refuse what is no linear system, or has several inputs or outputs."""
+    system = ph(model) if isinstance(model, ModalForm) else model
+    if not isinstance(system, ct.StateSpace | ct.TransferFunction):
         raise StructureError(
-            f"model {label!r} is a {type(model).__name__}; pass a PEMResult, a system of this package, or a "
+            f"model {label!r} is a {type(system).__name__}; pass a PEMResult, a system of this package, or a "
             "control.StateSpace or control.TransferFunction"
         )
-
-
-def one_port(label: str, inputs: int, outputs: int, data: str) -> None:
-    """Refuse several inputs or outputs."""
-    if (inputs, outputs) != (1, 1):
+    if not system.issiso():
         raise StructureError(
-            f"model {label!r} has {inputs} inputs and {outputs} outputs, the {data} one of each; pass the entry that "
-            "was measured, such as model[0, 0]"
+            f"model {label!r} has {system.ninputs} inputs and {system.noutputs} outputs, the {data} one of each; pass "
+            "the entry that was measured, such as model[0, 0]"
         )
+    return system
 
 
-def _completed(forced: Array, free_columns: Any, label: str, record: Record, rules: Rules, growth: float) -> Simulation:
+def _completed(motions: Motions, label: str, record: Record, rules: Rules) -> Simulation:
     """Add the free motion and the constant that fit the outputs best, where they are asked for."""
+    forced, growth = motions.forced, motions.growth
     if not np.isfinite(forced).all():
         where = int(np.argmin(np.isfinite(forced)))
         raise StructureError(
             f"model {label!r} is unstable: its modes grow by up to {growth:.6g} a sample, and its output leaves the "
             f"range of doubles at sample {where}; compare on a shorter record, or stabilise the model"
         )
-    estimate = rules.estimates(record)
+    # without it nothing moves in a record without input
+    estimate = rules.initial_state == "estimate" or not record.driven
     target = (record.y - forced)[record.observed]
     size, measured = float(np.max(np.abs(forced))), float(np.nanmax(np.abs(record.y)))
     if estimate and growth > 1 and size > _DIVERGED * measured:
@@ -118,21 +135,17 @@ def _completed(forced: Array, free_columns: Any, label: str, record: Record, rul
             f"{size:.3g} where {measured:.3g} was measured: no initial state can be told from that; use "
             "initial_state='zero' or a shorter record"
         )
-    parts = [free_columns(record.samples)] if estimate else []
+    parts = [motions.free()] if estimate else []
     columns = np.concatenate([*parts, np.ones((record.samples, int(rules.offset)))], axis=1)
-    _refuse_few(label, len(target), columns.shape[1])
+    if 0 < columns.shape[1] >= len(target):
+        raise StructureError(
+            f"the record has {len(target)} observed output samples and model {label!r} {columns.shape[1]} states to "
+            "estimate from them, so that nothing is left to judge it by; use a longer record, or initial_state='zero'"
+        )
     lengths = np.linalg.norm(columns[record.observed], axis=0)
     columns = columns / np.where(lengths > 0, lengths, 1.0)
     found = _least_squares(columns[record.observed], target)
     return Simulation(forced + columns @ found, lambda: Directions(np.zeros((record.samples, 0)), columns))
-
-
-def _refuse_few(label: str, observed: int, unknowns: int) -> None:
-    if unknowns and unknowns >= observed:
-        raise StructureError(
-            f"the record has {observed} observed output samples and model {label!r} {unknowns} states to estimate "
-            "from them, so that nothing is left to judge it by; use a longer record, or initial_state='zero'"
-        )
 
 
 def _least_squares(columns: Array, target: Array) -> Array:
@@ -146,54 +159,30 @@ def _least_squares(columns: Array, target: Array) -> Array:
 # --- results of a fit ------------------------------------------------------------------------------------------------
 
 
-def _fitted_model(model: PEMResult, label: str, record: Record, rules: Rules) -> Simulation:
-    place = own_place(model, record)
-    if place is not None and _keeps_its_state(model, place, rules.initial_state):
-        return Simulation(model.experiments[place].predicted, lambda: fitted_directions(model, place), True)
+def _fitted_model(model: PEMResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
+    """A fit on other data, or from another state on its own: by the rules of the fit, for these data."""
     steps = [one.record.dt for one in model.experiments if isinstance(one.record, Record)]
     if model.method != "exact" and steps and all(abs(record.dt - h) > STEP_TOLERANCE * record.dt for h in steps):
         raise StructureError(
             f"the record has the step {record.dt:.6g}, model {label!r} was fitted with method={model.method!r} at the "
             f"step {steps[0]:.6g}, and holds at that step only"
         )
-    hold = Hold(record.dt, model.method, model.intersample)
-    estimate, constant = rules.estimates(record), has_offset(model)
-    unknowns = 2 * int(np.count_nonzero(model.r > 0)) * estimate + constant
-    if rules.initial_state != "fitted":
-        _refuse_few(label, int(record.observed.sum()), unknowns)
-    state, offset = _state(model, label, record, hold, rules)
-    predicted = np.reshape(response_on(model.system, record, state, hold, model.quantity, offset).y, -1)
+    constant = bool(np.isfinite(model.offset_stderr).any())
+    rules = Rules(model.method, model.intersample, rules.initial_state, constant)
+    hold = rules.hold(record.dt)
+    if rules.initial_state == "fitted":
+        state, offset = _kept_state(model, label)
+        output = response_on(model.system, record, state, hold, model.quantity, offset).y
+        return Simulation(np.reshape(output, -1), lambda: _no_directions(record))
+    found = _completed(_lossless_motions(model.system, record, hold, model.quantity), label, record, rules)
+    if place is None:
+        return found
 
     def directions() -> Directions:
-        parts = [np.zeros((record.samples, 0))]
-        if rules.initial_state != "fitted":
-            parts += [_lossless_columns(model.system, record.samples, hold)] * estimate
-            parts += [np.ones((record.samples, 1))] * constant
-        shared = np.zeros((record.samples, 0))
-        if place is not None:
-            own = fitted_directions(model, place)
-            shared, parts = own.shared, [*parts, own.local]
-        return Directions(shared, np.concatenate(parts, axis=1))
+        own = fitted_directions(model, place)
+        return Directions(own.shared, np.concatenate([found.directions().local, own.local], axis=1))
 
-    return Simulation(predicted, directions, place is not None)
-
-
-def has_offset(model: PEMResult) -> bool:
-    """Whether a constant was estimated in each record."""
-    return bool(np.isfinite(model.offset_stderr).any())
-
-
-def _state(model: PEMResult, label: str, record: Record, hold: Hold, rules: Rules) -> tuple[Array, float]:
-    """State at the first sample, and offset: by the rule of the fit, for these data."""
-    if rules.initial_state == "fitted":
-        return _kept_state(model, label)
-    if rules.estimates(record):
-        return estimated_state(model.system, record, hold, model.quantity, has_offset(model))
-    rest = np.zeros(2 * model.order)
-    if not has_offset(model):
-        return rest, 0.0
-    forced = np.reshape(response_on(model.system, record, rest, hold, model.quantity, 0.0).y, -1)
-    return rest, float(np.mean((record.y - forced)[record.observed]))
+    return replace(found, directions=directions, own=True)
 
 
 def _kept_state(model: PEMResult, label: str) -> tuple[Array, float]:
@@ -210,36 +199,27 @@ def _kept_state(model: PEMResult, label: str) -> tuple[Array, float]:
     return model.initial_state, float(model.offsets[0])
 
 
-def _keeps_its_state(model: PEMResult, place: int, initial_state: str) -> bool:
-    """Whether the prediction of the fit itself is asked for: that from its state, estimated on these very data."""
+def fitted_directions(model: PEMResult, place: int) -> Directions:
+    """Derivatives of the prediction of one experiment of a fit by `(d, kappa)`, and by its free motion and offset."""
     one = model.experiments[place]
-    driven = isinstance(one.record, Record) and one.record.driven
-    from_rest = driven and not one.free_amplitudes.any()
-    return initial_state == "fitted" or (initial_state == "zero" and driven) == from_rest
-
-
-def own_place(model: PEMResult, record: Any) -> int | None:
-    """Which of its own experiments these data are, if any."""
-    return next((k for k, one in enumerate(model.experiments) if same_data(record, one.record)), None)
+    seen = [l for l in range(model.order) if l not in model.unseen]
+    weighted = np.array([l not in model.active for l in seen], bool)
+    d, kappa = model.d[seen], model.modes.kappa[seen]
+    if isinstance(one.record, FrequencyRecord):
+        return of_response(one.record, d, kappa, weighted, model.quantity)
+    hold = Hold(one.record.dt, model.method, model.intersample)
+    moving = weighted if model.representation == "controllable" else np.ones(len(seen), bool)
+    offset = int(np.isfinite(model.offset_stderr[place])) + (one.drift != 0)
+    return of_record(one.record, d, kappa, one.free_amplitudes[seen], weighted, moving, hold, model.quantity, offset)
 
 
 # --- lossless systems ------------------------------------------------------------------------------------------------
 
 
-def _lossless_system(model: Any, label: str, record: Record, rules: Rules) -> Simulation:
-    ports = model.nports if isinstance(model, ModalForm) else model.ninputs
-    one_port(label, ports, ports, "record")
-    system = ph(model) if isinstance(model, ModalForm) else model
-    hold = rules.hold(record.dt)
-    response = forced_response(
-        system, record.time, record.u, method=hold.method, intersample=hold.intersample, return_states=False
-    )
+def _lossless_motions(system: Any, record: Record, hold: Hold, quantity: str = "velocity") -> Motions:
+    forced = response_on(system, record, np.zeros(system.nstates), hold, quantity, 0.0).y
     growth = float(np.hypot(1.0, hold.h * system.modes.d.max(initial=0.0))) if hold.method == "euler" else 1.0
-
-    def columns(samples: int) -> Array:
-        return _lossless_columns(system, samples, hold)
-
-    return _completed(np.reshape(response.y, -1), columns, label, record, rules, growth)
+    return Motions(np.reshape(forced, -1), lambda: _lossless_columns(system, record.samples, hold), growth)
 
 
 def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array:
@@ -260,15 +240,42 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
     return np.concatenate([motions.real, motions.imag, (k / samples) ** np.arange(powers)[:, None]]).T
 
 
-def fitted_directions(model: PEMResult, place: int) -> Directions:
-    """Derivatives of the prediction of one experiment of a fit by `(d, kappa)`, and by its free motion and offset."""
-    one = model.experiments[place]
-    seen = [l for l in range(model.order) if l not in model.unseen]
-    weighted = np.array([l not in model.active for l in seen], bool)
-    d, kappa = model.d[seen], model.modes.kappa[seen]
-    if isinstance(one.record, FrequencyRecord):
-        return of_response(one.record, d, kappa, weighted, model.quantity)
-    hold = Hold(one.record.dt, model.method, model.intersample)
-    moving = weighted if model.representation == "controllable" else np.ones(len(seen), bool)
-    offset = int(np.isfinite(model.offset_stderr[place])) + (one.drift != 0)
-    return of_record(one.record, d, kappa, one.free_amplitudes[seen], weighted, moving, hold, model.quantity, offset)
+# --- frequency responses ---------------------------------------------------------------------------------------------
+
+
+def _response(model: Any, label: str, record: FrequencyRecord) -> NDArray[np.complex128]:
+    """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
+    if isinstance(model, PEMResult):
+        live = model.r > 0
+        infinite = np.isin(record.omega, model.d[live])
+        response = model.modes.kappa[live] @ modal_columns(model.d[live], record.omega, model.quantity)[0]
+    else:
+        system = _one_port(model, label, "response")
+        points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            response = system.horner(points, warn_infinite=False)[0, 0]
+        infinite = ~np.isfinite(response)
+    offending = np.flatnonzero(infinite & record.observed)
+    if len(offending):
+        k = int(offending[0])
+        raise StructureError(
+            f"model {label!r} has a pole at omega = {record.omega[k]:.6g}, point {k} of the response: it is infinite "
+            "there, and no finite measurement agrees with that; mark the point as missing with NaN to leave it out"
+        )
+    return np.asarray(response, complex)
+
+
+def _sampled_phases(system: Any, label: str, record: FrequencyRecord) -> Array:
+    """Phase between samples of a discrete-time system at each frequency, below half a turn."""
+    if isinstance(system.dt, bool):
+        raise StructureError(
+            f"model {label!r} is discrete-time with an unspecified step, so that its response has no frequencies in "
+            "rad per unit of time; give it a dt"
+        )
+    nyquist = np.pi / system.dt
+    if record.omega[-1] > nyquist * (1 + _ROUNDING):
+        raise StructureError(
+            f"model {label!r} is discrete-time with dt = {system.dt:g}, and says nothing above its Nyquist frequency "
+            f"{nyquist:.6g}; the response reaches {record.omega[-1]:.6g}: leave these points out"
+        )
+    return np.asarray(record.omega * system.dt)
