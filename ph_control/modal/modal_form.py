@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import rsf2csf
 
 from .. import _checks
 from .._display import ShownModes
@@ -31,6 +32,40 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _CHUNK = 1 << 20  # entries of a (frequency x mode) table held at once
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Poles that are not parted: the block `C (sI - A)^{-1} B` that they make, in real Schur form.
+
+    Attributes
+    ----------
+    A, B, C : ndarray, shapes (k, k), (k, m), (p, k)
+        Real matrices of the block.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+
+    @cached_property
+    def triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """The block with an upper triangular matrix."""
+        T, U = rsf2csf(self.A, np.eye(len(self.A)))
+        return T, U.conj().T @ self.B, self.C @ U
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Eigenvalues, as far as they are known."""
+        return np.diag(self.triangular[0]).copy()
+
+    def evaluate(self, s: ComplexArray) -> ComplexArray:
+        """Response at points, shape (p, m, N), by substitution; not finite at a pole."""
+        T, B, C = self.triangular
+        x = np.empty((len(T), B.shape[1], len(s)), complex)
+        for k in range(len(T) - 1, -1, -1):
+            x[k] = (B[k, :, None] + np.tensordot(T[k, k + 1 :], x[k + 1 :], axes=1)) / (s - T[k, k])
+        return np.tensordot(C, x, axes=1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,6 +121,8 @@ class ModalForm(ShownModes):
         self._fill(d, nu, rigid, None if self.r is None else _weights_beside(nu, self.r))
         _checks.representable("the weights |nu|^2", self.r)
 
+    clusters: ClassVar[tuple[Cluster, ...]] = ()
+
     @classmethod
     def _of(cls, d: Array, nu: ComplexArray, rigid: Array, r: Array | None = None) -> ModalForm:
         """Modal form of arrays of its own that need no check."""
@@ -114,6 +151,113 @@ class ModalForm(ShownModes):
     def nports(self) -> int:
         """Number of ports m."""
         return int(self.nu.shape[1])
+
+    @property
+    def ninputs(self) -> int:
+        """Number of inputs."""
+        return self.nports
+
+    @property
+    def noutputs(self) -> int:
+        """Number of outputs."""
+        return self.nports
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether all poles are on the imaginary axis, with the residues of a system that loses nothing."""
+        return True
+
+    @cached_property
+    def feedthrough(self) -> Array:
+        """Response at infinity, shape (p, m); 0 for a lossless system."""
+        return _checks.readonly(np.zeros((self.nports, self.nports)))
+
+    @property
+    def equations(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Numbers of `x' = p x + b u`, `y = Re(c x)`, shapes (N,), (N, m) and (p, N); rigid bodies last."""
+        p = imaginary(np.concatenate([-self.d, np.zeros(len(self.rigid))]))
+        c = np.concatenate([self.d[:, None] * self.nu.conj(), self.rigid])
+        return p, np.concatenate([self.nu, self.rigid]), c.T
+
+    @property
+    def mode_poles(self) -> ComplexArray:
+        """Upper pole of each mode, shape (n,); of a lossless system `i d`, rigid-body modes left out."""
+        return imaginary(self.d)
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """Size `|p|` of the poles of each mode, rad per unit time, shape (n,)."""
+        return np.abs(self.mode_poles)
+
+    @property
+    def damping_ratios(self) -> Array:
+        """Damping ratio `-Re p / |p|` of each mode, shape (n,); 1 for real poles, 0 for those at 0."""
+        return 0.0 - self.mode_poles.real / np.where(self.mode_poles == 0, 1.0, self.natural_frequencies)
+
+    @property
+    def shapes(self) -> ComplexArray:
+        """Mode shapes, shape (n, p): the part of each output in the motion of a mode, the largest 1."""
+        lead = self.nu[np.arange(len(self.d)), np.abs(self.nu).argmax(axis=1)] if self.nu.size else np.ones(len(self.d))
+        return self.nu / np.where(lead == 0, 1.0, lead)[:, None]
+
+    @property
+    def participation(self) -> ComplexArray:
+        """What the inputs make of each mode, shape (n, m): the residue is `shape participation^T`."""
+        peak = np.abs(self.nu).max(axis=1, initial=0.0)
+        return 0.5 * (self.d * peak**2)[:, None] * self.shapes.conj()
+
+    @property
+    def residues(self) -> ComplexArray:
+        """Residue matrix of each of `poles`, shape (N, p, m)."""
+        upper = self.shapes[:, :, None] * self.participation[:, None, :]
+        at_zero = self.rigid[:, :, None] * self.rigid[:, None, :]
+        return np.concatenate([upper[::-1].conj(), at_zero, upper])
+
+    @property
+    def modal_mass(self) -> Array:
+        """Mass of each mode, shape (n,), where input i is the force and output i the velocity of the same point.
+
+        That of the motion of which the shape has the entry 1 at the point that moves most: `1/kappa` for one port, with
+        proportional damping as without.  Infinite for a mode that no force reaches.
+        """
+        p, ports = self.mode_poles, slice(0, self.nports)
+        driven = np.abs(self.shapes[:, ports] * self.participation[:, ports]).max(axis=1, initial=0.0)
+        turning = np.where(p.imag == 0, 1.0, 2 * p.imag / np.where(p == 0, 1.0, np.abs(p)))
+        with np.errstate(divide="ignore"):
+            return 1.0 / (driven * turning)
+
+    def mac(self, other: ModalForm) -> Array:
+        """Modal assurance criterion `|c^H c'|^2 / (|c|^2 |c'|^2)` of the mode shapes of two forms, from 0 to 1.
+
+        Parameters
+        ----------
+        other : ModalForm
+            With as many outputs.
+
+        Returns
+        -------
+        ndarray, shape (n, n')
+            One row for each mode of this form, one column for each of the other.
+
+        Raises
+        ------
+        StructureError
+            If the numbers of outputs differ.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> frame = phc.ph(np.diag([4.0, 1.0, 1.0, 1.0]), np.eye(4)[:, 2:]).modes
+        >>> frame.mac(frame)
+        array([[1., 0.],
+               [0., 1.]])
+        """
+        mine, its = (
+            one.shapes / np.maximum(np.linalg.norm(one.shapes, axis=1), _checks.TINY)[:, None] for one in (self, other)
+        )
+        if mine.shape[1] != its.shape[1]:
+            raise StructureError(f"shapes of {mine.shape[1]} and of {its.shape[1]} outputs; they must be the same ones")
+        return np.abs(mine.conj() @ its.T) ** 2
 
     @cached_property
     def kappa(self) -> Array:
@@ -281,10 +425,11 @@ class ModalForm(ShownModes):
         array([0.+0.j        , 0.+0.33333333j])
         """
         w = _checks.real_array("omega", omega)
-        if self.nports > 1 and w.ndim > 1:
+        siso = self.ninputs == self.noutputs == 1
+        if not siso and w.ndim > 1:
             raise StructureError(f"omega has shape {w.shape}; for several ports it must be a vector")
         values = self.evaluate(imaginary(w.ravel()))
-        return values[0, 0].reshape(w.shape) if self.nports == 1 else values
+        return values[0, 0].reshape(w.shape) if siso else values
 
     def coefficients(self) -> tuple[Array, Array]:
         """Coefficients of the transfer function of a one-port, all of full relative accuracy.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from .discretization import Hold, Step
-from .modal_form import ModalForm, imaginary
+from .modal_form import ModalForm
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -28,20 +28,48 @@ _FOLD = 40  # modes from which on folding pays
 
 def discretize(modes: ModalForm, hold: Hold) -> Step:
     """One step of the modes; the rigid-body modes follow the oscillating ones."""
-    return hold.step(*_equations(modes))
+    return hold.step(*modes.equations)
 
 
-def _equations(modes: ModalForm) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """`p`, `b` and `c` of `x' = p x + b u`, `y = Re(c x)`."""
-    d = np.concatenate([modes.d, np.zeros(len(modes.rigid))])
-    b = np.concatenate([modes.nu, modes.rigid])
-    return imaginary(-d), b, np.concatenate([modes.d[:, None] * modes.nu.conj(), modes.rigid]).T
+def outputs(modes: ModalForm, hold: Hold, u: Array, x0: ComplexArray | None = None) -> Array:
+    """Outputs (p, T) of any modal form for input samples (m, T), from rest or from a state of its single modes.
+
+    Clusters start from rest, and are stepped as matrices.
+    """
+    step = discretize(modes, hold)
+    y = simulate(step, u, np.zeros(len(step.growth), complex) if x0 is None else x0)[0]
+    y += modes.feedthrough @ u
+    for block in modes.clusters:
+        y += block.C @ step_through(*hold.step_of_matrices(block.A, block.B), u)
+    return y
+
+
+def step_through(F: Array, now: Array, then: Array, u: Array) -> Array:
+    """States (k, T) of `x_{k+1} = F x_k + now u_k + then u_{k+1}` from rest at the first sample.
+
+    About `sqrt(T)` blocks of samples are stepped side by side, first from rest, then from where the one before ends.
+    """
+    samples = u.shape[1]
+    size = int(np.ceil(np.sqrt(samples)))
+    drive = now @ u
+    drive[:, :-1] += then @ u[:, 1:]
+    blocks = np.zeros((len(F), size * size))
+    blocks[:, 1:samples] = drive[:, : samples - 1]
+    x = blocks.reshape(len(F), size, size)
+    for k in range(1, size):
+        x[:, :, k] += F @ x[:, :, k - 1]
+    powers = [F]
+    for _ in range(size - 1):
+        powers.append(F @ powers[-1])
+    for block in range(1, size):
+        x[:, block] += np.stack([power @ x[:, block - 1, -1] for power in powers], axis=1)
+    return blocks[:, :samples]
 
 
 def transfer_function(modes: ModalForm, points: ComplexArray, hold: Hold | None) -> ComplexArray:
     """Transfer function of the modes, sampled or not, term by term; shape (N, m, m)."""
     if hold is None:
-        poles, b, c = _equations(modes)
+        poles, b, c = modes.equations
         later = np.zeros_like(b)
     else:
         step = discretize(modes, hold)
@@ -60,7 +88,7 @@ def simulate(
     Parameters
     ----------
     step : Step
-        N modes and m ports.
+        N modes, m inputs and p outputs.
     u : ndarray, shape (m, T)
         Input samples.
     x0 : ndarray, shape (N,)
@@ -72,7 +100,7 @@ def simulate(
 
     Returns
     -------
-    y : ndarray, shape (m, T)
+    y : ndarray, shape (p, T)
         Outputs.
     x : ndarray, shape (N, T), or None
         Modal states.
@@ -83,7 +111,7 @@ def simulate(
     turns = _turns(step, min(block or _block(len(x0)), u.shape[1]), u.shape[1])
     forced = _responses(step, b, turns)
     outward = turns.whole[:-1] * step.c[:, None]
-    y = np.empty(u.shape)
+    y = np.empty((len(step.c), u.shape[1]))
     for here, blocks, sums in _segments(turns, b, u, start):
         for row, kernels, weights in zip(y, forced, outward, strict=True):
             out = blocks[0] @ kernels[0]
@@ -199,14 +227,15 @@ def _table(step: Step, first: float, gap: float, count: int) -> ComplexArray:
 
 def _responses(step: Step, b: ComplexArray, turns: _Turns) -> Array:
     """Outputs of a block from its inputs, by output and input: Toeplitz matrices of the impulse response."""
-    ports, size = len(step.c), turns.size
-    response = np.zeros((ports, ports, 2 * size))
+    (N, inputs), outputs, size = b.shape, len(step.c), turns.size
+    response = np.zeros((outputs, inputs, 2 * size))
     response[:, :, size] = (step.c @ step.b1).real
-    later = np.zeros((ports * ports, size))
-    turns.spread((step.c[:, None] * (turns.ahead * b.T)).reshape(ports * ports, -1), later)
-    response[:, :, size + 1 :] = later.reshape(ports, ports, size)[:, :, :-1]
+    later = np.zeros((outputs * inputs, size))
+    turns.spread((step.c[:, None] * (turns.ahead * b.T)).reshape(outputs * inputs, N), later)
+    response[:, :, size + 1 :] = later.reshape(outputs, inputs, size)[:, :, :-1]
     row, column, one = response.strides
-    return np.ndarray((ports, ports, size, size), float, response, size * one, (row, column, -one, one)).copy()
+    shape = outputs, inputs, size, size
+    return np.ndarray(shape, float, response, size * one, (row, column, -one, one)).copy()
 
 
 # --- from block to block -----------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from ..exceptions import StructureError
 from ..modal import foster_test as lossless
 from ..modal import minimal as reachability
 from ..modal.error_bounds import Separation, separate
+from ..modal.general_form import GeneralModalForm, from_state_space, from_vectors, with_damping
 from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
@@ -502,8 +503,10 @@ def ph(
     source = Q
     if J is not None:
         raise StructureError("J is given without B; it belongs to the matrices Q and B of z' = J Q z + B u")
-    if isinstance(source, ModalForm):
+    if isinstance(source, ModalForm) and source.is_lossless:
         return PortHamiltonian._from_modes(source, **names)
+    if isinstance(source, GeneralModalForm):
+        source = source.state_space()
     if isinstance(source, PortHamiltonian):
         names = inherited_names(source, names, *_SIGNALS)
         twin = _restore(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))
@@ -518,35 +521,67 @@ def ph(
     return PortHamiltonian._from_modes(lossless.lossless_modes(source, method, intersample), **names)
 
 
-def modes(d: Any, r: ArrayLike | None = None) -> ModalForm:
-    """Modal form from natural frequencies and weights, or of any lossless system.
+def modes(
+    d: Any, r: ArrayLike | None = None, participation: ArrayLike | None = None, *, damping: ArrayLike | None = None
+) -> ModalForm:
+    """Modal form of a system, or from frequencies and weights, or from poles and vectors.
 
     Parameters
     ----------
     d : array_like, shape (n,), or a system
-        Natural frequencies, positive, rad per unit time, in any order; or, without `r`, a system that `ph` takes.
-    r : array_like, shape (n,), optional
-        Weights, not negative.
+        Natural frequencies, positive, rad per unit time, in any order; or poles, one of each pair of conjugates, with
+        imaginary parts that are not negative; or, alone, any linear system of continuous time.
+    r : array_like, shape (n,), or (n, p) beside poles
+        Weights, not negative; or mode shapes at p outputs.
+    participation : array_like, shape (n, m), optional
+        What m inputs make of each mode; makes of `d` poles and of `r` mode shapes.
+    damping : array_like, shape (n,), or a number, optional
+        Damping ratios `zeta` of the modes `kappa s / (s^2 + 2 zeta d s + d^2)`, `kappa = r d`.
 
     Returns
     -------
     ModalForm
-        `d` ascending and `r` in the same order: the paper's unique identification coordinates.
+        Natural frequencies ascending; of a lossless system with `d` and `r`, the paper's unique identification
+        coordinates, of any other with poles, `shapes` and `participation`.
 
     Raises
     ------
     StructureError, NotLosslessError
-        If the arguments do not describe a lossless system.
+        If the arguments do not describe a linear system of continuous time.
+
+    Notes
+    -----
+    The transfer function is `D + sum_l c_l b_l^T / (s - p_l)` over all poles, with shapes `c` and participation `b`.
+    Poles that no well-conditioned transformation parts, as at critical damping, stay together as `clusters`: frequency
+    responses keep their digits, and `residues` are refused where they would have none.  O(n^3) for a system.
 
     Examples
     --------
     >>> import ph_control as phc
     >>> phc.modes([3.0, 1.0], [0.5, 2.0])
     modes([1.0, 3.0], [2.0, 0.5])
+    >>> damped = phc.modes([3.0, 1.0], [0.5, 2.0], damping=0.01)
+    >>> damped.natural_frequencies, damped.damping_ratios.round(6)
+    (array([1., 3.]), array([0.01, 0.01]))
+    >>> damped.freqresp(1.0).round(3)
+    np.complex128(100.001+0.187j)
     """
+    if participation is not None:
+        if r is None or damping is not None:
+            raise StructureError("with participation give poles and shapes, and no damping: the poles have it")
+        return from_vectors(d, r, participation)
+    if r is None and damping is not None:
+        raise StructureError("damping is that of natural frequencies and weights; give d and r")
     if r is not None:
-        return from_frequencies(d, r)
-    return d if isinstance(d, ModalForm) else full_port_hamiltonian(d).modes
+        return from_frequencies(d, r) if damping is None else with_damping(d, r, damping)
+    if isinstance(d, ModalForm):
+        return d
+    try:
+        return full_port_hamiltonian(d).modes
+    except StructureError:
+        if not isinstance(d, ct.StateSpace | ct.TransferFunction) or d.isdtime(strict=True) or not d.ninputs:
+            raise
+        return from_state_space(ct.ss(d))
 
 
 def full_port_hamiltonian(sys: Any) -> PortHamiltonian:

@@ -1,0 +1,335 @@
+"""Modal form of any linear system: poles on either side of the axis, sensors and actuators anywhere.
+
+    G(s) = D + sum_l [ c_l b_l^T / (s - p_l) + conj(c_l b_l^T) / (s - conj(p_l)) ] + real poles + clusters
+
+A matrix is split into modes by its real Schur form.  Poles that no well-conditioned transformation parts, of critical
+damping for example, stay together in a block of that form: responses run through the block and keep their digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NoReturn
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag, matrix_balance, schur
+from slycot import mb03rd
+
+from .. import _checks
+from .._display import html_table, literal
+from ..exceptions import NotLosslessError, StructureError
+from ..numerics.pole_residue import PoleResidueForm
+from .foster_test import decide
+from .modal_form import Cluster, ModalForm, from_frequencies
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
+
+
+def _only_lossless(name: str) -> Any:
+    def refuse(self: GeneralModalForm) -> NoReturn:
+        ratios = ", ".join(f"{zeta:.3g}" for zeta in self.damping_ratios[:3])
+        raise NotLosslessError([f"its poles have damping ratios {ratios}, .., so that it has no {name}"])
+
+    return property(refuse)
+
+
+class GeneralModalForm(ModalForm):
+    """A system in modal coordinates whose poles may lie anywhere; made by `modes`.
+
+    Parameters
+    ----------
+    poles : ndarray, shape (n,)
+        One of each pair of conjugates, with a positive imaginary part, and the real ones.
+    shapes, participation : ndarray, shapes (n, p) and (n, m)
+        What each mode makes of the p outputs, and what m inputs make of it; the residue is `shape participation^T`.
+    feedthrough : ndarray, shape (p, m)
+        Response at infinity.
+    clusters : sequence of Cluster
+        Blocks of poles that are not parted.
+
+    See Also
+    --------
+    ModalForm : that of lossless systems.
+    """
+
+    def __init__(
+        self, poles: ComplexArray, shapes: ComplexArray, participation: ComplexArray, feedthrough: Array,
+        clusters: Sequence[Cluster] = (),
+    ) -> None:  # fmt: skip
+        order = np.lexsort((poles.real, np.abs(poles)))
+        self.__dict__.update(
+            _poles=poles[order], _shapes=shapes[order], _participation=participation[order],
+            feedthrough=feedthrough, clusters=tuple(clusters),
+        )  # fmt: skip
+        arrays = [self._poles, self._shapes, self._participation, self.feedthrough]
+        for array in arrays + [matrix for block in self.clusters for matrix in (block.A, block.B, block.C)]:
+            array.flags.writeable = False
+
+    _poles: ComplexArray
+    _shapes: ComplexArray
+    _participation: ComplexArray
+
+    d = nu = rigid = r = _only_lossless("d, nu, rigid, r")
+    kappa, kappa_0, minimal = _only_lossless("kappa"), _only_lossless("kappa_0"), _only_lossless("minimal")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        arrays = (self._poles, self._shapes, self._participation, self.feedthrough)
+        return type(self), (*(array.copy() for array in arrays), self.clusters)
+
+    @property
+    def is_lossless(self) -> bool:
+        """False: a lossless system has a `ModalForm` with frequencies and weights."""
+        return False
+
+    @property
+    def n(self) -> int:
+        """Number of modes: pairs of poles, and real poles."""
+        return len(self.mode_poles)
+
+    @property
+    def noutputs(self) -> int:
+        """Number of outputs."""
+        return int(self.feedthrough.shape[0])
+
+    @property
+    def ninputs(self) -> int:
+        """Number of inputs."""
+        return int(self.feedthrough.shape[1])
+
+    @property
+    def nports(self) -> int:
+        """Number of pairs of an input and an output."""
+        return min(self.noutputs, self.ninputs)
+
+    @cached_property
+    def mode_poles(self) -> ComplexArray:
+        """One pole of each mode: those of single modes by their size, then those in clusters."""
+        found = [block.poles for block in self.clusters]
+        return _checks.readonly(np.concatenate([self._poles, *(p[p.imag >= 0] for p in found)]))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """All poles, shape (N,): those of the lower half-plane, real ones, those of the upper; then those in clusters.
+
+        The single ones are in the order of `residues`.
+        """
+        single, _, _ = self._both_halves
+        return np.concatenate([single, *(block.poles for block in self.clusters)])
+
+    @cached_property
+    def _both_halves(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Poles, shapes and participation with those of the conjugates."""
+        real = self._poles.imag == 0
+        parts = self._poles, self._shapes, self._participation
+        poles, shapes, participation = (
+            np.concatenate([part[~real][::-1].conj(), part[real], part[~real]]) for part in parts
+        )
+        return poles, shapes, participation
+
+    @property
+    def equations(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Numbers of `x' = p x + b u`, `y = Re(c x)` for the single modes, shapes (N,), (N, m) and (p, N)."""
+        pairs = np.where(self._poles.imag == 0, 1.0, 2.0)[:, None]
+        return self._poles, self._participation, (pairs * self._shapes).T
+
+    @property
+    def residues(self) -> ComplexArray:
+        """Residue of each of `poles`, shape (N, p, m); refused where poles are not parted."""
+        self._refuse_clusters("residues")
+        _, shapes, participation = self._both_halves
+        return shapes[:, :, None] * participation[:, None, :]
+
+    @property
+    def shapes(self) -> ComplexArray:
+        """Mode shapes, shape (n, p); of modes in a cluster nearly parallel ones."""
+        vectors = [np.linalg.eig(block.A) for block in self.clusters]
+        found = [(block.C @ V).T[p.imag >= 0] for block, (p, V) in zip(self.clusters, vectors, strict=True)]
+        return np.concatenate([self._shapes, *found])
+
+    @property
+    def participation(self) -> ComplexArray:
+        """What the inputs make of each mode, shape (n, m); refused where poles are not parted."""
+        self._refuse_clusters("participation")
+        return self._participation
+
+    def _refuse_clusters(self, what: str) -> None:
+        if self.clusters:
+            together = ", ".join(f"{p:.4g}" for p in self.clusters[0].poles)
+            raise StructureError(
+                f"poles {together} are not parted by a transformation of condition {_CONDITION:g}, so that their "
+                f"{what} have no digits; responses and `clusters` have, and `single` is the form of all other modes"
+            )
+
+    @property
+    def single(self) -> GeneralModalForm:
+        """The form without its clusters."""
+        return GeneralModalForm(self._poles, self._shapes, self._participation, self.feedthrough)
+
+    def state_space(self) -> ct.StateSpace:
+        """Real state space of the modes, block by block."""
+        blocks, B, C = [], [np.zeros((0, self.ninputs))], [np.zeros((self.noutputs, 0))]
+        for p, c, b in zip(self._poles, self._shapes, self._participation, strict=True):
+            if p.imag == 0:
+                blocks.append([[p.real]])
+                B.append(b.real[None])
+                C.append(c.real[:, None])
+            else:
+                blocks.append([[p.real, p.imag], [-p.imag, p.real]])
+                B.append(np.stack([b.real, -b.imag]))
+                C.append(2 * np.stack([c.real, c.imag], axis=1))
+        A = block_diag(*blocks, *(block.A for block in self.clusters))
+        B, C = B + [block.B for block in self.clusters], C + [block.C for block in self.clusters]
+        size = sum(map(len, B))
+        A = A.reshape(-1)[: size * size].reshape(size, size)  # of no blocks one that is empty
+        return ct.ss(A, np.concatenate(B), np.hstack(C), self.feedthrough)
+
+    @cached_property
+    def zeros(self) -> ComplexArray:
+        """Invariant zeros, those of `state_space`."""
+        return np.sort_complex(np.asarray(self.state_space().zeros(), complex))
+
+    def evaluate(self, s: ArrayLike) -> ComplexArray:
+        """Transfer function at complex points, shape (p, m, N); `inf` at a pole, `D` at infinity, never NaN."""
+        points = _checks.complex_points("the points", s)
+        poles, c, b = self._both_halves
+        residues = (c[:, :, None] * b[:, None, :]).reshape(len(poles), self.noutputs * self.ninputs)
+        out = np.empty((points.size, residues.shape[1]), complex)
+        step = max(1, (1 << 20) // max(1, len(poles)))
+        for start in range(0, points.size, step):
+            part = slice(start, start + step)
+            gap = points[part, None] - poles
+            at_pole = gap == 0
+            with np.errstate(all="ignore"):
+                out[part] = np.where(at_pole | ~np.isfinite(gap), 0.0, 1.0 / gap) @ residues
+            if at_pole.any():
+                out[part][at_pole @ (residues != 0)] = np.inf
+        out = out.T.reshape(self.noutputs, self.ninputs, -1) + self.feedthrough[:, :, None]
+        with np.errstate(all="ignore"):
+            for block in self.clusters:
+                out += np.where(np.isfinite(points), block.evaluate(points), 0.0)
+        return np.where(np.isfinite(out), out, complex(np.inf, 0.0))
+
+    def __repr__(self) -> str:
+        if self.clusters or self.feedthrough.any():
+            return f"<ModalForm: {self.n} modes, {self.noutputs} outputs, {self.ninputs} inputs>"
+        arrays = ",\n".join(literal(array) for array in (self._poles, self._shapes, self._participation))
+        return f"modes(\n{arrays})"
+
+    def _repr_latex_(self) -> str:
+        return r"$$G(s) = D + \sum_l \frac{c_l b_l^\top}{s - p_l} + \frac{\bar c_l \bar b_l^\top}{s - \bar p_l}$$"
+
+    def _repr_html_(self) -> str:
+        rows = zip(range(1, self.n + 1), self.natural_frequencies, self.damping_ratios, strict=True)
+        cells = [[f"{value:.7g}" for value in row] for row in rows]
+        return self._repr_latex_() + html_table(["mode", "natural frequency", "damping ratio"], cells)
+
+
+# --- makers ------------------------------------------------------------------------------------------------------
+
+
+def from_vectors(poles: ArrayLike, shapes: ArrayLike, participation: ArrayLike) -> ModalForm:
+    """Check poles, shapes (n, p) and participation (n, m), and make a modal form, a lossless one of such residues."""
+    p = np.atleast_1d(_checks.complex_points("the poles", poles))
+    _checks.finite("the poles", p)
+    c, b = (
+        _checks.complex_matrix(name, np.reshape(value, (len(p), -1)) if np.ndim(value) < 2 else value, len(p))
+        for name, value in (("shapes", shapes), ("participation", participation))
+    )
+    lower = np.flatnonzero(p.imag < 0)
+    if lower.size:
+        raise StructureError(
+            f"pole {p[lower[0]]:.6g} is in the lower half-plane; give one of each pair of conjugates, that with a "
+            "positive imaginary part"
+        )
+    real = p.imag == 0
+    if np.any(c[real].imag != 0) or np.any(b[real].imag != 0):
+        raise StructureError("shapes or participation of a real pole are complex; those of real poles are real")
+    form = GeneralModalForm(p, c, b, np.zeros((c.shape[1], b.shape[1])))
+    if not p.real.any() and c.shape == b.shape:
+        poles, residues, none = form.poles, form.residues, np.zeros(len(form.poles))
+        size = float(np.abs(residues).max(initial=0.0))
+        exact = PoleResidueForm(poles, residues, none, none, none, none, size, form.feedthrough)
+        with suppress(NotLosslessError):
+            return decide(exact).modes
+    return form
+
+
+def with_damping(d: ArrayLike, r: ArrayLike, damping: ArrayLike) -> ModalForm:
+    """Modes `kappa s / (s^2 + 2 zeta d s + d^2)`, `kappa = r d`, of one port, with the damping ratios `zeta`."""
+    given, d = d, _checks.natural_frequencies(d)
+    kappa = d * _checks.residue_weights(r, len(d))
+    zeta = _checks.real_array("damping", damping)
+    if zeta.shape not in ((), d.shape):
+        raise StructureError(f"damping has shape {zeta.shape}; it must be a number or one for each of {len(d)} modes")
+    if not zeta.any():
+        return from_frequencies(given, r)
+    zeta = np.broadcast_to(zeta, d.shape)
+    square = (1.0 - zeta) * (1.0 + zeta)
+    critical = np.abs(square) < _CONDITION**-2
+    root = np.sqrt(np.abs(square))
+    over, under = (square < 0) & ~critical, (square > 0) & ~critical
+    p = d[under] * (-zeta[under] + 1j * root[under])
+    # kappa p / (p - conj(p)), and of two real poles that with the smaller one from their product
+    residue = kappa[under] * p / (2j * p.imag)
+    fast = -d[over] * (zeta[over] + np.sign(zeta[over]) * root[over])
+    slow = d[over] ** 2 / fast
+    gain = kappa[over] / (fast - slow)
+    poles = np.concatenate([p, fast, slow])
+    weight = np.concatenate([residue, gain * fast, -gain * slow])
+    blocks = [
+        Cluster(x * np.array([[0.0, 1.0], [-1.0, -2.0 * z]]), np.array([[0.0], [k**0.5]]), np.array([[0.0, k**0.5]]))
+        for x, z, k in zip(d[critical], zeta[critical], kappa[critical], strict=True)
+    ]
+    clusters = [Cluster(T, U.T @ block.B, block.C @ U) for block in blocks for T, U in [schur(block.A)]]
+    return GeneralModalForm(poles, np.ones((len(poles), 1), complex), weight[:, None], np.zeros((1, 1)), clusters)
+
+
+def from_state_space(sys: ct.StateSpace) -> GeneralModalForm:
+    """Split a state space of continuous time into modes, and into clusters where poles are not parted."""
+    A, B, C, D = (_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD")
+    if not len(A):
+        none, shapes, participation = (np.zeros(size, complex) for size in (0, (0, len(D)), (0, len(D.T))))
+        return GeneralModalForm(none, shapes, participation, D)
+    # by powers of 2, which round nothing
+    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    B, C = B / scale[:, None], C * scale
+    T, X, sizes, _ = mb03rd(len(A), *schur(A), sort="B", pmax=_CONDITION)
+    W = np.linalg.inv(X)
+    inputs, outputs = W @ B, C @ X
+    # what rounding of A makes of a real pole at 0
+    noise = len(A) * _checks.EPS * np.sum((np.abs(W) @ np.abs(A)) * np.abs(X.T), axis=1)
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    parts = [slice(a, b) for a, b in pairwise(starts[: np.searchsorted(starts, len(A)) + 1])]
+    found, clusters = [], []
+    for part in parts:
+        mode = _single_mode(T[part, part], inputs[part], outputs[:, part], float(noise[part].max()))
+        if mode is None:
+            clusters.append(Cluster(T[part, part].copy(), inputs[part].copy(), outputs[:, part].copy()))
+        else:
+            found.append(mode)
+    poles = np.array([pole for pole, _, _ in found], complex)
+    c = np.array([shape for _, shape, _ in found], complex).reshape(len(found), len(D))
+    b = np.array([weight for _, _, weight in found], complex).reshape(len(found), len(D.T))
+    # shapes with a largest entry of 1; one that no output shows stays 0
+    lead = c[np.arange(len(c)), np.abs(c).argmax(axis=1)] if c.size else np.ones(len(c))
+    lead = np.where(lead == 0, 1.0, lead)[:, None]
+    return GeneralModalForm(poles, c / lead, b * lead, D, clusters)
+
+
+def _single_mode(block: Array, b: Array, c: Array, noise: float) -> tuple[complex, NDArray[Any], NDArray[Any]] | None:
+    """Pole, shape and participation of a block of one mode; None if it is of more, or two that nearly coincide."""
+    if len(block) == 1:
+        return complex(block[0, 0] if abs(block[0, 0]) > noise else 0.0), c[:, 0], b[0]
+    up, down = block[0, 1], block[1, 0]
+    if len(block) > 2 or up * down >= 0 or max(abs(up / down), abs(down / up)) > _CONDITION**2:
+        return None
+    turn = np.sqrt(abs(up)) * np.sqrt(abs(down))
+    return complex(block[0, 0], turn), c[:, 0] * up + 1j * turn * c[:, 1], 0.5 * (b[0] / up - 1j * b[1] / turn)
