@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -35,13 +35,6 @@ _SAME = 1e-9  # relative distance of frequencies that no record of any length te
 _FASTEST = 1e6  # radians per step
 _WANTED = 0.1  # relative standard error that a stronger input is to reach
 _AT_ZERO = 0.05  # bins between a line and a zero that it drives
-
-
-@dataclass(frozen=True, eq=False)
-class _Asked(Experiment):
-    """A record that is asked what it shows, `measured` or only planned."""
-
-    measured: bool = True
 
 
 def excitation(
@@ -120,14 +113,17 @@ def excitation(
     _checks.choice("method", method, METHODS)
     _checks.choice("intersample", intersample, INTERSAMPLE)
     _checks.choice("initial_state", initial_state, ("estimate", "zero"))
-    noise = np.nan if noise_std is None else _positive("noise_std", noise_std)
     _checks.choice("quantity", quantity, QUANTITIES)
+    noise = np.nan if noise_std is None else float(_checks.real_array("noise_std", noise_std, 0))
+    if noise <= 0:
+        raise StructureError(f"noise_std is {noise:g}; it must be positive")
     records = _in_time(as_experiments(data, dt, output_needed=False))
     unit = common_unit(records, order)
     problems = [
         _problem(record, Hold(record.dt, method, intersample), initial_state == "zero", quantity) for record in records
     ]
-    problem = max(problems, key=lambda one: len(one.u))
+    longest = max(range(len(problems)), key=lambda k: len(problems[k].u))
+    problem, measured = problems[longest], [bool(record.observed.any()) for record in records]
     most = min(_MOST, max(Problem(tuple(problems)).carried, _ALWAYS))
     if isinstance(order, int | np.integer) and not isinstance(order, bool):
         if order < 1:
@@ -137,17 +133,19 @@ def excitation(
     model = _model(order, method, intersample)
     _refuse_many(model.n, most, problems)
     _check_phases(problem, model.d)
-    motions = [_free_motion(one, model) if one.measured else (np.zeros(model.n, complex), np.nan) for one in problems]
-    amplitudes, left = motions[problems.index(problem)]
-    if problem.measured and noise_std is None:
+    motions = [
+        _free_motion(one, model) if known else (np.zeros(model.n, complex), np.nan)
+        for one, known in zip(problems, measured, strict=True)
+    ]
+    amplitudes, left = motions[longest]
+    if measured[longest] and noise_std is None:
         noise = float(getattr(order, "noise_variance", left**2)) ** 0.5
-    if len(problems) == 1:
-        return _in_unit(examine(problem, model.d, model.r, amplitudes, noise_std=noise), unit)
-    joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
-    # the initial states are eliminated already
-    settled = replace(problem, from_rest=True)
-    found = examine(settled, model.d, model.r, amplitudes, noise_std=noise, information=joint)
-    return _in_unit(found, unit)
+    joint = None
+    if len(problems) > 1:
+        joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
+        # the initial states are eliminated already
+        problem = replace(problem, from_rest=True)
+    return _in_unit(examine(problem, model.d, model.r, amplitudes, noise_std=noise, information=joint), unit)
 
 
 def _in_unit(found: Excitation, unit: str | None) -> Excitation:
@@ -209,7 +207,7 @@ def examine_fit(at: Projection, information: Information, noise_std: float = np.
     )
 
 
-def _refuse_many(n: int, most: int, problems: list[_Asked]) -> None:
+def _refuse_many(n: int, most: int, problems: list[Experiment]) -> None:
     """Refuse more modes than the records carry or than can be judged together in acceptable time and memory."""
     if n > most:
         samples = sum(one.samples for one in problems)
@@ -217,14 +215,6 @@ def _refuse_many(n: int, most: int, problems: list[_Asked]) -> None:
             f"{_checks.shown(n)} modes are more than can be judged with {samples} observed samples; the largest number "
             f"here is {most}: ask for fewer, such as those of one band"
         )
-
-
-def _positive(name: str, value: Any) -> float:
-    """A positive finite number."""
-    number = _checks.real_array(name, value, 0)
-    if not number > 0:
-        raise StructureError(f"{name} is {float(number):g}; it must be positive")
-    return float(number)
 
 
 def _in_time(records: tuple[Any, ...]) -> tuple[Record, ...]:
@@ -236,12 +226,12 @@ def _in_time(records: tuple[Any, ...]) -> tuple[Record, ...]:
     return records
 
 
-def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> _Asked:
+def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> Experiment:
     """The data of a fit; without outputs, all of them are to be measured."""
     measured = bool(record.observed.any())
     observed = record.observed if measured else np.ones(record.samples, bool)
     y = record.y if measured else np.zeros(record.samples)
-    return _Asked(record.u, y, observed, hold, from_rest, False, quantity, record.driven, measured)
+    return Experiment(record.u, y, observed, hold, from_rest, False, quantity, record.driven)
 
 
 def _model(order: Any, method: str, intersample: str) -> ModalForm:
@@ -343,15 +333,8 @@ def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) 
     span = _needed_span(found, same)
     live = [name for one in (*found.blind, *found.nearly_blind, *found.artefacts) for name in one.parameters]
     if any(found.r[int(name[2:]) - 1] > 0 for name in live if name[0] in "dr") and not same:
-        remedy = input_remedy(
-            problem,
-            found.d,
-            found.r,
-            amplitudes,
-            found.band,
-            missing=found.information.deficiency,
-            lengthen=not span,
-        )
+        missing = found.information.deficiency
+        remedy = input_remedy(problem, found.d, found.r, amplitudes, found.band, missing=missing, lengthen=not span)
         instructions += [remedy] if remedy else []
     if span > _LONGEST * found.samples * found.dt:
         instructions.append(_instead_of_time(found, same))
@@ -360,8 +343,7 @@ def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) 
     elif found.observed < len(found.names) and not instructions:
         instructions.append(f"record at least {len(found.names) + 1} samples")
     if found.uncertain:
-        values = {"d": found.d, "r": found.r}
-        worst = max(found.stderr[name[0]][l] / values[name[0]][l] for name, l in _places(found.uncertain))
+        worst = max(found._relative_error(name) for name in found.uncertain)
         instructions.append(
             f"use an input at least {worst / _WANTED:.2g} times as strong, for errors of a tenth of each parameter"
         )
@@ -375,11 +357,6 @@ def _instead_of_time(found: Excitation, same: list[tuple[int, int]]) -> str:
         j, k = min(close, key=lambda pair: abs(found.apparent[pair[0]] - found.apparent[pair[1]]))
         return f"take modes {j + 1} and {k + 1} as one: recording longer does not help"
     return "subtract the mean or the trend in place of a mode that slow: recording longer does not help"
-
-
-def _places(names: tuple[str, ...]) -> list[tuple[str, int]]:
-    """Names `d_1` or `r_1` with the place of their mode."""
-    return [(name, int(name[2:]) - 1) for name in names]
 
 
 def _needed_span(found: Excitation, same: list[tuple[int, int]]) -> float:

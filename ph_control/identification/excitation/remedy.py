@@ -15,10 +15,8 @@ from .excited_band import ExcitedBand
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_AFFORDABLE = 1_000_000  # samples times modes up to which remedies are tried; beyond, they are named untried
-_WORK = 1e10  # operations of the factorisations that are tried, up to one for each mode
+_WORK = 1e10  # operations of the factorisations that are tried, up to one for each mode; beyond, none is tried
 _MARGIN = (0.5, 1.25)  # of the lowest and highest frequency: the band of a broadband input
-_LONGEST = 8  # times the record
 _MOST_LINES = 6  # that are advised one by one
 _FEWEST_LINES = 16  # of a multisine
 
@@ -38,17 +36,17 @@ def input_remedy(
     `missing` combinations are blind now.  With `lengthen`, longer records are tried where no input of this length is
     enough.
     """
-    bandwidth = _band_of(problem, d)
-    if bandwidth is None:
+    low, high = _MARGIN[0] * float(d.min()), min(_MARGIN[1] * float(d.max()), 0.95 * np.pi / problem.hold.h)
+    if low >= high:
         return None
-    low, high = bandwidth
     broadband = f"use a white or multisine input of the same length over {low:.2g} .. {high:.2g} rad/time"
-    if len(problem.u) * len(d) > _AFFORDABLE or len(d) * work(problem, len(d)) > _WORK:
+    if len(d) * work(problem, len(d)) > _WORK:
         return broadband
 
     def shows_all(u: Array) -> bool:
-        longer = replace(problem, u=u, y=np.zeros(len(u)), observed=_observed(problem, len(u)))
-        return not model_information(longer, d, r, amplitudes).ails
+        observed = problem.observed if len(u) == len(problem.u) else np.ones(len(u), bool)
+        other = replace(problem, u=u, y=np.zeros(len(u)), observed=observed)
+        return not model_information(other, d, r, amplitudes).is_weak
 
     size = _amplitude(problem.u)
     parts = []
@@ -62,15 +60,13 @@ def input_remedy(
         parts.append(broadband)
     if parts:
         return ", or ".join(parts)
-    factor = 2
-    while lengthen and factor <= _LONGEST:
+    for factor in (2, 4, 8) if lengthen else ():
         samples = factor * len(problem.u)
         if shows_all(size * multisine(samples, problem.hold.h, low, high)):
             return (
                 f"record {factor} times as long ({samples} samples) with a white or multisine input over "
                 f"{low:.2g} .. {high:.2g} rad/time"
             )
-        factor *= 2
     return None
 
 
@@ -87,17 +83,6 @@ def multisine(samples: int, dt: float, low: float, high: float) -> Array:
     omega = low + (high - low) * k / (_FEWEST_LINES - 1)
     waves = np.cos(np.outer(omega, dt * np.arange(samples)) + (np.pi * k * k / _FEWEST_LINES)[:, None])
     return np.asarray(waves.sum(axis=0) * np.sqrt(2.0 / _FEWEST_LINES))
-
-
-def _band_of(problem: Experiment, d: Array) -> tuple[float, float] | None:
-    """Band around all modes, below the largest frequency that the samples carry."""
-    low, high = _MARGIN[0] * float(d.min()), _MARGIN[1] * float(d.max())
-    high = min(high, 0.95 * np.pi / problem.hold.h)
-    return (low, high) if low < high else None
-
-
-def _observed(problem: Experiment, samples: int) -> NDArray[np.bool_]:
-    return problem.observed if samples == len(problem.u) else np.ones(samples, bool)
 
 
 def _amplitude(u: Array) -> float:

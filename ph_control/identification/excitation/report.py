@@ -164,7 +164,12 @@ class Excitation(Report, Frozen):
         """Whether the record shows all parameters of the model."""
         doubts = (self.above_nyquist, self.unresolved, self.artefacts, self.uncertain)
         nowhere = self.scan is not None and not self.scan.shown
-        return not (self.information.ails or any(doubts) or nowhere)
+        return not (self.information.is_weak or any(doubts) or nowhere)
+
+    def _relative_error(self, name: str) -> float:
+        """Standard error of a parameter such as `d_1` over its value."""
+        l = int(name[2:]) - 1
+        return float(self.stderr[name[0]][l] / (self.d if name[0] == "d" else self.r)[l])
 
     @property
     def headline(self) -> str:
@@ -350,11 +355,7 @@ def _of_errors(found: Excitation) -> Iterator[str]:
         worst = found.nearly_blind[0]
         yield f"Hardly seen, with errors inflated up to {worst.inflation:.2g} times: {_some(found.nearly_blind)}."
     if found.uncertain:
-        errors = [
-            f"{found.stderr[name[0]][l] / (found.d if name[0] == 'd' else found.r)[l]:.2g} times {name}"
-            for name in found.uncertain
-            for l in [int(name[2:]) - 1]
-        ]
+        errors = [f"{found._relative_error(name):.2g} times {name}" for name in found.uncertain]
         yield f"With noise of standard deviation {found.noise_std:.3g} the standard error is {listed(errors)}."
 
 

@@ -16,8 +16,7 @@ Array = NDArray[np.float64]
 
 SPACING = 3.0  # bins between neighbours of a group: what a record separates at moderate noise
 _WORTH = 10.0  # times the smallest error, up to which a frequency counts as shown
-_PLACES = (12, 40)  # fewest and most frequencies of a grid
-_AFFORDABLE = 2_000_000  # samples times modes times frequencies
+_PLACES = 40  # most frequencies of a grid
 _WORK = 4e9  # operations of all factorisations, but for the three that there are at least
 
 
@@ -60,9 +59,8 @@ def scan(problem: Experiment, n: int, band: ExcitedBand) -> Scan:
     """Information of a group of n modes at each of a grid of frequencies."""
     top = ceiling(problem)
     few = max(3, int(_WORK / work(problem, n)))
-    count = min(int(np.clip(_AFFORDABLE / (n * len(problem.u)), *_PLACES)), few)
     inside = [place for low, high in band.intervals[:8] for place in (low, 0.5 * (low + high), high)][:few]
-    grid = np.concatenate([np.geomspace(problem.bin, top, count), inside])
+    grid = np.concatenate([np.geomspace(problem.bin, top, min(_PLACES, few)), inside])
     grid = np.unique(grid[(grid >= problem.bin) & (grid <= top)])
     d = np.array([group(n, centre, problem) for centre in grid])
     found = [model_information(problem, one, 1.0 / one, np.zeros(n, complex)) for one in d]

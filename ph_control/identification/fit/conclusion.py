@@ -316,7 +316,7 @@ def _finding(at: Projection, information: Information, variance: float) -> str:
     if len(at.problem.experiments) == 1 and isinstance(at.problem.experiments[0], Experiment):
         one = at.problem.experiments[0]
         if one.driven and one.quantity == "velocity" and not one.offset and at.free.any():
-            if not information.ails and one.hold.method != "euler":
+            if not information.is_weak and one.hold.method != "euler":
                 return ""
             finding = examine_fit(at, information, noise_std=float(np.sqrt(variance)))
             return finding.message if finding.blind or finding.artefacts else ""

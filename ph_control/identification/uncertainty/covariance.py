@@ -40,21 +40,17 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     covariance[np.ix_(known, known)] = variance * _inverse_gram(J[:, known])
     counts = [len(own) for own in at.own]
     starts = 2 * n + np.concatenate([[0], np.cumsum(counts)]).astype(int)
-    moving = [count >= 2 * n for count in counts]
     # (d, kappa, alpha and beta of each record), sorted; NaN where a record starts at rest
-    places = [rank, n + rank]
-    for start, moves, rows in zip(starts, moving, at.problem.experiments, strict=False):
-        if not isinstance(rows, Experiment):
-            continue
-        places += [start + rank, start + n + rank] if moves and n else [np.full(n, -1)] * 2
+    places, offsets = [rank, n + rank], np.full(len(at.own), np.nan)
+    for k, (start, count, rows) in enumerate(zip(starts, counts, at.problem.experiments, strict=False)):
+        if isinstance(rows, Experiment):
+            moves = bool(n) and count >= 2 * n
+            places += [start + rank, start + n + rank] if moves else [np.full(n, -1)] * 2
+            if rows.offset:
+                offsets[k] = np.sqrt(covariance[start + count - 1, start + count - 1])
     index = np.concatenate(places)
-    padded = np.pad(covariance, (0, 1), constant_values=np.nan)
-    linear = padded[np.ix_(index, index)]
-    offsets = [
-        np.sqrt(covariance[start + count - 1, start + count - 1]) if getattr(rows, "offset", 0) else np.nan
-        for start, count, rows in zip(starts, counts, at.problem.experiments, strict=False)
-    ]
-    return Uncertainty(variance, _in_states(linear, at, rank, total, quantity), np.array(offsets))
+    linear = np.pad(covariance, (0, 1), constant_values=np.nan)[np.ix_(index, index)]
+    return Uncertainty(variance, _in_states(linear, at, rank, total, quantity), offsets)
 
 
 def _inverse_gram(columns: Array) -> Array:

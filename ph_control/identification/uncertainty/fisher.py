@@ -108,7 +108,7 @@ class Information(Frozen):
     lengths : ndarray, shape (P,)
         Norm of each sensitivity; its inverse is the standard error of a parameter were all others known.
     singular_values : ndarray, shape (P,)
-        Of the sensitivities scaled to unit length, descending; their squares are the eigenvalues of `correlation`.
+        Of the sensitivities scaled to unit length, descending; squared, the eigenvalues of the information then.
     vectors : ndarray, shape (P, P)
         Right singular vectors, one in each row.
     tolerance : float
@@ -156,7 +156,7 @@ class Information(Frozen):
         return len(self.names) - self.rank
 
     @property
-    def ails(self) -> bool:
+    def is_weak(self) -> bool:
         """Whether some combination is blind, or nearly."""
         return bool(self.deficiency or self.nearly_blind)
 
@@ -166,11 +166,6 @@ class Information(Frozen):
         if self.deficiency or not self.names:
             return np.inf if self.names else 1.0
         return float((self.singular_values[0] / self.singular_values[-1]) ** 2)
-
-    @property
-    def correlation(self) -> Array:
-        """Information scaled to unit diagonal, shape (P, P); rows of parameters without any trace are 0."""
-        return np.asarray((self.vectors.T * self.singular_values**2) @ self.vectors)
 
     @cached_property
     def _blind_part(self) -> Array:
@@ -264,11 +259,15 @@ def joint_information(
     parts = []
     for one, amplitudes in zip(problems, states, strict=True):
         J = _sensitivities(one, d, r, amplitudes)
-        own = 0 if one.from_rest else 2 * n
-        # what is left below the factor of the own unknowns does not depend on them
-        ordered = np.concatenate([J[:, 2 * n : 2 * n + own], J[:, : 2 * n]], axis=1)
-        parts.append(eliminate(reduced(np.asfortranarray(ordered)), own, samples).below)
+        parts.append(_of_modes(J[:, : 2 * n] if one.from_rest else J, n, samples))
     return Information.of(in_weights(np.concatenate(parts), d, r), parameter_names(n, True), rows=samples)
+
+
+def _of_modes(jacobian: Array, n: int, samples: int) -> Array:
+    """Sensitivities to the first 2n parameters with all others unknown: what is left below the factor of the others."""
+    own = jacobian.shape[1] - 2 * n
+    ordered = np.concatenate([jacobian[:, 2 * n :], jacobian[:, : 2 * n]], axis=1)
+    return eliminate(reduced(np.asfortranarray(ordered)), own, samples).below
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -299,12 +298,8 @@ def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
         own = at.own[0]
         amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
         return information_of(one, jacobian[:, sorting], d, kappa / d, amplitudes[rank])
-    # the own unknowns first: what is left of the factor below them no longer depends on them
-    order = np.concatenate([np.arange(2 * n, jacobian.shape[1]), rank, n + rank])
-    count = jacobian.shape[1] - 2 * n
-    left = eliminate(reduced(np.asfortranarray(jacobian[:, order])), count, at.problem.samples).below if count else None
-    shown = jacobian[:, order] if left is None else left
-    names = parameter_names(n, True)
+    order = np.concatenate([rank, n + rank, np.arange(2 * n, jacobian.shape[1])])
+    shown, names = _of_modes(jacobian[:, order], n, at.problem.samples), parameter_names(n, True)
     if not at.problem.driven:
         return Information.of(shown[:, :n], names[:n], rows=at.problem.samples)
     return Information.of(in_weights(shown, d, kappa / d), names, rows=at.problem.samples)
