@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
-from ... import _checks
 from ..._checks import EPS
+from ..regression.triangular import triangle
 from ..uncertainty.fisher import listed
 
 Array = NDArray[np.float64]
@@ -110,8 +110,10 @@ def _recursion(u: Array, dt: float) -> tuple[int, bool, tuple[float, ...]]:
         return int(peak > 0), peak > 0, ()
     stride = max(2, len(u) // (2 * count))
     lags = stride * np.arange(count)
-    copies = _triangular_factor(u / peak, np.concatenate([lags, lags + 1]))
-    _, sigma, vectors = np.linalg.svd(copies)
+    shifts, scaled = np.concatenate([lags, lags + 1])[:, None], u / peak
+    last = len(u) - int(shifts.max())
+    parts = [np.arange(start, min(start + _BLOCK, last)) for start in range(0, last, _BLOCK)]
+    _, sigma, vectors = np.linalg.svd(triangle(lambda: (scaled[shifts + part] for part in parts), last))
     order = int(np.sum(sigma > len(u) * EPS * sigma[0]))
     if order > count:
         return order, order == 2 * count, ()
@@ -123,13 +125,3 @@ def _recursion(u: Array, dt: float) -> tuple[int, bool, tuple[float, ...]]:
     # a pair of roots for each line; one alone is a constant, or a line at the Nyquist frequency
     turning = phases[phases > 2 * np.pi / len(u) * 1e-3]
     return order, False, tuple((turning[::2] / dt).tolist())
-
-
-def _triangular_factor(u: Array, lags: NDArray[np.intp]) -> Array:
-    """R of the QR of the lagged copies, shape (len(lags), len(lags)), a block of samples at a time."""
-    last = len(u) - int(lags.max())
-    R = np.zeros((len(lags), len(lags)))
-    for start in range(0, last, _BLOCK):
-        rows = np.arange(start, min(start + _BLOCK, last))
-        R = np.asarray(np.linalg.qr(np.concatenate([R, u[rows[:, None] + lags]]), mode="r"))
-    return _checks.readonly(R)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,9 @@ def summary_of(result: Any) -> str:
     ]
     if result.damped is not None:
         lines += ["", *damped_lines(result.damped)]
-    return shortened("\n".join([*lines, "", *_wrap(in_unit(result.message, result.time_unit))]))
+    message = in_unit(result.message, result.time_unit)
+    wrapped = textwrap.wrap(message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+    return shortened("\n".join([*lines, "", *wrapped]))
 
 
 def mode_table(result: Any) -> list[list[str]]:
@@ -142,12 +145,3 @@ def _data_lines(result: Any, missing: int) -> list[str]:
         )
         lines.append(f"  offset          {shown}")
     return lines
-
-
-def _wrap(text: str, width: int = 98) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        if len(lines[-1]) + len(word) + 1 > width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return ["  " + line for line in lines]
