@@ -110,4 +110,4 @@ def _experiment_of(one: Any) -> dict[str, Any]:
 
 def is_described(result: Any) -> bool:
     """Whether the verdict leaves a model standing."""
-    return bool(result.order) and not result.verdict.startswith("NOT")
+    return bool(result.order) and result.outcome.leaves_a_model

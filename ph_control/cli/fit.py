@@ -98,7 +98,9 @@ def run(options: Namespace) -> int:
         )
     result = _fitted(measurements(options.recordings, options), options)
     result.system.name = options.name or _name_of(options.recordings[0])
-    interrupted = "was interrupted" in result.message
+    from ..identification.diagnosis.verdict import Outcome
+
+    interrupted = result.outcome is Outcome.INTERRUPTED
     silent = "-" in outputs
     if not (silent or options.json):
         emit(in_shell_terms(result.summary()) + "\n")

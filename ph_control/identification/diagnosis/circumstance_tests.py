@@ -10,7 +10,7 @@ import numpy as np
 from ..regression.prediction import FittedExperiment
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Projection
-from ..search.circumstances import Cause, Finding, autoregression, input_noise
+from ..search.circumstances import Cause, Finding, autoregression, input_noise, input_size
 from ..uncertainty.residual_tests import ljung_box
 
 _LAGS = 20
@@ -42,14 +42,13 @@ def _noise(at: Projection, experiments: Sequence[FittedExperiment]) -> list[Find
     if len(records) < len(experiments) or not all(one.complete for one in records):
         return []
     left = [one.residuals for one in experiments]
-    lengths = [len(one) for one in left]
-    models, variances = autoregression([np.fft.rfft(one) for one in left], lengths)
+    lengths, transforms = [len(one) for one in left], [np.fft.rfft(one) for one in left]
+    models, variances = autoregression(transforms, lengths)
     gains = -0.5 * sum(lengths) * np.log(variances)
     order = int(np.argmax(gains - 0.5 * np.log(sum(lengths)) * np.arange(len(gains))))
-    coloured, (deviation, of_input) = float(gains[order]), input_noise(at)
+    coloured, (deviation, beside, of_input) = float(gains[order]), input_noise(records, at.d)
     if of_input > max(coloured, _TOLD):
-        size = np.sqrt(np.mean(np.concatenate([one.u for one in records if one.driven]) ** 2))
-        return [Finding(Cause.INPUT_NOISE, (deviation / float(size),), of_input)]
+        return [Finding(Cause.INPUT_NOISE, (deviation / input_size(records), beside), of_input)]
     if order and coloured > _TOLD:
         past = np.concatenate([[1.0], -models[order]])
         if ljung_box([np.convolve(one, past, mode="valid") for one in left], _LAGS) >= _WHITE:

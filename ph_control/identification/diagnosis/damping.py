@@ -23,11 +23,11 @@ from ..regression.prediction import fit_percent
 from ..regression.spectral_rows import Spectrum
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem, Projection
-from ..search.criteria import criteria, preference
-from ..search.free_path import FreeStep, criterion, evidence, finished, free_criterion, free_path, free_unknowns
+from ..search.circumstances import SURE, Finding, noise_size
+from ..search.criteria import criteria, free_preference, preference
+from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
 from ..search.free_search import FreeSearch, Records, free_data, local_modes
-from ..search.steps import Step, mode_energies, more_than_noise
-from ..uncertainty.residual_tests import ljung_box
+from ..search.steps import Step, crowds, mode_energies, more_than_noise
 from .damped_model import DampedModel, HypothesisTest
 
 Array = NDArray[np.float64]
@@ -38,13 +38,8 @@ _EVIDENT = 100.0  # energy of a mode in units of the noise: below, its shape is 
 _APART = 3.0  # basins between modes of a lossless fit that may be modes of the plant
 _CROWDED = 0.5  # basins between modes of a lossless model that look like one with damping
 _MOST = 20
-_MUCH = 0.25  # part of the loss that has to go, if what is left is not white
-_HALF = 50.0  # percent that have to be explained, if what is left is not white
-_WHITE = 1e-3
-_LAGS = 20
 _IN_TIME = 128  # samples up to which all are asked; of longer records the bins about the modes
 _BROAD = 0.5  # bins: half-width of a peak that many lossless modes would mimic
-_BESIDE = 4.0  # bins between a mode and one more that would mimic its width
 _PAST = 2  # lossless modes more than damped ones before the two are compared
 REFUSED = 1e-3  # probability below which a hypothesis is refused
 
@@ -89,11 +84,12 @@ def _listed(values: Array, errors: Array, which: NDArray[np.bool_]) -> str:
 # --- the test --------------------------------------------------------------------------------------------------------
 
 
-def lossless_test(problem: Problem, at: Projection) -> HypothesisTest | None:
+def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None) -> HypothesisTest | None:
     """A lossless fit against decay of either sign and residues of any phase, by the best first step towards these.
 
-    The law is that of Fisher; where the noise is stronger about the modes than elsewhere, it counts as it is there.
-    None for frequency responses, where there is no mode, and where there are too few samples.
+    The law is that of Fisher, for noise that is white, or as found; where it is stronger about the modes than
+    elsewhere, it counts as it is there.  None for frequency responses, where there is no mode, and where there are too
+    few samples.
     """
     n, records = len(at.d), [one for one in problem.experiments if isinstance(one, Experiment)]
     spare = problem.samples - free_unknowns(problem, n)
@@ -104,13 +100,17 @@ def lossless_test(problem: Problem, at: Projection) -> HypothesisTest | None:
     through = records[0].quantity == "acceleration"
     rows: list[FreeRows] = []
     for one in records:
-        in_bins = len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2
-        rows.append(FreeTransform.about(Spectrum.of(one), p, through) if in_bins else FreeRecord(one, through))
+        if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
+            about = FreeTransform.about(Spectrum.of(one), p, through)
+            rows.append(replace(about, counts=noise_size(noise, one, at, about.bins) ** -0.5))
+        else:
+            rows.append(FreeRecord(one, through))
     gain, left, dof, fitted = first_step(rows, p, shared, directions)
     near = sum(one.samples for one in rows) - fitted
-    variance = max((at.loss - gain) / spare, left / max(1, near), np.finfo(float).tiny)
-    if not dof:
+    if not dof or near < 1:
         return None
+    spare = spare if noise is None else near
+    variance = max((at.loss - gain) / spare if noise is None else 0.0, left / near, np.finfo(float).tiny)
     ratio = (spare + dof) * float(np.log1p(gain / variance / spare))
     return HypothesisTest("lossless", ratio, dof, float(fdtrc(dof, spare, gain / variance / dof)))
 
@@ -134,48 +134,36 @@ def _lossless_directions(at: Projection, quantity: str) -> tuple[Array, Array]:
     return shared, np.concatenate([by_frequency, by_weight], axis=1)
 
 
-def likelihood_ratio(problem: Problem, at: Projection, model: DampedModel) -> HypothesisTest:
-    """A lossless fit against the damped one with as many modes."""
-    n = len(at.d)
-    spare = problem.samples - free_unknowns(problem, n)
-    dof = n + n * problem.driven
-    gain = max(at.loss / problem.samples / model.loss - 1.0, 0.0)
-    ratio = (spare + dof) * float(np.log1p(gain))
-    return HypothesisTest("lossless", ratio, dof, float(fdtrc(dof, spare, gain * spare / dof)))
-
-
 # --- the diagnosis ---------------------------------------------------------------------------------------------------
 
 
 def contradiction(
-    problem: Problem, at: Projection, *, order: int | None, doubtful: bool, most: int = _MOST,
-    refused: bool = False, followed: FreeStep | None = None,
-) -> DampedModel | None:  # fmt: skip
-    """The damped modes that explain what a lossless fit leaves, or None if they do not explain more than chance.
+    problem: Problem, at: Projection, *, order: int | None, most: int = _MOST, followed: FreeStep | None = None,
+    rival: Problem | None = None,
+) -> tuple[Problem, float, DampedModel] | None:  # fmt: skip
+    """The damped modes that explain what a lossless fit leaves, or None where there is none.
 
-    With an `order` these are that many, the strongest; None takes those that the data speak for.  `refused` tells that
-    a test has spoken against the lossless model, `doubtful` that something else has, and `followed` are modes that the
-    search found already.
+    With an `order` these are that many, the strongest; None takes those that the data speak for.  `followed` are modes
+    that the search found already.  If these modes prefer a `rival`, which differs in the hold of the input, they are
+    fitted to it; with the problem that was taken, and how much log-likelihood it gains over the other.
     """
     if problem.samples <= 2 * free_unknowns(problem, 1) or at.loss <= 0 or _is_of_euler(problem):
         return None
-    if not (doubtful or refused or followed):
-        return None
     search = FreeSearch(problem, free_data(problem))
     step = followed or free_path(problem, search, _starts(problem, at), order, most)
-    if not len(step.at.p) or not (refused or _explains(problem, search, step, at)):
-        return None
     p = step.at.p
+    if not len(p):
+        return None
     if order is not None and order < len(p):
         p = p[np.argsort(-evidence(search, step.at), kind="stable")[:order]]
+    gain = 0.0
+    if rival is not None:
+        losses = [FreeProjection(free_data(one).all_rows(True), p).loss for one in (problem, rival)]
+        gain = 0.5 * problem.samples * float(np.log(losses[0] / losses[1]))
+        if gain > SURE:
+            problem, search = rival, FreeSearch(rival, free_data(rival))
     quantity = _quantity(problem)
-    return _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)
-
-
-def from_poles(problem: Problem, poles: ComplexArray, quantity: str) -> DampedModel:
-    """The damped modes next to some poles."""
-    search = FreeSearch(problem, free_data(problem))
-    return _model(problem, search, finished(search, poles, quantity == "acceleration"), quantity)
+    return problem, abs(gain), _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)
 
 
 def _is_of_euler(problem: Problem) -> bool:
@@ -209,17 +197,6 @@ def _starts(problem: Problem, at: Projection) -> ComplexArray:
         if at.free[k] and all(abs(d - other) > _APART * problem.bin for other in kept):
             kept.append(d)
     return np.nan + 1j * np.array(kept)
-
-
-def _explains(problem: Problem, search: FreeSearch, step: FreeStep, at: Projection) -> bool:
-    """Whether damped modes explain what lossless ones leave, rather than a little more of something else."""
-    n = len(at.d)
-    if free_criterion(problem, step) >= criterion(problem, at.loss, problem.unknowns(n)):
-        return False
-    if _left_white(search, step):
-        return True
-    better = len(step.at.p) < n or step.loss < (1 - _MUCH) * at.loss
-    return better and _fit_percent(problem, _errors(search, step.left)) > _HALF
 
 
 # --- what stands out -------------------------------------------------------------------------------------------------
@@ -277,18 +254,6 @@ def _covariance(at: FreeProjection, variance: float, rank: NDArray[np.intp]) -> 
     return full[np.ix_(order, order)]
 
 
-def _left_white(search: FreeSearch, step: FreeStep) -> bool:
-    data = search.data
-    if isinstance(data, Records):
-        parts = [
-            np.where(one.observed, error, np.nan)
-            for one, error in zip(data.experiments, _errors(search, step.left), strict=True)
-        ]
-    else:
-        parts = [part for one in step.left for part in (one.real, one.imag)]
-    return ljung_box(parts, _LAGS) >= _WHITE
-
-
 def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[NDArray[np.float64]] | list[ComplexArray]:
     """What a model leaves of each record in time, or of each response in the scale of its weights."""
     if isinstance(search.data, Records):
@@ -313,9 +278,8 @@ def _fit_percent(problem: Problem, errors: Sequence[NDArray[np.float64]] | Seque
 class DampingWatch:
     """Ends a search for lossless modes that would only mimic the width of a few damped ones."""
 
-    def __init__(self, problem: Problem, over: Callable[[list[Step]], bool] = lambda path: False) -> None:
+    def __init__(self, problem: Problem, over: Callable[[list[Step]], bool] | None) -> None:
         self._problem, self._over = problem, over
-        self.followed = False
         self._records = [one for one in problem.experiments if isinstance(one, Experiment)]
         self._silent = not self._records or _is_of_euler(problem)
         self._asked = 0  # order at which damped modes were last looked for
@@ -324,12 +288,11 @@ class DampingWatch:
 
     def __call__(self, path: list[Step]) -> bool:
         """Whether a path is over, or has gone beyond the number of damped modes that are better than all of it."""
-        if self._over(path):
-            return True
+        if self._over is None or self._over(path):
+            return self._over is not None
         self._look(path)
-        if self._found is not None and len(path[-1].d) >= len(self._found.at.p) + _PAST:
-            self.followed = self._is_better(path)
-        return self.followed
+        past = self._found is not None and len(path[-1].d) >= len(self._found.at.p) + _PAST
+        return past and self._is_better(path)
 
     def decided(self, path: list[Step]) -> FreeStep | None:
         """Damped modes that are better than all of a path that has come to its end."""
@@ -356,13 +319,8 @@ class DampingWatch:
         """Whether damped modes were found that are better than the whole path; they are forgotten if not."""
         problem = self._problem
         # a few coefficients of coloured noise may explain what many damped modes would
-        best = min(
-            criterion(problem, step.loss, problem.unknowns(n := len(step.d)))
-            + preference(problem, step, "bic")
-            - criteria(problem, step.loss, n).bic
-            for step in path
-        )
-        if self._found is not None and free_criterion(problem, self._found) >= best:
+        best = min(preference(problem, step, "bic") for step in path)
+        if self._found is not None and free_preference(problem, self._found) >= best:
             self._found = None
         return self._found is not None
 
@@ -370,8 +328,7 @@ class DampingWatch:
         """Whether one more mode would stand beside another, or the mode that was strongest first is broad."""
         if not len(step.d) or not len(step.candidates):
             return False
-        every = np.sort(np.append(step.d, step.candidates[0]))
-        beside = np.min(np.diff(every)) < _BESIDE * self._problem.bin
+        beside = crowds(step, self._problem)
         if not (beside or self._broad is not False) or not more_than_noise(self._problem, step):
             return False
         if self._broad is None:

@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
 
 from ..._display import p_value
 from .damped_model import HypothesisTest
 
-_WHITE = 1e-3  # p-value below which residuals are called coloured
+WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
 _LISTED = 6  # samples named one by one
 _FEW = 20  # samples to spare below which nothing is said of the quality
+
+
+class Outcome(Enum):
+    """What a fit amounts to; the value is its line in a report."""
+
+    CONSISTENT = "consistent with the record"
+    COLOURED = "consistent with the record, noise not white"
+    UNJUDGED = "too few samples to judge"
+    DOUBTFUL = "doubtful, see below"
+    NOT_DESCRIBED = "NOT described by a collocated lossless model"
+    NO_RESPONSE = "NOT a model: it does not respond to the input"
+    NOTHING = "nothing to model"
+    INTERRUPTED = "none, the fit was interrupted"
+
+    @property
+    def leaves_a_model(self) -> bool:
+        """Whether there is a model that may describe the data."""
+        return self not in (Outcome.NOT_DESCRIBED, Outcome.NO_RESPONSE, Outcome.NOTHING)
 
 
 @dataclass(frozen=True)
@@ -48,32 +68,32 @@ class Verdict:
 
     @property
     def _coloured(self) -> bool:
-        return self.whiteness < _WHITE
+        return self.whiteness < WHITE
 
     @property
     def _unexplained(self) -> bool:
         return self._coloured and not self.explained
 
-    @property
-    def headline(self) -> str:
-        """Verdict in a line."""
-        if self.n == 0:
-            return "nothing to model"
+    @cached_property
+    def outcome(self) -> Outcome:
+        """What the fit amounts to."""
         if self.interrupted:
-            return "none, the fit was interrupted"
+            return Outcome.INTERRUPTED
+        if self.n == 0:
+            return Outcome.NOTHING
         if self.silent and self.driven and not self.blind:
-            return "NOT a model: it does not respond to the input"
+            return Outcome.NO_RESPONSE
         # weights that leave no trace may come out as 0 and say nothing
         held = not self.blind and 2 * len(self.active) >= self.n
         poor = self.fit_percent < GOOD_FIT or self.at_limit or held
-        if (self._unexplained or self.contradiction) and poor:
-            return "NOT described by a collocated lossless model"
-        doubts = self.active or self._unexplained or self.contradiction or self.refused or self.blind
-        if doubts or not self.converged or any(self.outliers):
-            return "doubtful, see below"
+        refuted = self._unexplained or self.contradiction or self.refused
+        if refuted and poor:
+            return Outcome.NOT_DESCRIBED
+        if refuted or self.active or self.blind or not self.converged or any(self.outliers):
+            return Outcome.DOUBTFUL
         if self._coloured:
-            return "consistent with the record, noise not white"
-        return "too few samples to judge" if self.spare < _FEW and not self.noiseless else "consistent with the record"
+            return Outcome.COLOURED
+        return Outcome.UNJUDGED if self.spare < _FEW and not self.noiseless else Outcome.CONSISTENT
 
     def message(self) -> str:
         """All sentences."""
@@ -138,9 +158,9 @@ class Verdict:
                 "All points were taken as equally sure: noise that goes with the gain looks like this too; if yours "
                 "does, pass weights=1/(standard deviation)**2 of each point."
             )
-        if self.headline.startswith("NOT") and self.order_given and not self.contradiction:
-            parts.append("The order was given; a higher one may fit better: try order='auto'.")
-        if self.headline.startswith("NOT"):
+        if not self.outcome.leaves_a_model:
+            if self.order_given and not self.contradiction:
+                parts.append("The order was given; a higher one may fit better: try order='auto'.")
             parts.append(self._refusal())
             if self.from_rest and not self.contradiction:
                 parts.append("The plant was taken to start at rest; if it may not have, use initial_state='estimate'.")
@@ -191,8 +211,3 @@ class Verdict:
             f"{found}: suspect damping, a sensor away from the actuator, an output that is not the {self.quantity} "
             f"({', '.join(others)})."
         )
-
-
-def is_doubtful(whiteness: float, active: bool) -> bool:
-    """Whether more than noise is left, or the constraint is at work."""
-    return bool(active or whiteness < _WHITE)

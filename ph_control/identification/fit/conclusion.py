@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import EPS
 from ..._units import common_unit
 from ...exceptions import IdentifiabilityWarning
 from ...modal.modal_form import ModalForm
@@ -19,26 +18,16 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.circumstance_tests import NOISE, circumstances_of
 from ..diagnosis.damped_model import DampedModel, HypothesisTest
-from ..diagnosis.damping import (
-    REFUSED,
-    beside,
-    contradiction,
-    from_poles,
-    is_crowded,
-    likelihood_ratio,
-    lossless_test,
-    sentence,
-)
+from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence
 from ..diagnosis.fitted_directions import Directions, of_record, of_response
 from ..diagnosis.outliers import outliers
-from ..diagnosis.verdict import GOOD_FIT, Verdict, is_doubtful
+from ..diagnosis.verdict import WHITE, Verdict
 from ..excitation.excitation import examine_fit
 from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import LAST, Problem, Projection, refine
-from ..search.circumstances import HOLDS, SURE, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
+from ..search.circumstances import HOLDS, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
 from ..search.criteria import criteria
-from ..search.formulation import Formulation
 from ..search.response_noise import NoiseLaw, record_law
 from ..uncertainty.covariance import uncertainty
 from ..uncertainty.fisher import Information, information_at, listed
@@ -91,8 +80,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     held = ~at.free[rank]
     findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
     if not (fit.examined or noiseless or found.interrupted):
-        active = bool(held.any()) and problem.driven
-        fit = _examined(fit, at, fitted, is_doubtful(whiteness, active) or is_crowded(at), findings)
+        doubtful = whiteness < WHITE or (held.any() and problem.driven) or is_crowded(at)
+        fit = _examined(fit, at, bool(doubtful), findings)
         if fit.found is not found:
             return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
     if fit.damped is not None and sentence(fit.damped):
@@ -108,6 +97,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     # a mode held at 0 in a frequency response has no trace left: that is the constraint's doing, not the input's
     blind = set(information.blind_parameters) - {f"d_{l + 1}" for l in np.flatnonzero(held)}
     finding = _finding(at, information, estimated.variance) if n and (blind or not information.deficiency) else ""
+    named = any(is_contrary(one, intersample) for one in findings)
+    refused = next((one for one in fit.tests if one.p < REFUSED), None)
     verdict = Verdict(
         n=n,
         order=fit.order,
@@ -123,19 +114,19 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         order_given=fit.order_given,
         from_rest=any(isinstance(one, Experiment) and one.from_rest for one in problem.experiments),
         silent=not at.kappa.any(),
-        reversed_sign=n > 0 and not at.kappa.any() and at.asks_for_negative_residues_only(),
+        reversed_sign=n > 0 and not (named or at.kappa.any()) and at.asks_for_negative_residues_only(),
         drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
         interrupted=found.interrupted,
         driven=problem.driven,
         contradiction=sentence(fit.damped) if fit.damped else "",
-        refused=next((one for one in fit.tests if one.p < REFUSED), None),
+        refused=refused,
         quantity=quantity,
         in_time=isinstance(problem.experiments[0], Experiment),
         alike=bool(weights) and fit.law is None and all(np.ptp(one) == 0 for one in weights),
         share=law.share,
         circumstances=tuple(sentence_of(one, intersample) for one in findings if worth_telling(one, intersample)),
-        explained=any(one.cause in NOISE for one in findings),
-        named=any(is_contrary(one, intersample) for one in findings),
+        explained=refused is None and any(one.cause in NOISE for one in findings),
+        named=named,
         outliers=tuple(one.outliers for one in experiments),
     )
     if verdict.blind:
@@ -159,7 +150,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         order_table=found.rows,
         starts=found.starts,
         success=found.end.converged and not found.interrupted,
-        verdict=verdict.headline,
+        outcome=verdict.outcome,
         message=verdict.message(),
         n_iterations=found.iterations,
         method=method,
@@ -172,70 +163,39 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     )
 
 
-def _examined(fit: Fit, at: Projection, fitted: float, doubtful: bool, findings: Sequence[Finding]) -> Fit:
-    """The fit with what contradicts it, and where that is grave at the minimum next to the frequencies of the plant.
+def _examined(fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Finding]) -> Fit:
+    """The fit with what contradicts it, and then at the minimum next to the frequencies of the plant.
 
     From elsewhere lossless modes do not come there: they mimic its damping, or flee from a residue whose sign they
-    cannot have.
+    cannot have.  Where another arrival of the input explains the record, it is a fit with this one that is tested.
     """
-    problem, followed = fit.problem, fit.found.followed
-    test = lossless_test(problem, at)
-    refused, poor = test is not None and test.p < REFUSED, fitted < GOOD_FIT and len(at.d) > 0
+    posed, followed, problem = fit.found.posed, fit.found.followed, fit.problem
+    tested = at if posed.searched is None else fit.found.explained
+    noise = next((one for one in findings if one.cause in NOISE), None)
+    test = lossless_test(tested.problem, tested, noise)
     fit = replace(fit, tests=() if test is None else (test,), examined=True)
-    causes = {one.cause: one.gain for one in findings}
-    given = Cause.HOLD in causes and fit.found.posed.searched is not None
-    # what an autoregression describes is noise, and no reason to look for damping where no mode asks for it
-    doubtful = doubtful and Cause.COLOURED_NOISE not in causes
-    if given:
+    refused = test is not None and test.p < REFUSED
+    if not (refused or followed is not None or (doubtful and noise is None and posed.searched is None)):
         return fit
-    model = contradiction(
-        problem, at, order=fit.order if fit.order_given else None, doubtful=doubtful or poor, refused=refused,
-        # a plant that loses energy has no more modes than the lossless ones that mimic it
-        most=len(at.d) if Cause.INPUT_NOISE in causes else fit.most, followed=followed,
-    )  # fmt: skip
-    # a delay turns residues, but damps no mode
-    if model is None or (Cause.DELAY in causes and not model.damped.any()):
+    held = posed.searched is None and ("hold" in posed.open or any(one.cause is Cause.HOLD for one in findings))
+    order = fit.order if fit.order_given else None
+    other = meeting(problem, "foh" if posed.intersample == "zoh" else "zoh") if held else None
+    found = contradiction(problem, at, order=order, most=fit.most, followed=followed, rival=other)
+    if found is None:
         return fit
-    gain = problem.samples * np.log(max(100 - fitted, EPS) / max(100 - model.fit_percent, EPS))
-    if gain < max((causes[one] for one in NOISE if one in causes), default=-np.inf):
+    chosen, gain, model = found
+    fit = replace(fit, damped=model)
+    if held:
+        known = tuple(one for one in posed.findings if one.cause is not Cause.HOLD)
+        posed = replace(posed, problem=chosen, open=posed.open - {"hold", "arrival"})
+        hold = Finding(Cause.HOLD, (float(HOLDS.index(posed.intersample)),), gain)
+        fit = replace(fit, problem=chosen, found=replace(fit.found, posed=replace(posed, findings=(*known, hold))))
+    if chosen is problem and (followed is not None or not (model.damped.any() or model.negative.any())):
         return fit
-    posed, other = fit.found.posed, None
-    if "hold" in posed.open or Cause.HOLD in causes or Cause.DELAY in causes:
-        other, model = _held_otherwise(posed, model)
-    if other is None and test is not None and refused and model.order == len(at.d):
-        test = likelihood_ratio(problem, at, model)
-    fit = replace(fit, damped=model, tests=() if test is None else (test,))
-    if other is not None:
-        fit = replace(fit, problem=other.problem, found=replace(fit.found, posed=other))
-    elif not (model.damped.any() or model.negative.any()) or followed is not None:
-        return fit
-    elif not (poor or model.negative.any() or model.order != len(at.d)):
-        return fit
-    d = beside(model.natural_frequencies, at.d, fit.order if fit.order_given else None)
-    end = refine(fit.problem, d, rtol=LAST)
+    d = beside(model.natural_frequencies, at.d, order)
+    end = refine(chosen, d, rtol=LAST)
     end = replace(end, iterations=fit.found.end.iterations + end.iterations)
-    order = fit.order if fit.order_given else len(d)
-    return replace(fit, found=replace(fit.found, end=end), order=order, at_limit=False)
-
-
-def _held_otherwise(posed: Formulation, model: DampedModel) -> tuple[Formulation | None, DampedModel]:
-    """The formulation with the other hold of the input, where the damped modes prefer it, and these modes."""
-    held = posed.intersample
-    problem = meeting(posed.problem, "foh" if held == "zoh" else "zoh")
-    rival = from_poles(problem, model.poles, model.quantity)
-    gain = 0.5 * problem.samples * float(np.log(model.loss / rival.loss))
-    # residues of any phase make up for half a sample, but not without something that is fed through
-    gain -= 0.5 * np.log(problem.samples) * (bool(rival.feedthrough) - bool(model.feedthrough))
-    if abs(gain) < SURE:
-        gain = SURE if held == "foh" else -SURE
-    known = tuple(one for one in posed.findings if one.cause not in (Cause.HOLD, Cause.DELAY))
-    chosen = problem if gain > 0 else posed.problem
-    values = (float(HOLDS.index(held) != (gain > 0)),)
-    other = replace(
-        posed, problem=chosen, searched=None, open=posed.open - {"hold", "arrival"},
-        findings=(*known, Finding(Cause.HOLD, values, abs(gain))),
-    )  # fmt: skip
-    return (other, rival) if gain > 0 else (other, model)
+    return replace(fit, found=replace(fit.found, end=end), order=order or len(d), at_limit=False)
 
 
 def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..diagnosis.damping import DampingWatch, beside
-from ..regression.variable_projection import LAST, Problem, refine
-from ..search.criteria import CRITERIA, beside_input_noise, criteria, preference, significant
+from ..regression.variable_projection import LAST, Problem, Projection, refine
+from ..search.criteria import CRITERIA, criteria, preference, significant
 from ..search.formulation import Callback, Formulation, check_workers, reporter
 from ..search.free_path import FreeStep
 from ..search.holdout import held_out_losses
@@ -171,19 +171,18 @@ def _found(
     callback: Callback | None,
 ) -> Found:  # fmt: skip
     """Search, selection, and the last refinement."""
-    problem, search, rtol = posed.problem, posed.search, posed.rtol
-    floor, report = problem.rounding, reporter(problem, largest, callback)
+    floor, rtol, report = posed.problem.rounding, posed.rtol, reporter(posed.problem, largest, callback)
     automatic = order == "auto"
-    watch = DampingWatch(problem, stop_of(lambda step: preference(problem, step, criterion)))
-    posed, path = posed.path(
-        guess, largest, report=report, together=not automatic and search.affords_batches,
-        stop=watch if automatic else None,
-    )  # fmt: skip
-    if posed.problem is not problem:
-        watch = DampingWatch(posed.problem)
+
+    def watch(problem: Problem) -> DampingWatch:
+        over = stop_of(lambda step: preference(problem, step, criterion))
+        return DampingWatch(problem, over if automatic else None)
+
+    found = posed.path(
+        guess, largest, report=report, together=not automatic and posed.search.affords_batches, watch=watch
+    )
+    posed, path, followed = found.posed, found.steps, found.damped
     problem, search = posed.problem, posed.search
-    explained = posed.searched is not None or path[-1].loss <= floor
-    followed = None if explained else watch.decided(path)
     interrupted = path[-1].interrupted
     values = [preference(problem, step, criterion) for step in path]
     if automatic and criterion == "holdout" and not interrupted:
@@ -192,8 +191,6 @@ def _found(
         except KeyboardInterrupt:
             interrupted = True
     place = int(np.argmin(values)) if automatic else len(path) - 1
-    if automatic and criterion == "bic" and not interrupted:
-        place = beside_input_noise(problem, path, values, place)
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d
     if followed is not None:
@@ -205,15 +202,20 @@ def _found(
     if interrupted:
         # who interrupts wants an end: one step, unobserved
         end = replace(refine(problem, start, rtol=LAST, max_iterations=1), converged=False)
+        explained = end.projection
     else:
-        end = refine(problem, start, rtol=LAST, progress=report(len(start)))
+        end = refine(search.problem, start, rtol=LAST, progress=report(len(start)))
     all_d = end.projection.d if place else path[-1].d
-    if automatic and not interrupted and followed is None and posed.searched is None:
-        end = significant(problem, end, lambda d: refine(problem, d, rtol=LAST))
+    if not interrupted:
+        if automatic and followed is None:
+            end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))
+        explained = end.projection
+        if posed.searched is not None and not end.interrupted:
+            end = refine(problem, explained.d, rtol=LAST)
     rows = tuple(_row(problem, step) for step in path)
     iterations = sum(step.iterations for step in path) + end.iterations
     interrupted = interrupted or end.interrupted
-    return Found(end, rows, tuple(starts), iterations, interrupted, floor, all_d, posed, followed)
+    return Found(end, rows, tuple(starts), iterations, interrupted, floor, all_d, posed, followed, explained)
 
 
 def _cut_short(posed: Formulation) -> Found:
@@ -267,7 +269,10 @@ def _second_thoughts(
 
 @dataclass(frozen=True)
 class Found:
-    """The minimum that the search ended in, and how it came there; `all_d` has the modes that were dropped as noise."""
+    """The minimum that the search ended in, and how it came there; `all_d` has the modes that were dropped as noise.
+
+    `explained` is the minimum under the circumstances in which the modes were found.
+    """
 
     end: Any
     rows: tuple[OrderRow, ...]
@@ -278,6 +283,7 @@ class Found:
     all_d: Array
     posed: Formulation
     followed: FreeStep | None = None
+    explained: Projection | None = None
 
     @property
     def d(self) -> Array:

@@ -25,6 +25,7 @@ from ..data.experiments import as_record
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.damped_model import DampedModel, HypothesisTest
+from ..diagnosis.verdict import Outcome
 from ..regression.prediction import (
     FittedExperiment,
     chosen_experiment,
@@ -113,8 +114,8 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         The ways in which the minimum was looked for, and the loss each of them ended with.
     success : bool
         Whether the refinement converged, uninterrupted.
-    verdict : str
-        The verdict, in a few words.
+    outcome : Outcome
+        What the fit amounts to; the verdict in a few words is its value.
     message : str
         What it rests on, in sentences.
     n_iterations : int
@@ -153,7 +154,7 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     order_table: tuple[OrderRow, ...]
     starts: tuple[Start, ...]
     success: bool
-    verdict: str
+    outcome: Outcome
     message: str
     n_iterations: int
     method: str
@@ -193,6 +194,11 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
     def r(self) -> Array:
         """Weights in the order of `d`."""
         return self.system.r
+
+    @property
+    def verdict(self) -> str:
+        """The verdict, in a few words."""
+        return self.outcome.value
 
     @property
     def order(self) -> int:

@@ -20,6 +20,7 @@ from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.damped_model import DampedModel, HypothesisTest
+from ..diagnosis.verdict import Outcome
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment
 from ..search.circumstances import Cause, Finding
@@ -178,7 +179,7 @@ def _result(n: int, size: int, experiments: int) -> dict[str, Reader]:
         "active": _places(n),
         "unseen": _places(n),
         "success": Fields.flag,
-        "verdict": Fields.text,
+        "verdict": _member(Outcome),
         "message": Fields.text,
         "n_iterations": Fields.integer,
         "method": _one_of(METHODS),
@@ -221,10 +222,12 @@ def _from_dict(fields: Fields) -> PEMResult:
     given = _read(fields, _result(n, size, len(experiments)))
     # older files tell of one variance only
     constant = NoiseLaw(NoiseKind.CONSTANT, float(np.sqrt(given["noise_variance"])))
+    outcome = given.pop("verdict")
     return PEMResult(
         system=system,
         experiments=experiments,
         **given,
+        outcome=outcome,
         noise=_if_there(_object(lambda inner: NoiseLaw(**_read(inner, _NOISE))), constant)(fields, "noise"),
         identifiability=_information_from_dict(fields.nested("identifiability")),
         order_table=tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True)),

@@ -14,16 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ..._checks import EPS
 from ...modal.modal_form import imaginary
 from ..regression.modal_regressors import output_weight
-from ..regression.time_rows import Experiment
+from ..regression.spectral_rows import Spectrum, Window
+from ..regression.time_rows import Experiment, Rows
 from ..regression.variable_projection import Problem, Projection
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _MOST = 4  # past samples of coloured noise: few, so that no mode passes for noise
-_RATIOS = np.geomspace(1e-4, 1e4, 33)  # of input noise, seen at the median of the bins, to output noise
+_ABOUT = 12  # bins on either side of a mode
+_RIDGE = 1e-12
+_RATIOS = np.geomspace(1e-4, 1e4, 17)  # of input noise, seen at the median of the bins, to output noise
 
 
 HOLDS = ("zoh", "foh")
@@ -51,8 +55,8 @@ class Finding:
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
         which the output lags; of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
-        on the input its standard deviation over that of the input; of a hold 0 for an input that was held, 1 for a
-        linear one.
+        on the input its size over that of the input, and the standard deviation of the white noise beside it; of a hold
+        0 for an input that was held, 1 for a linear one.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one.
     """
@@ -122,37 +126,85 @@ def autoregression(residuals: Sequence[ComplexArray], lengths: Sequence[int]) ->
     return models, np.array(variances)
 
 
-def input_noise(at: Projection) -> tuple[float, float]:
-    """Standard deviation of noise on the input that would explain the residual, and the gain in log-likelihood.
+def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, float]:
+    """Standard deviations of noise on input and output that explain what modes leave, and what the former gains.
 
     Such noise comes out of the plant: its power in each bin goes with the squared gain of the model there (Whittle).
+    Under it the modes have other residues, ends and frequencies than under white noise, which follow the bins next to
+    them: these move by one linear step.
     """
-    powers, gains = [], []
-    for one, predicted in zip(at.problem.experiments, at.predicted(), strict=True):
-        if not (isinstance(one, Experiment) and one.driven and one.complete):
-            continue
-        length = len(one.u)
-        bins = np.arange(1, (length + 1) // 2)
-        powers.append(np.abs(np.fft.rfft(one.y - predicted)[bins]) ** 2 / length)
-        gains.append(np.abs(_response(one, at.d, at.kappa, 2 * np.pi * bins / length)) ** 2)
-    if not powers:
-        return 0.0, 0.0
-    power, gain = np.concatenate(powers), np.concatenate(gains)
-    middle = float(np.median(gain))
-    if not (middle > 0 and np.all(power > 0)):
-        return 0.0, 0.0
+    records = [one for one in experiments if isinstance(one, Experiment) and one.driven and one.complete]
+    spectra, n = [Spectrum.of(one) for one in records], len(d)
+    windows = [Window.about(one, d, _ABOUT) for one in spectra]
+    at = Problem(tuple(windows)).project(d)
+    power: list[Array] = []
+    gain: list[Array] = []
+    moved, target, near = [], [], []
+    for k, (one, spectrum, window) in enumerate(zip(records, spectra, windows, strict=True)):
+        bins, size = np.arange(1, spectrum.last + 1), float(np.sqrt(spectrum.length))
+        left = spectrum.left(d, at.kappa, at.own[k]) / size
+        (block,) = window.at(d).sensitive_blocks(at.kappa, at.own[k])
+        columns = np.zeros((2 * n * (len(records) + 1), block.shape[1]))
+        columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
+        moved.append(columns)
+        target.append(np.concatenate([left[window.bins].real, left[window.bins].imag]))
+        near.append(np.tile(sum(map(len, gain)) + window.bins - 1, 2))
+        power.append(np.abs(left[bins]) ** 2)
+        gain.append(np.abs(_response(one, d, at.kappa, 2 * np.pi * bins / spectrum.length)) ** 2)
+    every = (power, gain, target, near)
+    if not power:
+        return 0.0, 0.0, 0.0
+    powers, gains, rhs, places = (np.concatenate(parts) for parts in every)
+    if len(powers) <= 2 * n * (len(records) + 1):
+        return 0.0, 0.0, 0.0
+    C = np.concatenate(moved, axis=1)
+    lengths = np.linalg.norm(C, axis=1)
+    C = C / np.where(lengths > 0, lengths, 1.0)[:, None]
+    middle = float(np.median(gains))
+    if not (middle > 0 and powers.any()):
+        return 0.0, 0.0, 0.0
 
-    def level(ratio: float) -> float:
-        return float(np.mean(power / (1 + ratio * gain)))
+    spare = len(powers) - 0.5 * len(C)
+
+    def level(ratio: float) -> tuple[float, float]:
+        """Variance of the output noise, and the logarithm of the determinant of the weighted columns."""
+        weights = 1 / (1 + ratio * gains)
+        weighted = C * weights[places]
+        pull, gram = weighted @ rhs, weighted @ C.T + _RIDGE * np.eye(len(C))
+        left = weights @ powers - pull @ np.linalg.solve(gram, pull)
+        return float(max(left, np.finfo(float).tiny)) / spare, float(np.linalg.slogdet(gram)[1])
 
     def unlikely(ratio: float) -> float:
-        return float(np.sum(np.log1p(ratio * gain)) + len(power) * np.log(level(ratio)))
+        # restricted to what the modes leave, or the bins next to them would speak against noise that they took up
+        variance, determinant = level(ratio)
+        return float(np.sum(np.log1p(ratio * gains)) + spare * np.log(variance) + 0.5 * determinant)
 
     tried = np.array([unlikely(ratio / middle) for ratio in _RATIOS])
     best = int(np.argmin(tried))
     ends = np.log(_RATIOS[[max(0, best - 1), min(len(_RATIOS) - 1, best + 1)]] / middle)
-    ratio = float(np.exp(minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded").x))
-    return float(np.sqrt(ratio * level(ratio))), unlikely(0.0) - unlikely(ratio)
+    found = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
+    ratio = float(np.exp(found.x))
+    of_output = float(np.sqrt(level(ratio)[0]))
+    return float(np.sqrt(ratio)) * of_output, of_output, unlikely(0.0) - unlikely(ratio)
+
+
+def noise_size(noise: Finding | None, one: Experiment, at: Projection, bins: NDArray[np.intp]) -> Array:
+    """Power of noise in some bins, over what it would be if it were white."""
+    phase = np.asarray(2 * np.pi / len(one.u) * bins, float)
+    if noise is None:
+        return np.ones(len(bins))
+    if noise.cause is Cause.COLOURED_NOISE:
+        past = np.concatenate([[1.0], -np.array(noise.values)])
+        return np.asarray(np.abs(np.exp(-1j * np.outer(phase, np.arange(len(past)))) @ past) ** -2.0)
+    share, of_output = noise.values
+    ratio = share * input_size(at.problem.experiments) / of_output
+    return np.asarray(1 + (ratio * np.abs(_response(one, at.d, at.kappa, phase))) ** 2)
+
+
+def input_size(experiments: Sequence[Rows]) -> float:
+    """Root mean square of all inputs."""
+    inputs = [one.u for one in experiments if isinstance(one, Experiment) and one.driven]
+    return float(np.sqrt(np.mean(np.concatenate(inputs) ** 2)))
 
 
 def _response(one: Experiment, d: Array, kappa: Array, phase: Array) -> ComplexArray:
@@ -162,7 +214,8 @@ def _response(one: Experiment, d: Array, kappa: Array, phase: Array) -> ComplexA
     found = np.full(len(phase), kappa.sum() if one.quantity == "acceleration" else 0.0, complex)
     for w, lam, b0, b1 in zip(weight, step.multiplier, step.b0[:, 0], step.b1[:, 0], strict=True):
         gain, mirrored = w * (b0 + b1 * z), np.conj(w) * (np.conj(b0) + np.conj(b1) * z)
-        found += 0.5 * (gain / (z - lam) + mirrored / (z - np.conj(lam)))
+        ahead = np.where(z == lam, EPS, z - lam)
+        found += 0.5 * (gain / ahead + mirrored / (z - np.conj(lam)))
     return found
 
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem, Projection, Refinement
-from .circumstances import input_noise
+from .circumstances import autoregression
+from .free_path import FreeStep, free_unknowns
 from .steps import Step
 
 Array = NDArray[np.float64]
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 
-_CROWDED = 2.0  # bins between modes, below which one may stand for something else
 _BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
 
 
@@ -37,8 +38,12 @@ class Criteria:
 
 def criteria(problem: Problem, loss: float, n: int) -> Criteria:
     """Criteria of n modes that leave a sum of squares."""
-    samples, parameters = problem.samples, problem.unknowns(n) + 1
-    variance = max(loss / samples, np.finfo(float).tiny)
+    return criteria_of(problem.samples, loss, problem.unknowns(n))
+
+
+def criteria_of(samples: int, loss: float, unknowns: int) -> Criteria:
+    """Criteria of a model with so many unknowns that leaves a sum of squares."""
+    parameters, variance = unknowns + 1, max(loss / samples, np.finfo(float).tiny)
     loglik = -0.5 * samples * float(np.log(2 * np.pi * variance) + 1)
     aic = 2 * parameters - 2 * loglik
     spare = samples - parameters - 1
@@ -47,33 +52,30 @@ def criteria(problem: Problem, loss: float, n: int) -> Criteria:
 
 
 def preference(problem: Problem, step: Step, name: str) -> float:
-    """Value of a criterion for a step of a search, with noise as coloured as the criterion prefers.
+    """Value of a criterion for a step of a search, with the noise that the criterion prefers.
 
-    A mode too many mends a little of coloured noise, a few coefficients mend most of it.  What no mode explains yet is
-    not taken for noise.
+    A mode too many mends a little of coloured noise, or of noise on the input, which comes out of the plant at its
+    resonances; a few coefficients mend most of it.  What no mode explains yet is not taken for noise.
     """
     found = criteria(problem, step.loss, len(step.d)).by_name(name)
     if not len(step.d):
         return found
     each = 2.0 if name in ("aic", "aicc") else float(np.log(problem.samples))
-    lags = np.arange(len(step.foretold))
-    return found + float(np.min(problem.samples * np.log(step.foretold) + each * lags))
+    return found + min(past_of_noise(problem.samples, step.foretold, each), each - 2 * step.noisy)
 
 
-def beside_input_noise(problem: Problem, path: Sequence[Step], values: Sequence[float], place: int) -> int:
-    """Place in a path that BIC prefers where noise on the input may explain the last modes, which crowd about others.
+def free_preference(problem: Problem, step: FreeStep) -> float:
+    """BIC of damped modes, with noise as coloured as it prefers."""
+    samples, n = problem.samples, len(step.at.p)
+    lengths = [len(one.u) for one in problem.experiments if isinstance(one, Experiment)]
+    foretold = autoregression(step.left, lengths)[1] if n and lengths else np.ones(1)
+    found = criteria_of(samples, step.loss, free_unknowns(problem, n)).bic
+    return found + past_of_noise(samples, foretold, float(np.log(samples)))
 
-    Such noise comes out of the plant at its resonances, as more modes there would.
-    """
-    best, chosen, each = values[place], place, float(np.log(problem.samples))
-    while place > 0 and crowded(path[place].d, _CROWDED * problem.bin):
-        for k in (place, place - 1):
-            if len(d := path[k].d):
-                gain = input_noise(problem.project(d))[1]
-                value = criteria(problem, path[k].loss, len(d)).bic - 2 * gain + each
-                best, chosen = min((best, chosen), (value, k))
-        place -= 1
-    return chosen
+
+def past_of_noise(samples: int, foretold: Array, each: float) -> float:
+    """How much a criterion falls where noise may depend on its past, each sample of which it charges for."""
+    return float(np.min(samples * np.log(foretold) + each * np.arange(len(foretold))))
 
 
 def crowded(d: Array, distance: float) -> bool:

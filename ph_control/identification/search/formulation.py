@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,8 @@ from ..regression.modal_regressors import QUANTITIES
 from ..regression.time_rows import Experiment
 from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
-from .criteria import criteria, crowded, preference
+from .criteria import criteria, crowded, free_preference, preference
+from .free_path import FreeStep
 from .path import grow, interrupted
 from .response_search import ResponseSearch
 from .steps import Report, Search, Step, TimeSearch
@@ -36,7 +37,8 @@ REPRESENTATIONS = ("observable", "controllable")
 
 _DELAYS = tuple(range(-2, 9))  # samples that are tried
 _BESIDE = 1.5  # bins between a mode and one that may only mend the phase of its response
-_EVIDENT = 20.0  # log-likelihood at which one hold is surely better, whatever modes were found under the other
+_PRIOR = 2.0  # log-likelihood that each sample of a delay costs
+_MORE = 3  # lossless modes more than damped ones with which a delay may explain what these do
 _LIKELY, _FOLLOWED = 8.0, 3  # log-likelihood at which a search begins again under other circumstances, and how many
 
 
@@ -51,6 +53,16 @@ class Progress:
 
 
 Callback = Callable[[Progress], Any]
+
+
+class Watch(Protocol):
+    """What ends a path, and finds damped modes that are better than all of it."""
+
+    def __call__(self, path: list[Step]) -> bool:
+        """Whether the path is over."""
+
+    def decided(self, path: list[Step]) -> FreeStep | None:
+        """Damped modes that are better than all of a path that has come to its end."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +146,18 @@ class Formulation:
 
     def path(
         self, guess: Array, largest: int, *, report: Callable[[int], Report | None] = lambda order: None,
-        together: bool = False, stop: Callable[[list[Step]], bool] | None = None,
-    ) -> tuple[Formulation, list[Step]]:  # fmt: skip
-        """One mode after the other, from the guess on, under the circumstances that the data prefer: these, and all."""
+        together: bool = False, watch: Callable[[Problem], Watch] | None = None,
+    ) -> Path:  # fmt: skip
+        """One mode after the other, from the guess on, under the circumstances that the data prefer."""
+        how: dict[str, Any] = {"report": report, "together": together, "watch": watch}
         search, floor = self.search, self.problem.rounding
+        stop = watch(search.problem) if watch else None
         steps = [search.step(guess, self.rtol, report(len(guess)))]
 
+        arrival = "arrival" in self.open  # not yet asked
+
         def pauses(more: list[Step]) -> bool:
-            asks = self._asks(more[-1])
+            asks = self._asks(more[-1], arrival)
             if asks or stop is None:
                 return asks
             whole = [*steps[:-1], *more]
@@ -151,101 +167,103 @@ class Formulation:
 
         while True:
             # what is left of a record without noise is rounding, and says nothing of its circumstances
-            ended = steps[-1].interrupted or not len(steps[-1].candidates) or steps[-1].loss <= floor
-            others = [] if ended or not isinstance(search, TimeSearch) else self._preferred(search, steps, False)
-            if others:
-                return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
+            if isinstance(search, TimeSearch) and not self._is_over(steps[-1]):
+                other = self._with_background(search, steps[-1])
+                if other is not None:
+                    return other.path(guess, largest, **how)
+                others = self._arrivals(search, steps) if arrival and self._doubts(search, steps[-1]) else []
+                if others:
+                    damped = stop.decided(steps) if stop else None
+                    own = self._ended(steps, damped) if damped else None
+                    best = self._best(own, others, steps, guess, largest, how)
+                    if best is not own:
+                        return best
+                    arrival = False
             before = len(steps)
             steps = [*steps[:-1], *grow(
                 search, steps[-1], largest, rtol=self.rtol, floor=floor, report=report, together=together, stop=pauses
             )]  # fmt: skip
-            if len(steps) == before or not self._asks(steps[-1]) or (stop is not None and stop(steps)):
+            if len(steps) == before or not self._asks(steps[-1], arrival) or (stop is not None and stop(steps)):
                 break
-        over = steps[-1].interrupted or steps[-1].loss <= floor or getattr(stop, "followed", False)
-        if isinstance(search, TimeSearch) and not over:
-            d = np.sort(steps[-1].d)
-            if "hold" in self.open and len(d) > 1 and np.min(np.diff(d)) < self.problem.bin:
-                return self._better_held(steps, guess, largest, report=report, together=together, stop=stop)
-            others = self._preferred(search, steps, True)
-            if others and others[0].searched is self.searched and others[0].problem is self.problem:
-                return others[0], steps
-            if others:
-                return self._followed(others, steps, guess, largest, report=report, together=together, stop=stop)
-        return self, steps
+        own = self._ended(steps, stop.decided(steps) if stop and steps[-1].loss > floor else None)
+        if not isinstance(search, TimeSearch) or steps[-1].interrupted or steps[-1].loss <= floor:
+            return own
+        others = self._arrivals(search, steps) if arrival and search.unconvinced(steps[-1]) else []
+        held = self._held_otherwise(search, steps[-1]) if own.damped is None and "hold" in self.open else None
+        if held is not None:
+            own = replace(own, posed=held[0])
+            others = held[1:] if held[1:] and not (others and others[0].searched) else others
+        return self._best(own, others, steps, guess, largest, how) if others else own
 
-    def _followed(
-        self, others: list[Formulation], before: list[Step], guess: Array, largest: int, **how: Any
-    ) -> tuple[Formulation, list[Step]]:
-        """The best path of others; one with a delay has to explain the record, or nothing is said of it."""
+    def _is_over(self, step: Step) -> bool:
+        return step.interrupted or not len(step.candidates) or step.loss <= self.problem.rounding
 
-        def value(path: tuple[Formulation, list[Step]]) -> float:
-            return min(preference(path[0].problem, step, "bic") for step in path[1])
+    def _ended(self, steps: list[Step], damped: FreeStep | None = None) -> Path:
+        """What a path has come to, and its BIC, for as many samples as the problem has."""
+        searched = self.search.problem
+        values = [preference(searched, step, "bic") for step in steps]
+        values += [free_preference(searched, damped)] if damped else []
+        return Path(self, steps, damped, min(values) * self.problem.samples / searched.samples)
 
-        paths, cut = [], False
-        for one in others:
+    def _best(
+        self, own: Path | None, others: list[Formulation], before: list[Step], guess: Array, largest: int,
+        how: dict[str, Any],
+    ) -> Path:  # fmt: skip
+        """The path of least BIC under this formulation and others; one with a delay has to explain the record."""
+        paths, cut = [own] if own else [], False
+        most, asked = largest, how
+        if own is not None and own.damped is not None:
+            # what explains the record without damping needs few modes more, and no look at damping
+            most = min(largest, max(len(before[-1].d), len(own.damped.at.p) + _MORE))
+            asked = {**how, "watch": None}
+        closed = replace(self, open=self.open - {"arrival"})
+        for one in [*others, closed]:
+            if one is closed and paths:
+                break
             try:
-                paths.append(one.path(guess, largest, **how))
+                path = one.path(guess, most, **asked)
             except (KeyboardInterrupt, StopIteration):
                 cut = True
-            if cut := cut or paths[-1][1][-1].interrupted:
+                break
+            cut = path.steps[-1].interrupted
+            if cut or not one.is_late or path.explains:
+                paths.append(path)
+            if cut:
                 break
         if cut:
-            found, steps = min([*paths, (self, before)], key=value)
-            if not len(steps[-1].d):
+            found = min([*paths, self._ended(before)], key=lambda path: path.value)
+            if not len(found.steps[-1].d):
                 raise KeyboardInterrupt
-            return found, interrupted(steps)
-        found, steps = min(paths, key=value)
-        late = found.searched is not None and self.searched is None
-        if late:
-            best = min(steps, key=lambda step: preference(found.problem, step, "bic"))
-            if found.search.unconvinced(best):
-                return replace(self, open=self.open - {"arrival"}).path(guess, largest, **how)
-        return found, steps
+            return replace(found, steps=interrupted(found.steps))
+        found = min(paths, key=lambda path: path.value)
+        if own is None or found is own:
+            return found
+        if len(found.steps[-1].d) == most < largest:
+            found = found.posed.path(guess, largest, **how)
+        gain, arrival = 0.5 * (own.value - found.value), (Cause.HOLD, Cause.DELAY)
+        findings = tuple(replace(one, gain=gain) if one.cause in arrival else one for one in found.posed.findings)
+        return replace(found, posed=replace(found.posed, findings=findings))
 
-    def _better_held(self, steps: list[Step], guess: Array, largest: int, **how: Any) -> tuple[Formulation, list[Step]]:
-        """The better of two paths, where modes closer than the data resolve make the first one doubtful."""
-        other = "foh" if self.intersample == "zoh" else "zoh"
-        closed = replace(self, open=self.open - {"hold"})
-        try:
-            found, more = replace(closed, problem=meeting(self.problem, other)).path(guess, largest, **how)
-        except (KeyboardInterrupt, StopIteration):
-            return closed, interrupted(steps)
-        if more[-1].interrupted:
-            return closed, interrupted(steps)
-        here = min(preference(self.problem, step, "bic") for step in steps)
-        there = min(preference(found.problem, step, "bic") for step in more)
-        gain = 0.5 * (here - there)
-        if gain > SURE:
-            finding = Finding(Cause.HOLD, (float(HOLDS.index(other)),), gain)
-            return replace(found, findings=(*found.findings, finding)), more
-        finding = Finding(Cause.HOLD, (float(HOLDS.index(self.intersample)),), max(0.0, -gain))
-        return replace(closed, findings=(*self.findings, finding)), steps
+    @property
+    def is_late(self) -> bool:
+        """Whether the modes are searched for with an input that comes earlier or later."""
+        return any(one.cause is Cause.DELAY for one in self.findings)
 
-    def _asks(self, step: Step) -> bool:
+    def _asks(self, step: Step, arrival: bool) -> bool:
         """Whether what joined last, or would join next, may be a circumstance rather than a mode."""
         search = self.search
         if not isinstance(search, TimeSearch):
             return False
-        return self._doubts(search, step) or ("background" in self.open and search.slow(step))
+        return (arrival and self._doubts(search, step)) or ("background" in self.open and search.slow(step))
 
     def _doubts(self, search: TimeSearch, step: Step) -> bool:
         """Whether a mode has joined next to another while more is left, as where the input arrives otherwise."""
-        beside = "arrival" in self.open and crowded(step.d, _BESIDE * self.problem.bin)
-        return beside and search.unconvinced(step)
+        return crowded(step.d, _BESIDE * self.problem.bin) and search.unconvinced(step)
 
-    def _preferred(self, search: TimeSearch, steps: list[Step], final: bool) -> list[Formulation]:
-        """The same under circumstances that the data prefer; in the end also how sure the present ones are."""
-        step = steps[-1]
-        if "background" in self.open and search.slow(step):
-            other = self._beside(search, step)
-            if other is not None:
-                return [other]
-        if not ("arrival" in self.open and len(step.d)):
-            return []
-        return self._meeting(search, steps[0], step, final)
-
-    def _beside(self, search: TimeSearch, step: Step) -> Formulation | None:
+    def _with_background(self, search: TimeSearch, step: Step) -> Formulation | None:
         """With a constant or a drift, where that explains more than a slow mode would."""
+        if not ("background" in self.open and search.slow(step)):
+            return None
         joined = search.step(np.append(step.d, step.candidates[0]), self.rtol)
         now = criteria(self.problem, step.loss, len(step.d)).loglik
         best, chosen = criteria(self.problem, joined.loss, len(joined.d)).bic, None
@@ -266,28 +284,33 @@ class Formulation:
         searched = None if self.searched is None else beside(self.searched, terms)
         return replace(self, problem=problem, searched=searched, findings=(*others, Finding(cause, (), gain)))
 
-    def _meeting(self, search: TimeSearch, first: Step, step: Step, final: bool) -> list[Formulation]:
-        """With an input that arrives otherwise, the likeliest first."""
-        held = self.intersample
-        other = "foh" if held == "zoh" else "zoh"
-        gains = {}
-        if self._doubts(search, step) or (final and search.unconvinced(step)):
-            base = search.arrival(first, held, 0)
-            for each in (held, other):
-                for delay in _DELAYS if each == held or "hold" in self.open else (0,):
-                    gains[each, delay] = search.arrival(first, each, delay) - base
-        if final and "hold" in self.open and gains.get((other, 0), 0.0) <= _EVIDENT:
-            gains[other, 0] = search.likelihood(step, other) - search.likelihood(step, held)
-        likely = sorted((pair for pair in gains.items() if pair[1] > _LIKELY), key=lambda pair: -pair[1])[:_FOLLOWED]
-        if likely and not (final and likely[0][0] == (other, 0)):
-            return [self._arriving(each, delay, gain) for (each, delay), gain in likely]
-        if not (final and "hold" in self.open):
-            return [self._arriving(*pair, gain) for pair, gain in likely]
-        gain = gains[other, 0]
-        if gain > SURE:
-            return [self._arriving(other, 0, gain)]
-        finding = Finding(Cause.HOLD, (float(HOLDS.index(held)),), max(0.0, -gain))
-        return [replace(self, findings=(*self.findings, finding))]
+    @property
+    def _other(self) -> str:
+        return "foh" if self.intersample == "zoh" else "zoh"
+
+    def _arrivals(self, search: TimeSearch, steps: list[Step]) -> list[Formulation]:
+        """With an input that arrives otherwise, by what single modes at the peaks say of it, the likeliest first."""
+        if not len(steps[-1].d):
+            return []
+        pairs = [(self.intersample, delay) for delay in _DELAYS]
+        pairs += [(self._other, delay) for delay in (_DELAYS if "hold" in self.open else (0,))]
+        base = search.arrival(steps[0], self.intersample, 0)
+        # the longer a delay, the less likely before any data
+        gains = [(search.arrival(steps[0], *pair) - base - _PRIOR * abs(pair[1]), pair) for pair in pairs]
+        gains.sort(key=lambda one: -one[0])
+        return [self._arriving(*pair, gain) for gain, pair in gains[:_FOLLOWED] if gain > _LIKELY]
+
+    def _held_otherwise(self, search: TimeSearch, step: Step) -> list[Formulation]:
+        """With the hold decided as it is; before one with the other, where that may be better."""
+        d = np.sort(step.d)
+        if not len(d):
+            return [self]
+        # modes closer than the data resolve may be there for the hold's sake, and say nothing of it
+        close = len(d) > 1 and np.min(np.diff(d)) < self.problem.bin
+        gain = search.likelihood(step, self._other) - search.likelihood(step, self.intersample)
+        finding = Finding(Cause.HOLD, (float(HOLDS.index(self.intersample)),), max(0.0, -gain))
+        decided = replace(self, findings=(*self.findings, finding))
+        return [decided, self._arriving(self._other, 0, gain)] if close or gain > SURE else [decided]
 
     def _arriving(self, held: str, delay: int, gain: float) -> Formulation:
         """With an input that arrives as told; its hold belongs to the model if that is left to the data."""
@@ -382,6 +405,22 @@ class Formulation:
                 f"initial_guess has {len(guess)} modes, more than the {_checks.shown(order)} of the order"
             )
         return int(order)
+
+
+@dataclass(frozen=True)
+class Path:
+    """Modes that joined one by one under a formulation, damped ones that are better than all of them, and the BIC."""
+
+    posed: Formulation
+    steps: list[Step]
+    damped: FreeStep | None
+    value: float
+
+    @property
+    def explains(self) -> bool:
+        """Whether the best step leaves nothing but noise."""
+        search = self.posed.search
+        return not search.unconvinced(min(self.steps, key=lambda step: preference(search.problem, step, "bic")))
 
 
 def _refuse_unobserved(records: Records) -> None:

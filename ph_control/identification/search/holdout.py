@@ -65,7 +65,7 @@ def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], par
     if largest:
         # under the circumstances that all of the data have decided
         posed = replace(posed, problem=rest.training, open=frozenset(), searched=None)
-        _, path = posed.path(guess, posed.largest_order(largest, largest, guess))
+        path = posed.path(guess, posed.largest_order(largest, largest, guess)).steps
     if path and path[-1].interrupted:
         raise KeyboardInterrupt
     losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}

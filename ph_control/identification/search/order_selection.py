@@ -235,7 +235,8 @@ def order_selection(
     posed.check_signals()
     wanted = _wanted(orders, problem)
     largest = posed.largest_order(wanted[-1], wanted[-1], guess)
-    posed, path = posed.path(guess, largest, report=reporter(problem, largest, callback))
+    found = posed.path(guess, largest, report=reporter(problem, largest, callback))
+    posed, path = found.posed, found.steps
     problem = posed.problem
     # a path that ends in rounding has no higher orders
     kept = [k for k, step in enumerate(path) if len(step.d) in wanted]
@@ -246,14 +247,14 @@ def order_selection(
         )
     stable = _stable(path, problem.bin)
     steps = [path[k] for k in kept]
-    found = [criteria(problem, step.loss, len(step.d)) for step in steps]
+    rows = [criteria(problem, step.loss, len(step.d)) for step in steps]
     ahead, losses = held_out_losses(posed, guess, [len(step.d) for step in steps], part) if part else (0, None)
     return OrderSelection(
         orders=np.array([len(step.d) for step in steps]),
         loss=np.array([step.loss / problem.samples for step in steps]),
-        aic=np.array([row.aic for row in found]),
-        aicc=np.array([row.aicc for row in found]),
-        bic=np.array([row.bic for row in found]),
+        aic=np.array([row.aic for row in rows]),
+        aicc=np.array([row.aicc for row in rows]),
+        bic=np.array([row.bic for row in rows]),
         holdout=losses,
         frequencies=tuple(np.sort(step.d) for step in steps),
         stable=tuple(stable[k] for k in kept),

@@ -16,8 +16,8 @@ from scipy.special import chdtrc
 
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import Experiment
-from ..regression.variable_projection import Problem, Projection, refine
-from .circumstances import autoregression, meeting
+from ..regression.variable_projection import Problem, Projection, Refinement, refine
+from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
 
 Array = NDArray[np.float64]
@@ -30,6 +30,7 @@ _TOGETHER = 512  # samples from which on several modes may join at one step
 _BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
 _HALF_WIDTH = 12  # bins on either side of a mode
 _ABOUT = np.linspace(-1.0, 1.0, 9)  # bins from a peak
+_BESIDE = 4.0  # bins between a mode and one more that would mend the shape of its peak
 _SLOW = 1.0  # bins below which a mode is hardly told from a constant and a drift
 
 
@@ -40,7 +41,8 @@ class Step:
     `candidates` are natural frequencies by how much a mode there would explain, the most first, and `gains` how much;
     `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them;
     `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet;
-    `foretold` is the variance of what is left that its own past does not foretell, by the length of that past.
+    `foretold` is the variance of what is left that its own past does not foretell, by the length of that past;
+    `noisy` what noise on the input would gain in log-likelihood, where one more mode would only stand beside another.
     """
 
     d: Array
@@ -54,6 +56,7 @@ class Step:
     interrupted: bool = False
     coloured: bool = False
     foretold: Array = field(default_factory=lambda: np.ones(1))
+    noisy: float = 0.0
 
 
 class Search(Protocol):
@@ -149,34 +152,36 @@ class TimeSearch:
 
     def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:
         end = refine(self.problem, d, rtol=rtol, last=False, progress=report)
-        at = end.projection
-        left = [
-            np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0))
-            for one, predicted in zip(self._experiments, at.predicted(), strict=True)
-        ]
-        ranked = self._screen.ranked(left)
-        return Step(
-            at.d, at.loss, end.iterations, end.converged, *ranked, ~at.free, mode_energies(at), end.interrupted,
-            foretold=self._foretold(left),
-        )  # fmt: skip
+        pairs = zip(self._experiments, end.projection.predicted(), strict=True)
+        left = [np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0)) for one, predicted in pairs]
+        return self._ended(end, left, end.projection.loss)
 
     def _in_bins(self, d: Array, rtol: float, report: Report | None) -> Step:
         windows = [Window.about(one, d, _HALF_WIDTH) for one in self._spectra]
-        if not len(d):
-            left = [one.Y for one in self._spectra]
-            iterations, converged, interrupted, held, weights = 0, True, False, np.zeros(0, bool), d
-        else:
-            end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
-            at, iterations, converged, interrupted = end.projection, end.iterations, end.converged, end.interrupted
-            d, held, weights = at.d, ~at.free, mode_energies(at)
-            left = [one.left(d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
+        end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
+        left, at = [one.Y for one in self._spectra], end.projection
+        if len(d):
+            left = [one.left(at.d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
         left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
         loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
-        ranked = self._screen.ranked(left)
-        return Step(d, loss, iterations, converged, *ranked, held, weights, interrupted, foretold=self._foretold(left))
+        return self._ended(end, left, loss)
 
-    def _foretold(self, left: list[ComplexArray]) -> Array:
-        return autoregression(left, [len(one.u) for one in self._experiments])[1]
+    def _ended(self, end: Refinement, left: list[ComplexArray], loss: float) -> Step:
+        at, n = end.projection, len(end.projection.d)
+        foretold = autoregression(left, [len(one.u) for one in self._experiments])[1]
+        step = Step(
+            at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
+            ~at.free if n else np.zeros(0, bool), mode_energies(at) if n else at.d, end.interrupted, foretold=foretold,
+        )  # fmt: skip
+        if n and loss > self.problem.rounding and crowds(step, self.problem):
+            step = replace(step, noisy=input_noise(self._experiments, at.d)[-1])
+        return step
+
+
+def crowds(step: Step, problem: Problem) -> bool:
+    """Whether one more mode would stand beside another, as it does to mimic what no mode is."""
+    every = np.sort(np.append(step.d, step.candidates[:1]))
+    return len(every) > 1 and bool(np.min(np.diff(every)) < _BESIDE * problem.bin)
 
 
 def more_than_noise(problem: Problem, step: Step) -> bool:
