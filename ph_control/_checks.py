@@ -441,10 +441,14 @@ def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
     return str(value)
 
 
-def whole_number(name: str, value: Any, least: int | None = None) -> int:
-    """Check a whole number, of at least `least` where that is given."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not (least is None or value >= least):
-        bound = "" if least is None else f" of at least {least}"
+def whole_number(name: str, value: Any, least: int | None = None, most: float = np.inf) -> int:
+    """Check a whole number, between `least` and `most` where these are given."""
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | np.integer)
+        or not ((value if least is None else least) <= value <= most)
+    ):
+        bound = "" if least is None else f" of at least {least}" if most == np.inf else f" from {least} to {most}"
         raise StructureError(f"{name} is {shown(value)}; it must be a whole number{bound}")
     return int(value)
 

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 import ph_control as phc
 from ph_control import NotLosslessError, StructureError
 from ph_control.identification.uncertainty.draws import ModeSamples
-from ph_control.plotting import time_data as transients
+from ph_control.plotting import time_plot as transients
 from ph_control.plotting.energy_plot import energy_plot
 from ph_control.plotting.inputs import subjects_of
 from ph_control.plotting.mode_plot import (
@@ -25,8 +25,7 @@ from ph_control.plotting.mode_plot import (
     pole_zero_plot,
     strips,
 )
-from ph_control.plotting.time_data import response_of, transient_data
-from ph_control.plotting.time_plot import impulse_plot, step_plot
+from ph_control.plotting.time_plot import impulse_plot, response_of, step_plot, transient_data
 
 EPS = np.finfo(float).eps
 quick = settings(deadline=None, max_examples=20, derandomize=True)

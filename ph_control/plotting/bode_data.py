@@ -36,14 +36,24 @@ _PER_BIN = 256  # levels of which a median is taken
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
-_COHERENT = 0.5  # dots below this coherence say more about noise and leakage than about the system
+_COHERENT = 0.5  # coherence below which dots are pale
+
+
+@dataclass(frozen=True)
+class BodeBand:
+    """Confidence band of a curve: `magnitude` in decibels and `phase` in degrees, shape (2, N), at `omega`."""
+
+    label: str
+    omega: Array
+    magnitude: Array
+    phase: Array
 
 
 @dataclass(frozen=True)
 class Curve:
     """A response to draw, shape (p, m, N), at `omega`, shape (N,), rad per unit time.
 
-    `singular` holds its poles and zeros on the imaginary axis, ascending; `doubtful` marks what is mostly noise.
+    `singular` holds its poles and zeros on the imaginary axis, ascending; spectral estimates have a `coherence`.
     """
 
     label: str
@@ -51,8 +61,14 @@ class Curve:
     response: ComplexArray
     singular: Array
     nyquist: float | None = None
-    doubtful: Mask | None = None
+    coherence: Array | None = None
     tabulated: bool = False
+    band: BodeBand | None = None
+
+    @property
+    def doubtful(self) -> Mask:
+        """Where it says more about noise and leakage than about the system."""
+        return np.zeros(len(self.omega), bool) if self.coherence is None else self.coherence < _COHERENT
 
     @property
     def vanishes(self) -> bool:
@@ -98,14 +114,18 @@ class Curve:
         least = np.maximum(_SHOWN * (fenced[above] - fenced[above - 1]), _DOT * np.log(high / low) * self.omega)
         return inside & (distance(self.omega, self.singular) >= least)
 
-    def shown(self, levels: Array, low: float, high: float) -> Array:
-        """Levels of the curve that a picture must hold: no infinite peak and, of tabulated ones, no lone outlier."""
-        kept = levels[self.visible(low, high)]
+    def shown(self, i: int, j: int, low: float, high: float) -> Array:
+        """Decibels that a picture must hold: no infinite peak and, of tabulated responses, no lone outlier."""
+        kept = self.magnitude(i, j)[self.visible(low, high)]
         kept = kept[np.isfinite(kept)]
-        if not self.tabulated or not len(kept):
-            return kept
-        bottom, top = np.quantile(kept, [0.02, 0.98])
-        return kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]
+        if self.tabulated and len(kept):
+            bottom, top = np.quantile(kept, [0.02, 0.98])
+            kept = kept[(kept >= bottom - _LONE) & (kept <= top + _LONE)]
+        if self.band is not None:
+            # beyond nine tenths of it the band may run off as its curve does: next to a resonance it is as high
+            seen = self.band.magnitude[:, replace(self, omega=self.band.omega).visible(low, high)]
+            kept = np.concatenate([kept, np.quantile(seen, [0.05, 0.95]) if seen.size else []])
+        return kept
 
     def crowds(self, low: float, high: float) -> list[tuple[float, float]]:
         """Ranges, ascending and apart, where a picture from `low` to `high` cannot part poles from zeros."""
@@ -147,22 +167,11 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class BodeBand:
-    """Confidence band of a curve: `magnitude` in decibels and `phase` in degrees, shape (2, N), at `omega`."""
-
-    label: str
-    omega: Array
-    magnitude: Array
-    phase: Array
-
-
-@dataclass(frozen=True)
 class BodeData:
     """All that a Bode plot draws: systems, their curves, bands, dots, and the ends of the frequency axis."""
 
     systems: list[Any]
     curves: list[Curve]
-    bands: list[BodeBand | None]
     measured: Curve | None
     low: float
     high: float
@@ -203,13 +212,14 @@ def bode_data(
     extents = np.concatenate([_extent(one.system) for one in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
     curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
-    bands: list[BodeBand | None] = []
-    for one, curve, drawn in zip(subjects, curves, models, strict=True):
-        near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
-        bands.append(None if drawn is None else _band(drawn, near if grid is None else grid, level, _power_of_s(one)))
+    for k, (one, curve, drawn) in enumerate(zip(subjects, curves, models, strict=True)):
+        if drawn is not None:
+            near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
+            around = _band(drawn, near if grid is None else grid, level, _power_of_s(one))
+            curves[k] = replace(curve, band=around)
     observed = [one.given.observed_system if isinstance(one.given, FitResult) else one.system for one in subjects]
     title = title_of("Bode plot", subjects, label is not None)
-    return BodeData(observed, curves, bands, measured, low, high, first.input_labels, first.output_labels, title)
+    return BodeData(observed, curves, measured, low, high, first.input_labels, first.output_labels, title)
 
 
 def decibels(values: ComplexArray) -> Array:
@@ -254,7 +264,7 @@ def _measurement(data: Any, sys: Any, segments: int, intersample: str, label: st
         )
     curve = _tabulated(data, label or "data")
     if isinstance(data, SpectralEstimate) and data.segments > 1:
-        return replace(curve, doubtful=data.coherence[data.omega > 0] < _COHERENT)
+        return replace(curve, coherence=data.coherence[data.omega > 0])
     return curve
 
 

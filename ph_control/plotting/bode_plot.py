@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -16,7 +15,7 @@ from .. import _checks
 from .._units import unit_for
 from ..analysis.margins import margin
 from ..exceptions import StructureError
-from .bode_data import BodeData, Curve, bode_data
+from .bode_data import BodeData, bode_data
 from .style import BAND, DOTS, LineStyle, Look, PlainLogFormatter, frequency_axis, gain_label, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -196,27 +195,17 @@ def _draw_magnitudes(
     def scaled(level: Array) -> Array:
         return level if decibels else 10.0 ** (level / 20.0)
 
-    low, high, measured = numbers.low, numbers.high, numbers.measured
-    levels = [curve.magnitude(i, j) for curve in numbers.curves]
-    dots = None if measured is None else measured.magnitude(i, j)
-    bands = [None if band is None else scaled(band.magnitude) for band in numbers.bands]
-    drawn_dots = None if dots is None else scaled(dots)
-    lines = _draw_panel(axis, numbers, [scaled(level) for level in levels], bands, drawn_dots, unit, look, medians=True)
-    shown = [curve.shown(level, low, high) for curve, level in zip(numbers.curves, levels, strict=True)]
-    for curve, band in zip(numbers.curves, numbers.bands, strict=True):
-        if band is not None:
-            # beyond nine tenths of it the band may run off as its curve does: next to a resonance it is as high
-            seen = band.magnitude[:, replace(curve, omega=band.omega).visible(low, high)]
-            shown.append(np.quantile(seen, [0.05, 0.95]) if seen.size else np.zeros(0))
-    if measured is not None and dots is not None:
-        shown.append(measured.shown(dots, low, high))
-    values = np.concatenate(shown)
+    levels = [scaled(curve.magnitude(i, j)) for curve in numbers.curves]
+    bands = [None if curve.band is None else scaled(curve.band.magnitude) for curve in numbers.curves]
+    dots = None if numbers.measured is None else scaled(numbers.measured.magnitude(i, j))
+    lines = _draw_panel(axis, numbers, levels, bands, dots, unit, look, medians=True)
+    everything = numbers.curves if numbers.measured is None else [*numbers.curves, numbers.measured]
+    values = np.concatenate([curve.shown(i, j, numbers.low, numbers.high) for curve in everything])
     if not decibels:
         axis.set_yscale("log")
     if len(values):
         margin = 5.0 + 0.05 * np.ptp(values)
-        bottom, top = scaled(np.array([values.min() - margin, values.max() + margin]))
-        axis.set_ylim(float(bottom), float(top))
+        axis.set_ylim(*scaled(np.array([values.min() - margin, values.max() + margin])))
     if decibels:
         axis.yaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 4, 5, 10]))
     return lines
@@ -226,15 +215,14 @@ def _draw_phases(
     axis: Axes, numbers: BodeData, i: int, j: int, unit: float, look: Look, degrees: bool, wrap: bool
 ) -> list[Any]:
     size, first, measured = 1.0 if degrees else np.pi / 180.0, numbers.curves[0], numbers.measured
-    phases = [curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
-    bands, dots = [None if band is None else size * band.phase for band in numbers.bands], None
+    phases = [size * curve.phase(i, j, unwrap=not wrap) for curve in numbers.curves]
+    bands = [None if curve.band is None else size * curve.band.phase for curve in numbers.curves]
+    dots = None
     if measured is not None:
-        dots = measured.phase(i, j, unwrap=False) if wrap else measured.phase_near(i, j, first)
-    lines = _draw_panel(
-        axis, numbers, [size * phase for phase in phases], bands, None if dots is None else size * dots, unit, look
-    )
-    values = np.concatenate([[-90.0, 90.0], *phases, [] if dots is None else dots])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        dots = size * (measured.phase(i, j, unwrap=False) if wrap else measured.phase_near(i, j, first))
+    lines = _draw_panel(axis, numbers, phases, bands, dots, unit, look)
+    values = np.concatenate([*phases, [] if dots is None else dots]) / size
+    low, high = min(-90.0, float(np.nanmin(values, initial=0.0))), max(90.0, float(np.nanmax(values, initial=0.0)))
     step = 90.0 if high - low <= 450.0 else 180.0
     axis.set_ylim(size * (low - 0.25 * step), size * (high + 0.25 * step))
     if high - low <= 1440.0:
@@ -250,43 +238,37 @@ def _draw_panel(
     look: Look, medians: bool = False,
 ) -> list[Any]:  # fmt: skip
     """Curves, medians where they close to a block, bands around them, and the measurement; lines of all but bands."""
-    lines = []
+    lines: list[Any] = []
     for k, (curve, value) in enumerate(zip(numbers.curves, values, strict=True)):
         label = plain(f"{curve.label}: zero" if curve.vanishes else curve.label)
-        properties, breaks = look.curve(k), curve.gaps()
+        properties, breaks, crowds = look.curve(k), curve.gaps(), curve.crowds(numbers.low, numbers.high)
         if len(breaks):
             # what stands between two breaks is no line
             properties |= {"marker": ".", "markersize": 4.0}
         if len(curve.singular) > _MANY and "linewidth" not in look.line:
             # many resonances are told apart by thinner lines only
             properties["linewidth"] = 0.7
-        if curve.crowds(numbers.low, numbers.high):
+        if crowds:
             properties["zorder"] = _CROWD_BELOW
-        omega, value = np.insert(curve.omega, breaks, np.nan), np.insert(value, breaks, np.nan)
-        lines += axis.plot(omega / unit, value, label=label, **properties)
-    # a block is pale, and nothing else: above such curves, below all others
-    for start, end in {crowd for curve in numbers.curves for crowd in curve.crowds(numbers.low, numbers.high)}:
-        pale: dict[str, Any] = {"color": axis.get_facecolor(), "alpha": 0.7, "linewidth": 0.0}
-        axis.axvspan(start / unit, end / unit, zorder=_CROWD_BELOW + 0.05, **pale)
-    for curve, value, line in zip(numbers.curves, values, lines, strict=True):
+        omega = np.insert(curve.omega, breaks, np.nan) / unit
+        lines += axis.plot(omega, np.insert(value, breaks, np.nan), label=label, **properties)
+        # a block is pale, and nothing else: above such curves, below all others
+        for start, end in crowds:
+            pale: dict[str, Any] = {"color": axis.get_facecolor(), "alpha": 0.7, "linewidth": 0.0}
+            axis.axvspan(start / unit, end / unit, zorder=_CROWD_BELOW + 0.05, **pale)
+    for curve, value, ends, line in zip(numbers.curves, values, bands, lines, strict=True):
         omega, middle = curve.typical(value, numbers.low, numbers.high)
         if medians and len(omega):
             label = plain(f"{curve.label}: median where resonances are closer than dots")
             axis.plot(omega / unit, middle, label=label, color=line.get_color(), linewidth=1.6, zorder=3.1)
-    for band, line, ends in zip(numbers.bands, lines, bands, strict=True):
-        if band is not None and ends is not None:
-            axis.fill_between(band.omega / unit, *ends, label=plain(band.label), color=line.get_color(), **BAND)
-    return lines if numbers.measured is None else lines + _draw_dots(axis, numbers.measured, dots, unit)
-
-
-def _draw_dots(axis: Axes, measured: Curve, values: Any, unit: float) -> list[Any]:
-    doubtful = np.zeros(len(measured.omega), bool) if measured.doubtful is None else measured.doubtful
-    lines: list[Any] = []
-    for mask, label, properties in (
-        (~doubtful, plain(measured.label), {**DOTS, "zorder": 2.2}), (doubtful, "coherence below 0.5", _PALE_DOTS)
-    ):  # fmt: skip
-        if mask is not doubtful or mask.any():
-            lines += axis.plot(measured.omega[mask] / unit, values[mask], label=label, **properties)
+        if curve.band is not None and ends is not None:
+            label = plain(curve.band.label)
+            axis.fill_between(curve.band.omega / unit, *ends, label=label, color=line.get_color(), **BAND)
+    if numbers.measured is not None and dots is not None:
+        omega, doubtful = numbers.measured.omega / unit, numbers.measured.doubtful
+        lines += axis.plot(omega[~doubtful], dots[~doubtful], label=plain(numbers.measured.label), **DOTS)
+        if doubtful.any():
+            lines += axis.plot(omega[doubtful], dots[doubtful], label="coherence below 0.5", **_PALE_DOTS)
     return lines
 
 

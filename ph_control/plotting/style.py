@@ -30,7 +30,7 @@ ZERO: dict[str, Any] = {"color": "0.3", "linewidth": 0.6, "zorder": 1}
 # beneath what is held against it, and wide enough to be seen on both sides of it where they are equal
 MEASURED: dict[str, Any] = {"color": "C1", "linewidth": 3.2, "alpha": 0.6}
 SAMPLES: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.0, "color": "C1", "alpha": 0.7}
-DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4"}
+DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.5, "color": "0.4", "zorder": 2.2}
 
 _DRAWN = 6000  # samples beyond which a line is drawn by the extremes of its bins: the same picture, drawn faster
 _PER_INCH = 12.5  # letters of a legend, with some room between its columns

@@ -1,8 +1,13 @@
-"""Pictures of responses to a step and an impulse."""
+"""Pictures of responses to a step and an impulse: instants that resolve every mode, or an envelope; numbers first.
+
+Responses of lossless systems are sums of sines, exact at any instant.  Modes too fast for the instants are not sampled,
+which would show slower motions that are not there: they widen the response to an envelope, which they fill.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -11,15 +16,32 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike, NDArray
 
+from .. import _checks
 from .._units import unit_for
+from ..analysis.time_grid import listed
+from ..exceptions import PHControlError, StructureError
+from ..modal.modal_form import ModalForm
+from ..systems.port_hamiltonian import ph
+from .inputs import Subject, models_around, subjects_of, title_of
 from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
-from .time_data import Trace, TransientData, transient_data
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 Array = NDArray[np.float64]
 
+KINDS = ("impulse", "step")
+
+_PERIODS = 3  # of the slowest mode
+_PER_PERIOD = 20  # samples in the shortest period
+_COARSEST = 2 * np.pi / 8  # phase between samples beyond which a line through them is not the motion
+_LEAST = 501  # samples
+_MOST = 200_000
+_TABLE = 5_000_000  # entries of a (mode x instant) table, in all
+_MOST_STEPPED = 50_000  # samples of a system that is stepped from one to the next
+_MOST_IN_BAND = 20_000_000  # entries of a (model x mode x instant) table, in all
+_UNIT_STEP = 0.01  # by which a measured step may miss 1
+_GONE = 5.0  # time constants after which a motion is over
 _ENVELOPE: dict[str, Any] = {"linewidth": 0.6, "zorder": 1.2, "hatch": "////"}
 
 
@@ -89,12 +111,8 @@ def step_plot(
     ('v [m/s]', 'Time', 'Step response of chain')
     >>> plt.close(plot.figure)
     """
-    look = Look.of(style)
-    numbers = transient_data(
-        sysdata, "step", timepts, timepts_num,
-        confidence=confidence, level=level, data=data, label=label, data_label=data_label,
-    )  # fmt: skip
-    return _draw(numbers, look, unit_for(time_unit, sysdata, data), output_unit, ax)
+    options = {"confidence": confidence, "level": level, "data": data, "label": label, "data_label": data_label}
+    return _transient_plot("step", sysdata, timepts, timepts_num, options, time_unit, output_unit, ax, style)
 
 
 def impulse_plot(
@@ -133,17 +151,17 @@ def impulse_plot(
     4.0
     >>> plt.close(plot.figure)
     """
-    look = Look.of(style)
-    numbers = transient_data(
-        sysdata, "impulse", timepts, timepts_num,
-        confidence=confidence, level=level, data=data, label=label, data_label=data_label,
-    )  # fmt: skip
-    return _draw(numbers, look, unit_for(time_unit, sysdata, data), output_unit, ax)
+    options = {"confidence": confidence, "level": level, "data": data, "label": label, "data_label": data_label}
+    return _transient_plot("impulse", sysdata, timepts, timepts_num, options, time_unit, output_unit, ax, style)
 
 
-def _draw(
-    numbers: TransientData, look: Look, time_unit: str | None, output_unit: str | None, ax: Any
+def _transient_plot(
+    kind: str, sysdata: Any, timepts: Any, timepts_num: Any, options: Mapping[str, Any], time_unit: str | None,
+    output_unit: str | None, ax: Any, style: Mapping[str, Any],
 ) -> ct.ControlPlot:  # fmt: skip
+    look = Look.of(style)
+    numbers = transient_data(sysdata, kind, timepts, timepts_num, **options)
+    time_label = labelled("Time", unit_for(time_unit, sysdata, options["data"]))
     rows, columns = len(numbers.output_labels), len(numbers.input_labels)
     with look.context():
         size = (max(6.4, 3.8 * columns), 3.4 if rows == 1 else 2.2 * rows)
@@ -158,30 +176,278 @@ def _draw(
         for axis, label in zip(drawn.axes[0], numbers.input_labels * (columns > 1), strict=False):
             axis.set_title(plain(f"From {label}"), loc="left")
         for axis in drawn.axes[-1]:
-            axis.set_xlabel(labelled("Time", time_unit))
+            axis.set_xlabel(time_label)
         # an envelope must be told apart from a response
         alone = all(trace.resolved and trace.joined for trace in numbers.traces)
-        legend = look.legend(drawn.axes[0, -1], 2 if alone else 1)
-        return drawn.finished(numbers.title, legend)
+        return drawn.finished(numbers.title, look.legend(drawn.axes[0, -1], 2 if alone else 1))
+
+
+# --- numbers ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TimeBand:
+    """Confidence band: lower and upper end, shape (2, T), at `time`."""
+
+    label: str
+    time: Array
+    ends: Array
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Response of one system, shape (p, m, T), at `time`, shape (T,); of a measured one NaN where missing.
+
+    `fast` holds the natural frequencies that the instants do not resolve, and `reach`, shape (p, m), how far they
+    lead away from `slow`, the response without them; `joined` if a line through the samples is the motion, or that
+    without the fast ones; `sampled` systems change at their instants only.
+    """
+
+    label: str
+    time: Array
+    values: Array
+    slow: Array = field(default_factory=lambda: np.zeros((1, 1, 0)))
+    fast: Array = field(default_factory=lambda: np.zeros(0))
+    reach: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    joined: bool = True
+    sampled: bool = False
+    band: TimeBand | None = None
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the samples show every motion."""
+        return not len(self.fast)
+
+
+@dataclass(frozen=True)
+class TransientData:
+    """All that a picture of step or impulse responses draws."""
+
+    traces: list[Trace]
+    measured: Trace | None
+    end: float
+    input_labels: list[str]
+    output_labels: list[str]
+    title: str
+
+
+def transient_data(
+    sysdata: Any,
+    kind: str,
+    timepts: ArrayLike | None = None,
+    timepts_num: int | None = None,
+    *,
+    confidence: Any = None,
+    level: float = 0.95,
+    data: ct.TimeResponseData | None = None,
+    label: str | Sequence[str] | None = None,
+    data_label: str | None = None,
+) -> TransientData:
+    """Compute what `step_plot` and `impulse_plot` draw; the arguments are theirs."""
+    subjects = subjects_of(sysdata, label)
+    models = models_around(confidence, subjects, "step_band", "impulse_band")
+    forms = [_modes(one) for one in subjects]
+    first = subjects[0].system
+    measured = None if data is None else _measured(data, first, kind, data_label)
+    if timepts is None and measured is not None:
+        timepts = float(measured.time[-1])
+    given = None if timepts is None or np.ndim(timepts) == 0 else _instants(timepts)
+    end = _end(subjects, forms, timepts) if given is None else float(given[-1])
+    traces = []
+    for one, modes, drawn in zip(subjects, forms, models, strict=True):
+        if modes is None:
+            trace = _stepped(one, kind, given, end, timepts_num)
+        else:
+            trace = _lossless(one, modes, kind, given, end, timepts_num)
+        band = None if drawn is None else _band(one, modes, trace, drawn, kind, level)
+        traces.append(replace(trace, band=band))
+    outputs = first.output_labels
+    if any(one.system.output_labels != outputs for one in subjects):
+        # names that differ from one system to the next would be wrong for all but one
+        outputs = ["Output"] if first.noutputs == 1 else [f"Output {k + 1}" for k in range(first.noutputs)]
+    title = title_of(f"{kind.capitalize()} response", subjects, label is not None)
+    return TransientData(traces, measured, end, first.input_labels, outputs, title)
+
+
+def _measured(data: Any, sys: Any, kind: str, label: str | None) -> Trace:
+    if not isinstance(data, ct.TimeResponseData):
+        raise StructureError(f"data is a {type(data).__name__}; pass the measured response as control.TimeResponseData")
+    # one trace for each input, as control.step_response has it
+    outputs, inputs = (None if x is None or not np.size(x) else np.asarray(x, float) for x in (data.y, data.u))
+    shape = sys.noutputs, sys.ninputs
+    if outputs is None or (len(outputs), outputs.shape[1] if outputs.ndim == 3 else 1) != shape:
+        raise StructureError(
+            f"the data have outputs of shape {np.shape(data.y)}; needed those of {shape[0]} outputs for a {kind} at "
+            f"each of {shape[1]} inputs"
+        )
+    if kind == "step" and inputs is not None:
+        heights = np.einsum("iik->ik", inputs.reshape(sys.ninputs, sys.ninputs, -1))
+        if np.abs(heights - 1.0).max() > _UNIT_STEP:
+            raise StructureError(
+                f"the input of the data is no unit step: it lies between {heights.min():.4g} and {heights.max():.4g}, "
+                f"allowed 1 +- {_UNIT_STEP}; divide the outputs by its height, or use compare(data, model)"
+            )
+    return Trace(label or "data", np.asarray(data.time, float), outputs.reshape(*shape, -1))
+
+
+def _modes(subject: Subject) -> ModalForm | None:
+    """Modal form of a lossless system, also of one in plain form; None for any other."""
+    sys = subject.system
+    if subject.lossless:
+        return sys.modes
+    if sys.isdtime(strict=True) or sys.noutputs != sys.ninputs:
+        return None
+    try:
+        return ph(sys).modes
+    except PHControlError:
+        return None
+
+
+# --- instants --------------------------------------------------------------------------------------------------------
+
+
+def _instants(timepts: Any) -> Array:
+    t = _checks.real_array("the time vector", timepts, 1)
+    if len(t) < 2 or t[0] < 0 or (np.diff(t) <= 0).any():
+        raise StructureError(
+            f"the time vector has {len(t)} entries; needed at least 2, ascending, and none before 0, when the response "
+            "begins"
+        )
+    return t
+
+
+def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: Any) -> float:
+    """Last instant: the one asked for, or one by which every system has shown its slowest motion."""
+    if timepts is not None:
+        return _checks.sampling_step(timepts, name="the last instant")
+    ends = []
+    for one, modes in zip(subjects, forms, strict=True):
+        if modes is None:
+            ends.append(float(ct.step_response(one.system).time[-1]))
+        elif modes.nu.any():
+            ends.append(_PERIODS * 2 * np.pi / float(modes.d[modes.nu.any(axis=1)].min()))
+    return max(ends, default=10.0)
+
+
+def _count(end: float, fastest: float, asked: int | None, most: int) -> int:
+    if asked is not None:
+        return _checks.whole_number("timepts_num", asked, 2, _MOST)
+    return int(np.clip(np.ceil(end * fastest / (2 * np.pi) * _PER_PERIOD) + 1, _LEAST, max(_LEAST, most)))
+
+
+# --- responses -------------------------------------------------------------------------------------------------------
+
+
+def _lossless(
+    subject: Subject, modes: ModalForm, kind: str, given: Array | None, end: float, asked: int | None
+) -> Trace:
+    """Response of a lossless system, with an envelope in place of the modes that its instants do not resolve."""
+    integrals = KINDS.index(kind) + int(subject.lossless and subject.system._integrated)
+    live, d = modes.nu.any(axis=1), modes.d
+    if given is None:
+        most = min(_MOST, _TABLE // max(1, int(live.sum())))
+        count = _count(end, d[live].max(initial=0.0), asked, most)
+        fast = live & (d * end / (count - 1) > _COARSEST)
+        # without those far fewer samples are enough
+        t = np.linspace(0.0, end, _count(end, d[live & ~fast].max(initial=0.0), asked, most))
+    else:
+        t = given
+        fast = live & (d * float(np.diff(t).max()) > _COARSEST)
+    slow = values = response_of(modes, t, integrals, ~fast)
+    chosen = bool(fast.any()) and (given is not None or asked is not None)
+    if chosen:
+        values = response_of(modes, t, integrals)
+    # the largest sum of the oscillations
+    size = np.abs(modes.nu[fast])
+    reach: Array = np.einsum("li,lj,l->ij", size, size, d[fast] ** (1.0 - integrals))
+    return Trace(subject.label, t, values, slow, d[fast], reach, not chosen)
+
+
+def response_of(modes: ModalForm, time: ArrayLike, integrals: int, moving: NDArray[np.bool_] | None = None) -> Array:
+    """Impulse response of a modal form, integrated so many times (0, 1 or 2), shape (m, m, T).
+
+    `integrals` of 1 is the step response.  Of modes that are not `moving` only the mean over an oscillation is taken, a
+    displacement or a drift.  O(n T m^2).
+    """
+    t = np.asarray(time, float)
+    residue = modes.rigid.T @ modes.rigid
+    total: Array = residue[:, :, None] * np.array([np.ones_like(t), t, 0.5 * t**2][integrals])
+    for l, (d, nu) in enumerate(zip(modes.d, modes.nu, strict=True)):
+        # Re(d conj(nu_i) nu_j exp(-i d t)), integrated
+        weight = nu.conj()[:, None] * nu[None, :] * d
+        cosine, sine = np.zeros((2, len(t)))
+        if moving is None or moving[l]:
+            cosine, sine = np.cos(d * t), np.sin(d * t)
+        if integrals == 1:
+            cosine, sine = sine / d, (1.0 - cosine) / d
+        elif integrals == 2:
+            cosine, sine = (1.0 - cosine) / d**2, (t - sine / d) / d
+        total += weight.real[:, :, None] * cosine + weight.imag[:, :, None] * sine
+    return total
+
+
+def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked: int | None) -> Trace:
+    """Response that python-control computes, at instants that resolve it."""
+    sys, label, sampled = subject.system, subject.label, bool(subject.system.isdtime(strict=True))
+    fastest = 0.0
+    if sampled:
+        step = 1.0 if sys.dt is True else float(sys.dt)
+        t = step * np.arange(min(_MOST_STEPPED, int(np.floor(end / step * (1 + 1e-12))) + 1), dtype=float)
+    else:
+        # the fastest of the oscillations that last longer than a dot of the picture
+        poles = sys.poles()
+        fastest = float(np.abs(poles[poles.real > -_GONE * _LEAST / end].imag).max(initial=0.0))
+        count = _count(end, fastest, asked, _MOST_STEPPED)
+        if given is None and asked is None and fastest * end / (count - 1) > _COARSEST:
+            # what is left of it is shown as it is, rather than all of it as it is not
+            end = (count - 1) * _COARSEST / fastest
+            label = f"{label} (to {end:.3g}: it oscillates at {fastest:.3g} rad per unit time)"
+        t = np.linspace(0.0, end, count) if given is None else given
+    respond = ct.step_response if kind == "step" else ct.impulse_response
+    values = np.asarray(respond(sys, timepts=t, squeeze=False).outputs).reshape(sys.noutputs, sys.ninputs, len(t))
+    joined = fastest * float(np.diff(t).max(initial=0.0)) <= _COARSEST
+    return Trace(label, t, values, values, joined=joined, sampled=sampled)
+
+
+def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
+    if modes is None or (subject.lossless and subject.system._integrated):
+        raise StructureError(f"bands are those of port-Hamiltonian systems; {subject.system.name} is none")
+    if not trace.resolved:
+        raise StructureError(
+            f"no band can be drawn at instants that do not resolve {listed(trace.fast)}; pass timepts of at most "
+            f"{_MOST * 2 * np.pi / _PER_PERIOD / float(trace.fast.max()):.3g}"
+        )
+    draws = len(models) if hasattr(models, "__len__") else 1
+    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * modes.n))]
+    ends = (models.step_band if kind == "step" else models.impulse_band)(t, level)
+    shown = f"{100 * level:g} % band" + ("" if len(t) == len(trace.time) else f" (to {t[-1]:.3g})")
+    return TimeBand(shown, t, np.asarray(ends))
+
+
+# --- drawing ---------------------------------------------------------------------------------------------------------
 
 
 def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Look) -> list[Any]:
     lines: list[Any] = []
-    for k, (trace, band) in enumerate(zip(numbers.traces, numbers.bands, strict=True)):
+    for k, trace in enumerate(numbers.traces):
         line = _draw_trace(axis, trace, i, j, look.curve(k))
+        colour = line.get_color()
         lines.append(line)
         if not trace.resolved:
-            _draw_envelope(axis, trace, i, j, line.get_color())
-        if band is not None:
-            t, low = extremes(band.time, band.ends[0])
-            other, high = extremes(band.time, band.ends[1])
+            t, slow = extremes(trace.time, trace.slow[i, j])
+            warning = plain(f"envelope with {listed(trace.fast)}, too fast for these instants")
+            shade: dict[str, Any] = {"facecolor": to_rgba(colour, 0.12), "edgecolor": to_rgba(colour, 0.45)}
+            low, high = slow - trace.reach[i, j], slow + trace.reach[i, j]
+            axis.fill_between(t, low, high, label=warning, **shade, **_ENVELOPE)
+        if trace.band is not None:
             # the two ends may be thinned at instants of their own
-            both = np.union1d(t, other)
-            low, high = np.interp(both, t, low), np.interp(both, other, high)
-            axis.fill_between(both, low, high, label=plain(band.label), color=line.get_color(), **BAND)
+            ends = [extremes(trace.band.time, end) for end in trace.band.ends]
+            t = np.union1d(ends[0][0], ends[1][0])
+            low, high = (np.interp(t, *end) for end in ends)
+            axis.fill_between(t, low, high, label=plain(trace.band.label), color=colour, **BAND)
     if numbers.measured is not None:
         t, y = extremes(numbers.measured.time, numbers.measured.values[i, j])
-        lines += axis.plot(t, y, label=plain(numbers.measured.label), zorder=2.2, **DOTS)
+        lines += axis.plot(t, y, label=plain(numbers.measured.label), **DOTS)
     return lines
 
 
@@ -193,10 +459,3 @@ def _draw_trace(axis: Axes, trace: Trace, i: int, j: int, style: dict[str, Any])
     if trace.sampled:
         style = {**style, "drawstyle": "steps-post", "linestyle": "-", "linewidth": 1.0}
     return axis.plot(*extremes(trace.time, trace.values[i, j]), label=label, **style)[0]
-
-
-def _draw_envelope(axis: Axes, trace: Trace, i: int, j: int, colour: Any) -> None:
-    t, slow = extremes(trace.time, trace.slow[i, j])
-    reach = trace.reach[i, j]
-    shade: dict[str, Any] = {"facecolor": to_rgba(colour, 0.12), "edgecolor": to_rgba(colour, 0.45)}
-    axis.fill_between(t, slow - reach, slow + reach, label=plain(trace.warning), **shade, **_ENVELOPE)
