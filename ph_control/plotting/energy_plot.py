@@ -96,6 +96,6 @@ def energy_plot(
             axis.set_xlim(min(one.time[0] for one in balances), max(one.time[-1] for one in balances))
             look.lattice(axis)
         above.set_ylabel(labelled("Energy", energy_unit))
-        below.set_ylabel(labelled("Stored less\nsupplied", energy_unit))
-        below.set_xlabel(labelled("Time", unit_for(time_unit, balances)))
+        time = labelled("Time", unit_for(time_unit, balances))
+        below.set(xlabel=time, ylabel=labelled("Stored less\nsupplied", energy_unit))
         return drawn.finished("Energy balance")

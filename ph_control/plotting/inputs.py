@@ -116,8 +116,7 @@ def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list
 
     `confidence` belongs to the first system, a list to all of them, True to each that is the result of a fit.
     """
-    several = isinstance(confidence, list | tuple)
-    given = as_list(confidence) + [None] * ((len(subjects) - 1) * (not several))
+    given = as_list(confidence)
     if confidence is True:
         given = [one.given if isinstance(one.given, FitResult) else None for one in subjects]
         if not any(given):
@@ -125,19 +124,26 @@ def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list
                 "confidence is True, but none of the systems is the result of a fit; pass what pem gives, "
                 "or confidence=result"
             )
+    elif not isinstance(confidence, list | tuple):
+        given += [None] * (len(subjects) - 1)
     if len(given) != len(subjects):
         raise StructureError(
             f"confidence has {len(given)} entries for {len(subjects)} systems; give one for each, None for those "
             "without"
         )
-    for sys, one in zip((subject.system for subject in subjects), given, strict=True):
-        if one is not None and not sys.issiso():
-            raise StructureError(f"bands are those of one port; {sys.name} has {sys.ninputs}")
+    return [
+        None if one is None else _models(one, subject.system, bands)
+        for one, subject in zip(given, subjects, strict=True)
+    ]
+
+
+def _models(given: Any, sys: Any, bands: tuple[str, ...]) -> Any:
+    if not sys.issiso():
+        raise StructureError(f"bands are those of one port; {sys.name} has {sys.ninputs}")
     # the same picture each time
-    found = [one.sample(_DRAWS, 0) if isinstance(one, FitResult) else one for one in given]
-    for one in found:
-        if one is not None and not all(hasattr(one, band) for band in bands):
-            raise StructureError(
-                f"confidence is a {type(one).__name__}; pass the result of pem, or models drawn by its sample(k)"
-            )
-    return found
+    models = given.sample(_DRAWS, 0) if isinstance(given, FitResult) else given
+    if not all(hasattr(models, band) for band in bands):
+        raise StructureError(
+            f"confidence is a {type(models).__name__}; pass the result of pem, or models drawn by its sample(k)"
+        )
+    return models

@@ -186,17 +186,15 @@ def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, loo
     largest = max(float(size.max(initial=0.0)), at_zero) or 1.0
     ends = np.concatenate([table.size_range[:, 1] for table in tables])
     top = max(largest, min(float(ends[np.isfinite(ends)].max(initial=0.0)), 3.0 * largest))
-    if logarithmic:
-        axis.set_yscale("log")
-    axis.set_ylim((bottom, 2.0 * top) if logarithmic else (-0.03 * top, 1.08 * top))
+    limits = (bottom, 2.0 * top) if logarithmic else (-0.03 * top, 1.08 * top)
+    axis.set(yscale="log" if logarithmic else "linear", ylim=limits)
     return lines
 
 
 def _frequency_scale(axis: Axes, d: Array, from_zero: bool) -> None:
     low, high = float(d.min(initial=np.inf)), float(d.max(initial=0.0))
     if len(d) and high > _DECADES * low:
-        axis.set_xscale("log")
-        axis.set_xlim(low / 1.5, high * 1.5)
+        axis.set(xscale="log", xlim=(low / 1.5, high * 1.5))
     elif high > low > 0.5 * high and not from_zero:
         margin = max(0.1 * (high - low), 0.02 * high)
         axis.set_xlim(low - margin, high + margin)
@@ -440,17 +438,14 @@ def _strip_axis(axis: Axes, maps: list[PoleZeroMap], low: float, high: float, li
     if len(positive) and positive.max() > _DECADES * positive.min():
         # 0 has no place on this scale but its end
         end = float(positive.min()) / 2.0
-        axis.set_xscale("log")
-        axis.set_xlim(end, high)
+        axis.set(xscale="log", xlim=(end, high))
         for line in lines:
             x = np.asarray(line.get_xdata(), float)
             if (x == 0).any():
                 line.set_xdata(np.where(x == 0, end, x))
                 line.set_clip_on(False)
-                axis.annotate(
-                    "0", (end, line.get_ydata()[0]), (0, 8), textcoords="offset points", ha="center",
-                    fontsize="small",
-                )  # fmt: skip
+                place: dict[str, Any] = {"xytext": (0, 8), "textcoords": "offset points"}
+                axis.annotate("0", (end, line.get_ydata()[0]), **place, ha="center", fontsize="small")
     else:
         axis.set_xlim(low, high)
     axis.set_ylim(-len(maps) + 0.35, 0.65)
@@ -477,6 +472,6 @@ def _draw_plane(axis: Axes, maps: list[PoleZeroMap], unit: float, unit_name: str
             lines += axis.plot(shown.real, shown.imag, label=plain(label), **properties)
     axis.margins(0.08)
     look.lattice(axis)
-    axis.set_xlabel("Real part" if discrete else labelled("Real part", unit_name))
-    axis.set_ylabel("Imaginary part" if discrete else labelled("Imaginary part", unit_name))
+    name = None if discrete else unit_name
+    axis.set(xlabel=labelled("Real part", name), ylabel=labelled("Imaginary part", name))
     return lines

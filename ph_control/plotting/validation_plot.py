@@ -75,14 +75,12 @@ def response_comparison_plot(
         if len(known):
             margin = 5.0 + 0.25 * float(np.ptp(known))
             gains.set_ylim(float(known.min()) - margin, float(known.max()) + margin)
-        phases.set_ylim(cut - 20.0, cut + 380.0)
+        gains.set(ylabel=gain_label(gain_unit))
+        phases.set(ylabel="Phase [deg]", ylim=(cut - 20.0, cut + 380.0))
         phases.yaxis.set_major_locator(MultipleLocator(90.0))
-        gains.set_ylabel(gain_label(gain_unit))
-        phases.set_ylabel("Phase [deg]")
-        errors.set_ylabel(gain_label(gain_unit, "Error"))
+        errors.set(ylabel=gain_label(gain_unit, "Error"), xlabel=labelled("Frequency", unit_name))
         for axis in (gains, phases, errors):
             _over_frequency(axis, frequency, look)
-        errors.set_xlabel(labelled("Frequency", unit_name))
         return drawn.finished(heading)
 
 
@@ -151,12 +149,9 @@ class CorrelationPanel:
             dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": colour, "zorder": 3}
             lines += axis.plot(lags, values, label=name, **dots)
         reach = 1.25 * max(float(np.nanmax(np.abs(self.values), initial=0.0)), float(band.max()), 1e-3)
-        axis.set_ylim(-reach, reach)
-        axis.set_xlim(edges[0], edges[-1])
+        axis.set(xlim=(edges[0], edges[-1]), ylim=(-reach, reach), xlabel=self.abscissa, ylabel="Correlation")
         axis.xaxis.set_major_locator(MaxNLocator(nbins=11, integer=True, steps=[1, 2, 5, 10]))
         look.lattice(axis)
-        axis.set_ylabel("Correlation")
-        axis.set_xlabel(self.abscissa)
         if self.lags[0] < 0:
             axis.axvline(-0.5, color="0.3", linestyle=":", linewidth=1.0, zorder=1)
             corner: dict[str, Any] = {"va": "top", "color": "0.35", "fontsize": "small"}
@@ -185,8 +180,7 @@ class ResponsePanel:
         properties: dict[str, Any] = {"label": "residual", "color": "C0", "linewidth": 1.1, "zorder": 3}
         lines += axis.plot(frequency, decibels(self.residuals), **properties)
         _over_frequency(axis, frequency, look)
-        axis.set_xlabel(labelled("Frequency", unit_name))
-        axis.set_ylabel(gain_label(self.gain_unit))
+        axis.set(xlabel=labelled("Frequency", unit_name), ylabel=gain_label(self.gain_unit))
         return lines
 
 
@@ -232,8 +226,7 @@ def stabilisation_plot(
         drawn.lines[0, 1] = _draw_criteria(above, orders, criteria)
         for frequency in frequencies[list(orders).index(chosen)]:
             modes.axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
-        modes.set_xlabel(labelled("Natural frequency", unit_name))
-        modes.set_ylabel("Order (number of modes)")
+        modes.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Order (number of modes)")
         above.set_xlabel("Criterion above its least value")
         choice = f"{criterion} chooses {chosen}" + ", the largest tried" * int(chosen == orders[-1])
         for axis, label in ((modes, choice), (above, "_")):

@@ -26,11 +26,10 @@ from .measured import (
     Kind,
     experiments_to_hold_against,
     fit_to,
-    in_experiment,
     names_of,
     rms_of,
 )
-from .simulation import Rules, answer_to
+from .simulation import Rules, answers_to
 
 Array = NDArray[np.float64]
 
@@ -287,9 +286,7 @@ def compare(
     records = experiments_to_hold_against(data, dt, models, weights)
     names = names_of(models, labels)
     experiments = []
-    for place, record in enumerate(records):
-        with in_experiment(place, len(records)):
-            answers = [answer_to(model, name, record, rules) for model, name in zip(models, names, strict=True)]
+    for record, answers in zip(records, answers_to(models, names, records, rules), strict=True):
         outputs = [[(record, answer.output)] for answer in answers]
         experiments.append(
             ComparedExperiment(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,17 +99,6 @@ def _lacks_step(data: Any) -> bool:
 def values_of(record: Kind) -> NDArray[Any]:
     """What was measured."""
     return record.y if isinstance(record, Record) else record.response
-
-
-@contextmanager
-def in_experiment(place: int, count: int) -> Iterator[None]:
-    """Name the experiment in errors, if there are several."""
-    try:
-        yield
-    except StructureError as error:
-        if count == 1:
-            raise
-        raise type(error)(f"experiment {place + 1}: {error}") from None
 
 
 # --- names and numbers -----------------------------------------------------------------------------------------------

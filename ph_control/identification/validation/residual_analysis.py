@@ -28,11 +28,10 @@ from .measured import (
     Kind,
     experiments_to_hold_against,
     fit_to,
-    in_experiment,
     names_of,
     values_of,
 )
-from .simulation import Rules, Simulation, answer_to
+from .simulation import Rules, Simulation, answers_to
 
 Array = NDArray[np.float64]
 
@@ -323,10 +322,7 @@ def residual_analysis(
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)
     level = _checks.level("confidence", confidence)
-    answers = []
-    for place, record in enumerate(records):
-        with in_experiment(place, len(records)):
-            answers.append(answer_to(model, name, record, rules))
+    answers = [answer for (answer,) in answers_to([model], [name], records, rules)]
     return _analysed(records, name, answers, L, level)
 
 
@@ -401,7 +397,9 @@ def _residual_data(
     def series(values: list[NDArray[Any]]) -> list[Array]:
         return [part for one in values for part in (one.real, one.imag)] if spectral else values
 
-    scales = _scales(records)
+    weights = [record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples) for record in records]
+    largest = max(float(np.max(weight)) for weight in weights)
+    scales = [np.sqrt(weight / largest) for weight in weights]
     unit = max(float(np.nanmax(np.abs(scale * one))) for scale, one in zip(scales, left, strict=True)) or 1.0
     left = [scale * one / unit for scale, one in zip(scales, left, strict=True)]
     noise = noise_scales([np.abs(one) for one in left])
@@ -418,13 +416,6 @@ def _residual_data(
         without_peaks(residuals) if spectral else residuals, u, np.concatenate(series(shared)), lags,
         tuple(len(one) for one in series(shared)), tuple(series(local)), level,
     ), unit  # fmt: skip
-
-
-def _scales(records: tuple[Kind, ...]) -> list[Array]:
-    """Root of the weight of each sample."""
-    weights = [record.weights if isinstance(record, FrequencyRecord) else np.ones(record.samples) for record in records]
-    largest = max(float(np.max(weight)) for weight in weights)
-    return [np.sqrt(weight / largest) for weight in weights]
 
 
 def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:

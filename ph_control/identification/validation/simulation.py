@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance
+from scipy.signal import oaconvolve
 
 from ... import _checks
 from ...exceptions import StructureError
@@ -25,10 +27,11 @@ from ..fit.result import PEMResult
 from ..regression.frequency_rows import modal_columns
 from ..regression.prediction import response_on
 from ..uncertainty.residual_data import factor_of
-from .linear_simulation import STEP_TOLERANCE, Motions, linear_motions
 
 Array = NDArray[np.float64]
 
+_STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
+_BLOCK = 256  # samples between which only the state is carried
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
 _ROUNDING = 1e-9  # relative: a frequency at the Nyquist frequency may round beyond it
 
@@ -45,6 +48,15 @@ class Simulation:
     output: NDArray[Any]
     directions: Callable[[], Directions]
     own: bool = False
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Output from rest, shape (T,), free motions at the output, shape (T, n), and the growth of a mode in a step."""
+
+    forced: Array
+    free: Callable[[], Array]
+    growth: float
 
 
 @dataclass(frozen=True)
@@ -67,12 +79,27 @@ class Rules:
         return Hold(dt, self.method, self.intersample)
 
 
-def answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
+def answers_to(
+    models: Sequence[Any], labels: Sequence[str], records: Sequence[Record | FrequencyRecord], rules: Rules
+) -> list[list[Simulation]]:
+    """What each model says of each experiment; errors name the experiment if there are several."""
+    found = []
+    for place, record in enumerate(records, start=1):
+        try:
+            found.append([_answer_to(model, label, record, rules) for model, label in zip(models, labels, strict=True)])
+        except StructureError as error:
+            if len(records) == 1:
+                raise
+            raise type(error)(f"experiment {place}: {error}") from None
+    return found
+
+
+def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
     places = range(len(model.experiments)) if isinstance(model, PEMResult) else []
     place = next((k for k in places if same_data(record, model.experiments[k].record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
-        return Simulation(model.experiments[place].predicted, lambda: fitted_directions(model, place), True)
+        return Simulation(model.experiments[place].predicted, lambda: _fitted_directions(model, place), True)
     if isinstance(record, FrequencyRecord):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
     if isinstance(model, PEMResult):
@@ -85,7 +112,7 @@ def answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: R
     system, hold = _one_port(model, label, "record"), rules.hold(record.dt)
     if isinstance(system, LosslessSystem):
         return _completed(_lossless_motions(system, record, hold), label, record, rules)
-    return _completed(linear_motions(system, label, record, hold), label, record, rules)
+    return _completed(_linear_motions(system, label, record, hold), label, record, rules)
 
 
 def _keeps_its_state(one: Any, initial_state: str) -> bool:
@@ -162,7 +189,7 @@ def _least_squares(columns: Array, target: Array) -> Array:
 def _fitted_model(model: PEMResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
     """A fit on other data, or from another state on its own: by the rules of the fit, for these data."""
     steps = [one.record.dt for one in model.experiments if isinstance(one.record, Record)]
-    if model.method != "exact" and steps and all(abs(record.dt - h) > STEP_TOLERANCE * record.dt for h in steps):
+    if model.method != "exact" and steps and all(abs(record.dt - h) > _STEP_TOLERANCE * record.dt for h in steps):
         raise StructureError(
             f"the record has the step {record.dt:.6g}, model {label!r} was fitted with method={model.method!r} at the "
             f"step {steps[0]:.6g}, and holds at that step only"
@@ -179,27 +206,22 @@ def _fitted_model(model: PEMResult, place: int | None, label: str, record: Recor
         return found
 
     def directions() -> Directions:
-        own = fitted_directions(model, place)
+        own = _fitted_directions(model, place)
         return Directions(own.shared, np.concatenate([found.directions().local, own.local], axis=1))
 
     return replace(found, directions=directions, own=True)
 
 
 def _kept_state(model: PEMResult, label: str) -> tuple[Array, float]:
-    if len(model.experiments) > 1:
-        raise StructureError(
-            f"model {label!r} was fitted to {len(model.experiments)} experiments, each with a state of its own, and "
-            "this record is none of them; use initial_state='estimate' or 'zero'"
-        )
-    if not isinstance(model.experiments[0].record, Record):
-        raise StructureError(
-            f"model {label!r} was fitted to a frequency response, which has no initial state; use "
-            "initial_state='estimate' or 'zero'"
-        )
+    fitted = [one.record for one in model.experiments]
+    if len(fitted) > 1 or not isinstance(fitted[0], Record):
+        several = f"{len(fitted)} experiments, each with a state of its own, and this record is none of them"
+        what = several if len(fitted) > 1 else "a frequency response, which has no initial state"
+        raise StructureError(f"model {label!r} was fitted to {what}; use initial_state='estimate' or 'zero'")
     return model.initial_state, float(model.offsets[0])
 
 
-def fitted_directions(model: PEMResult, place: int) -> Directions:
+def _fitted_directions(model: PEMResult, place: int) -> Directions:
     """Derivatives of the prediction of one experiment of a fit by `(d, kappa)`, and by its free motion and offset."""
     one = model.experiments[place]
     seen = [l for l in range(model.order) if l not in model.unseen]
@@ -238,6 +260,68 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
     else:
         powers = int(modes.rigid.any()) * (2 if isinstance(system, AffineHamiltonian) else 1)
     return np.concatenate([motions.real, motions.imag, (k / samples) ** np.arange(powers)[:, None]]).T
+
+
+# --- other linear systems --------------------------------------------------------------------------------------------
+
+
+def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motions:
+    """Motions of a linear system: of one in discrete time as it is, by the rule of `hold` otherwise.
+
+    The response to the input is its convolution with that to a pulse, by the fast Fourier transform.
+    """
+    try:
+        system = ct.ss(model, name=model.name, remove_useless_states=False)
+    except ValueError as error:
+        raise StructureError(f"model {label!r} has no state-space form, so it cannot be simulated: {error}") from None
+    A, B, C, D = (np.asarray(matrix, float) for matrix in (system.A, system.B, system.C, system.D))
+    for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
+        _checks.finite(f"{name} of model {label!r}", matrix)
+    b, c, through = B[:, 0], C[0], float(D[0, 0])
+    if len(A):
+        # scaled by powers of 2, so that states of very different size are told apart
+        A, (scale, _) = matrix_balance(A, permute=False, separate=True)
+        b, c = b / scale, c * scale
+    now, then = b, 0 * b
+    if system.isctime():
+        try:
+            A, *weights = hold.step_of_matrices(A, b[:, None])
+        except StructureError as error:
+            raise StructureError(f"model {label!r} cannot be simulated: {error}") from None
+        now, then = (weight[:, 0] for weight in weights)
+        if not (np.isfinite(A).all() and np.isfinite(now).all()):
+            raise StructureError(
+                f"model {label!r} is unstable: within one step of {hold.h:.6g} its state leaves the range of doubles; "
+                "check its unit of time"
+            )
+    elif not isinstance(system.dt, bool) and abs(system.dt - hold.h) > _STEP_TOLERANCE * hold.h:
+        raise StructureError(
+            f"model {label!r} is discrete-time with dt = {system.dt:g}, the record has the step {hold.h:.6g}; resample "
+            "one of them, or pass the continuous-time model"
+        )
+    # the weight of the input at the end of a step is moved into the state, x = w + then u
+    free = _free_motions(A, c, record.samples)
+    with np.errstate(over="ignore", invalid="ignore"):
+        pulse = np.concatenate([[c @ then], (free @ (now + A @ then))[:-1]])
+        known = len(pulse) if np.isfinite(pulse).all() else int(np.argmin(np.isfinite(pulse)))
+        forced = np.full(record.samples, np.nan)
+        forced[:known] = oaconvolve(record.u[:known], pulse[:known])[:known] if known else 0.0
+        forced += through * record.u - free @ (then * record.u[0])
+    return Motions(forced, lambda: free, float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)))
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def _free_motions(F: Array, c: Array, samples: int) -> Array:
+    """Free motions at the output from each unit state, shape (T, n): the columns of observability."""
+    rows = [c]
+    for _ in range(min(_BLOCK, samples) - 1):
+        rows.append(rows[-1] @ F)
+    block, leap = np.array(rows), np.linalg.matrix_power(F, len(rows))
+    parts, states = [], np.eye(len(F))
+    for _ in range(-(-samples // len(rows))):
+        parts.append(block @ states)
+        states = leap @ states
+    return np.concatenate(parts)[:samples]
 
 
 # --- frequency responses ---------------------------------------------------------------------------------------------
