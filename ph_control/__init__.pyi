@@ -25,12 +25,12 @@ from .equivalence.morphisms import expressive_power as expressive_power
 from .equivalence.morphisms import is_morphism as is_morphism
 from .equivalence.morphisms import lift_morphism as lift_morphism
 from .equivalence.morphisms import observable_morphism as observable_morphism
-from .equivalence.parameters import act as act
-from .equivalence.parameters import from_unique as from_unique
-from .equivalence.parameters import to_unique as to_unique
 from .equivalence.relations import filter_coefficients as filter_coefficients
 from .equivalence.relations import same_filter as same_filter
 from .equivalence.relations import star_equivalent as star_equivalent
+from .equivalence.unique_coordinates import act as act
+from .equivalence.unique_coordinates import from_unique as from_unique
+from .equivalence.unique_coordinates import to_unique as to_unique
 from .exceptions import ConditioningWarning as ConditioningWarning
 from .exceptions import FileFormatError as FileFormatError
 from .exceptions import FileMissingError as FileMissingError
@@ -91,7 +91,6 @@ from .systems.canonical_forms import ControllableHamiltonian as ControllableHami
 from .systems.canonical_forms import ObservableHamiltonian as ObservableHamiltonian
 from .systems.canonical_forms import ch as ch
 from .systems.canonical_forms import oh as oh
-from .systems.canonical_forms import tf as tf
 from .systems.lifting import lift as lift
 from .systems.models import frenkel_kontorova as frenkel_kontorova
 from .systems.models import from_second_order as from_second_order
@@ -105,5 +104,6 @@ from .systems.realization import KalmanDecomposition as KalmanDecomposition
 from .systems.realization import canonical_margins as canonical_margins
 from .systems.realization import kalman_decomposition as kalman_decomposition
 from .systems.realization import minreal as minreal
+from .systems.transfer_function import tf as tf
 
 __version__: str

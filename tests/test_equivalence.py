@@ -12,9 +12,7 @@ from paper_systems import SETTINGS, SQUEEZE, cases, companion, pair, plain, targ
 from reference import EPS, coefficients, random_symplectic, symplectic_form
 
 import ph_control as phc
-from ph_control.equivalence.isomorphism import are_isomorphic
-from ph_control.equivalence.parameters import act, from_unique, to_unique
-from ph_control.equivalence.relations import filter_coefficients, same_filter, star_equivalent
+from ph_control import act, are_isomorphic, filter_coefficients, from_unique, same_filter, star_equivalent, to_unique
 
 
 def weights(v):

@@ -12,11 +12,7 @@ from paper_systems import SETTINGS, cases, pair, target
 from reference import EPS, dense_matrices, random_symplectic, symplectic_form
 
 import ph_control as phc
-from ph_control.equivalence.groupoids import PortHamiltonianGroupoid, ReducedGroupoid
-from ph_control.equivalence.isomorphism import are_isomorphic
-from ph_control.equivalence.morphisms import is_morphism
-from ph_control.equivalence.parameters import act
-from ph_control.equivalence.relations import star_equivalent
+from ph_control import PortHamiltonianGroupoid, ReducedGroupoid, act, are_isomorphic, is_morphism, star_equivalent
 
 
 def close(first, second, size=1.0):

@@ -103,6 +103,7 @@ def _converted(model: Model, form: str | None, name: str | None) -> Any:
     from ..systems import canonical_forms
     from ..systems.affine import AffineHamiltonian
     from ..systems.port_hamiltonian import modes, ph
+    from ..systems.transfer_function import tf
 
     if isinstance(model.content, AffineHamiltonian) and form in (None, "ss"):
         return _renamed(model.content, name)
@@ -112,7 +113,7 @@ def _converted(model: Model, form: str | None, name: str | None) -> Any:
         found = ph(found, name=model.name)
     if form == "modes" or isinstance(found, ModalForm):
         return modes(found)
-    makers: dict[str, Any] = {"ph": ph, "ch": canonical_forms.ch, "oh": canonical_forms.oh, "tf": canonical_forms.tf}
+    makers: dict[str, Any] = {"ph": ph, "ch": canonical_forms.ch, "oh": canonical_forms.oh, "tf": tf}
     made = makers[form](found, name=found.name) if form in makers else found
     return _renamed(made, name)
 

@@ -19,8 +19,8 @@ from ..numerics import definiteness as _definite
 from ..symplectic.forms_and_williamson import apply_form
 from ..systems.port_hamiltonian import PortHamiltonian
 from .isomorphism import are_isomorphic
-from .parameters import power_of_two
 from .relations import reduced_residuals, star_equivalent
+from .unique_coordinates import power_of_two
 
 Array = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamilto
 from ..systems.port_hamiltonian import PortHamiltonian
 from .filters import MARGIN, filter_mismatch, lossless_spectrum
 from .morphisms import balanced, comparable, is_morphism
-from .parameters import norm_of
+from .unique_coordinates import norm_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -22,7 +22,7 @@ from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from ..systems.lifting import lifted_size
 from ..systems.port_hamiltonian import PortHamiltonian
-from .parameters import norm_of, power_of_two, resonances
+from .unique_coordinates import norm_of, power_of_two, resonances
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -23,7 +23,7 @@ from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamilto
 from ..systems.port_hamiltonian import full_port_hamiltonian
 from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
 from .isomorphism import Verdict, block_unitary, real_form
-from .parameters import power_of_two, resonances, squared_weights
+from .unique_coordinates import power_of_two, resonances, squared_weights
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
