@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._display import Report
+from ..._display import Report, aligned
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._units import in_unit, step_of
 from ..uncertainty.fisher import Combination, Information, listed, named_modes
@@ -240,9 +240,9 @@ class Excitation(Report, Frozen):
             *([f"  shown at        {self.scan}"] if self.scan is not None else []),
             *([f"  noise           standard deviation {self.noise_std:.4g}"] if self.noise_std >= 0 else []),
             "",
-            "   mode   d [rad/time]         +-              r         +-   errors of d, r inflated   note",
         ]
-        lines += [self._row(l) for l in range(self.n)]
+        head = ["mode", "d [rad/time]", "+-", "weight r", "+-", "d inflated", "r inflated", "note"]
+        lines += aligned([head, *map(self._row, range(self.n))])
         if self.details:
             # a name such as "Re x_1(0)" is not broken
             text = self.details.replace("Re x", "Re\xa0x").replace("Im x", "Im\xa0x")
@@ -250,18 +250,15 @@ class Excitation(Report, Frozen):
             lines += ["", *(line.replace("\xa0", " ") for line in wrapped)]
         return in_unit("\n".join(lines), self.time_unit)
 
-    def _row(self, l: int) -> str:
-        note = (
-            f"above Nyquist, appears at {self.apparent[l]:.4g}"
-            if l in self.above_nyquist
-            else "less than a period" if l in self.slow
-            else "" if self.apparent[l] in self.band
-            else "outside the band"
-        )  # fmt: skip
-        errors = [f"{'-' if np.isnan(e) else f'{e:.2g}':>9}" for e in (self.stderr["d"][l], self.stderr["r"][l])]
-        inflated = " ".join(f"{self.inflation[key][l]:>11.3g}" for key in ("d", "r"))
-        numbers = f"{l + 1:5d}  {self.d[l]:13.6g}  {errors[0]}  {self.r[l]:13.6g}  {errors[1]}  {inflated}"
-        return f"  {numbers}   {note}".rstrip()
+    def _row(self, l: int) -> list[str]:
+        note = "" if self.apparent[l] in self.band else "outside the band"
+        if l in self.above_nyquist:
+            note = f"above Nyquist, appears at {self.apparent[l]:.4g}"
+        elif l in self.slow:
+            note = "less than a period"
+        d, r = (["-" if np.isnan(error) else f"{error:.2g}"] for error in (self.stderr["d"][l], self.stderr["r"][l]))
+        inflated = [f"{self.inflation[key][l]:.3g}" for key in ("d", "r")]
+        return [str(l + 1), f"{self.d[l]:.6g}", *d, f"{self.r[l]:.6g}", *r, *inflated, note]
 
 
 def _plural(count: int, noun: str) -> str:
@@ -271,9 +268,9 @@ def _plural(count: int, noun: str) -> str:
 def _in_brief(found: Excitation) -> Iterator[str]:
     """One reason and one remedy."""
     if found.blind and found.observed >= len(found.names):
-        weights = [name for name in found.blind_parameters if name.startswith("r")]
-        lost = f", so {_of_all(weights, found.n)} cannot be learned from this record" if weights else ""
-        yield f"Blind: {_first(found.blind)} can change without any change of the output{lost}."
+        lost = _lost_weights(found)
+        so = f", so {lost} cannot be learned from this record" if lost else ""
+        yield f"Blind: {_first(found.blind)} can change without any change of the output{so}."
     elif found.nearly_blind and not found.artefacts:
         worst = found.nearly_blind[0].inflation
         yield f"Hardly seen, with errors inflated up to {worst:.2g} times: {_first(found.nearly_blind)}."
@@ -283,8 +280,10 @@ def _in_brief(found: Excitation) -> Iterator[str]:
         yield f"What would cure it: {found.remedies[0]}."
 
 
-def _of_all(weights: list[str], n: int) -> str:
-    return "r" if len(weights) == n else listed(weights)
+def _lost_weights(found: Excitation) -> str:
+    """Weights that the record does not determine, in words."""
+    weights = [name for name in found.blind_parameters if name.startswith("r")]
+    return "r" if len(weights) == found.n else listed(weights) if weights else ""
 
 
 def _first(combinations: tuple[Combination, ...]) -> str:
@@ -319,10 +318,8 @@ def _some(combinations: tuple[Combination, ...]) -> str:
 def _of_blindness(found: Excitation) -> Iterator[str]:
     if found.blind and found.observed >= len(found.names):
         yield f"Blind: {_some(found.blind)} can change without any change of the output."
-    if found.blind:
-        weights = [name for name in found.blind_parameters if name.startswith("r")]
-        if weights:
-            yield f"So {_of_all(weights, found.n)} cannot be learned from this record, however little noise there is."
+    if lost := _lost_weights(found):
+        yield f"So {lost} cannot be learned from this record, however little noise there is."
     silent = [l + 1 for l in range(found.n) if found.r[l] == 0]
     if silent:
         yield f"Of {named_modes(silent)} r is 0, so that the input says nothing of the frequency."
