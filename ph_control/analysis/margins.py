@@ -23,8 +23,6 @@ from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
 
-_CHUNK = 1 << 20  # entries of a (crossing x mode) table held at once
-
 
 def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     """Gain and phase margin of a loop, and where they are.
@@ -241,33 +239,19 @@ def gain_crossings(loop: ModalForm) -> tuple[Array, Array]:
 
 def _where_reactance_is(loop: ModalForm, level: Array, low: Array, high: Array) -> Array:
     """Double next to where the rising reactance takes each level, between two poles each."""
-    found = np.empty(len(level))
-    size = max(1, _CHUNK // max(1, loop.n))
-    for start in range(0, len(level), size):
-        part = slice(start, start + size)
-        # positive doubles are in the order of their bits
-        below, above = low[part].view(np.int64), high[part].view(np.int64)
-        while (above - below > 1).any():
-            middle = np.where(above - below > 1, below + (above - below) // 2, below)
-            rising = _reactance(loop, middle.view(float)) < level[part]
-            inside = middle > below
-            below, above = np.where(inside & rising, middle, below), np.where(inside & ~rising, middle, above)
-        ends = np.stack([below.view(float), above.view(float)])
-        error = np.abs([_reactance(loop, end) - level[part] for end in ends])
-        found[part] = np.where(error[0] <= error[1], ends[0], ends[1])
+    # positive doubles are in the order of their bits
+    below, above = low.view(np.int64), high.view(np.int64)
+    while (above - below > 1).any():
+        middle = below + (above - below) // 2
+        rising = _reactance(loop, middle.view(float)) < level
+        below, above = np.where(rising, middle, below), np.where(rising, above, np.maximum(middle, below + 1))
+    ends = np.stack([below.view(float), above.view(float)])
+    error = np.abs([_reactance(loop, end) - level for end in ends])
+    found: Array = np.where(error[0] <= error[1], ends[0], ends[1])
     return found
 
 
 def _reactance(loop: ModalForm, omega: Array) -> Array:
-    """`L(i omega)/i`; infinite at a pole.
-
-    Terms may cancel, by which a crossing moves no further than by the rounding of its terms: where they are large, the
-    reactance rises as steeply.
-    """
-    w = omega[:, None]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        value = np.sum(loop.kappa * (w / (loop.d + w)) / (loop.d - w), axis=1)
-        if len(loop.rigid):
-            value = value - loop.kappa_0 / omega
-    found: Array = np.where(np.isfinite(value), value, np.inf)
-    return found
+    """`L(i omega)/i`; infinite at a pole."""
+    values = loop.freqresp(omega)
+    return np.where(np.isfinite(values), values.imag, np.inf)

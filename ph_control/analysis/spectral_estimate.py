@@ -55,33 +55,16 @@ class SpectralEstimate(ct.FrequencyResponseData):
         self, response: ComplexArray, omega: Array, coherence: Array, segments: int, step: float, **names: Any
     ) -> None:
         super().__init__(response, omega, dt=0, **names)
-        self._coherence = _checks.readonly(coherence)
-        self._segments = segments
-        self._step = step
+        self.coherence, self.segments, self.step = _checks.readonly(coherence), segments, step
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        _checks.readonly(self._coherence)
-
-    @property
-    def coherence(self) -> Array:
-        """Part of the output power that is linear in the input, shape (N,); 1 throughout for one segment."""
-        return self._coherence
-
-    @property
-    def segments(self) -> int:
-        """Number of segments averaged."""
-        return self._segments
-
-    @property
-    def step(self) -> float:
-        """Time between samples."""
-        return self._step
+        _checks.readonly(self.coherence)
 
     @property
     def nyquist(self) -> float:
         """Highest frequency that the record can show, `pi / step`, rad per unit time."""
-        return float(np.pi / self._step)
+        return float(np.pi / self.step)
 
     @property
     def relative_error(self) -> Array:
@@ -89,10 +72,10 @@ class SpectralEstimate(ct.FrequencyResponseData):
 
         That of the noise only: `sqrt((1 - c) / (2 c segments))`.  NaN for one segment, which tells nothing of it.
         """
-        if self._segments < 2:
-            return np.full(self._coherence.shape, np.nan)
-        c = np.clip(self._coherence, np.finfo(float).tiny, 1.0)
-        return np.sqrt((1.0 - c) / (2.0 * c * self._segments))
+        if self.segments < 2:
+            return np.full(self.coherence.shape, np.nan)
+        c = np.clip(self.coherence, np.finfo(float).tiny, 1.0)
+        return np.sqrt((1.0 - c) / (2.0 * c * self.segments))
 
 
 def spectral_estimate(

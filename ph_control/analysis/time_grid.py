@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,32 +16,6 @@ _PER_PERIOD = 20  # samples in the shortest period of a default time vector
 _PERIODS = 3  # of the slowest mode in it
 _LONGEST = 20_000  # samples of a default time vector
 _COARSEST = 8  # samples in the shortest period before a mode is given up
-
-
-@dataclass(frozen=True)
-class Instants:
-    """Equally spaced instants: first, step and number, and the instants themselves where these do not tell them."""
-
-    start: float
-    h: float
-    size: int
-    given: Array | None = None
-
-    @classmethod
-    def of(cls, t: Array) -> Instants:
-        """Check instants and take down what they are, all of them only if they are off the grid."""
-        h, off = _checks.time_step(t)
-        return cls(float(t[0]), h or 1.0, t.size, None if off == 0 else t.copy())
-
-    def times(self) -> Array:
-        """The instants, shape (T,)."""
-        if self.given is not None:
-            return self.given
-        # as they are compared
-        t = np.arange(float(self.size))
-        t *= self.h
-        t += self.start
-        return t
 
 
 def default_time_vector(d: Array, tfinal: float | None = None, samples: int | None = None) -> Array:

@@ -14,7 +14,7 @@ from .. import _checks
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..systems.base import LosslessSystem
-from .time_grid import Instants, default_time_vector
+from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
 
 Array = NDArray[np.float64]
@@ -99,8 +99,8 @@ def forced_response(
     keep = named["return_states"]
     return _each(
         sysdata,
-        lambda sys, at: _forced(
-            sys, at, named["inputs"], named["initial_state"], method, intersample, keep, transpose, squeeze
+        lambda sys, t: _forced(
+            sys, t, named["inputs"], named["initial_state"], method, intersample, keep, transpose, squeeze
         ),
         named["timepts"],
         None,
@@ -172,11 +172,11 @@ def step_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: LosslessSystem, at: Instants) -> TimeResponseData:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
-            return np.eye(sys.ninputs)[:, port, None] * np.ones(at.size), named["initial_state"]
+            return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), named["initial_state"]
 
-        return _traces(sys, at, one, "Step", named, method, intersample, transpose, squeeze)
+        return _traces(sys, t, one, "Step", named, method, intersample, transpose, squeeze)
 
     return _each(sysdata, run, named["timepts"], named["timepts_num"])
 
@@ -228,11 +228,11 @@ def impulse_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: LosslessSystem, at: Instants) -> TimeResponseData:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
-            return np.zeros((sys.ninputs, at.size)), sys.B[:, port]
+            return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
-        return _traces(sys, at, one, "Impulse", named, method, "zoh", transpose, squeeze)
+        return _traces(sys, t, one, "Impulse", named, method, "zoh", transpose, squeeze)
 
     return _each(sysdata, run, named["timepts"], named["timepts_num"])
 
@@ -284,11 +284,11 @@ def initial_response(
     }  # fmt: skip
     _resolve_aliases(named, aliases)
 
-    def run(sys: LosslessSystem, at: Instants) -> TimeResponseData:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         picked, one = _selected("output", named, sys.noutputs)
-        problem = _Problem(sys, at, np.zeros((sys.ninputs, at.size)), named["initial_state"], method, "zoh")
+        problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), named["initial_state"], method, "zoh")
         return _Response(
-            problem.states, sys, at, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
+            problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
             output_labels=sys.output_labels[picked],
             title="Initial response for " + sys.name, transpose=transpose,
             return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
@@ -316,7 +316,7 @@ def _resolve_aliases(named: dict[str, Any], aliases: dict[str, Any]) -> None:
 
 
 def _each(
-    sysdata: Any, run: Callable[[LosslessSystem, Instants], TimeResponseData], timepts: Any, samples: int | None
+    sysdata: Any, run: Callable[[LosslessSystem, Array], TimeResponseData], timepts: Any, samples: int | None
 ) -> Any:
     """Run one system, or each of a list on common instants."""
     several = isinstance(sysdata, list | tuple)
@@ -329,14 +329,14 @@ def _each(
                 f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or "
                 "use the function of the same name of python-control"
             )
-    at = _instants(systems, timepts, samples)
-    responses = [run(sys, at) for sys in systems]
+    t = _instants(systems, timepts, samples)
+    responses = [run(sys, t) for sys in systems]
     return TimeResponseList(responses) if several else responses[0]
 
 
-def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Instants:
+def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:
     if isinstance(timepts, list | tuple) or np.ndim(timepts) > 0:
-        return Instants.of(_checks.real_array("the time vector", timepts, 1, fresh=False))
+        return _checks.real_array("the time vector", timepts, 1)
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
     if samples is not None and not (isinstance(samples, int | np.integer) and 2 <= samples <= _MOST):
         raise StructureError(
@@ -344,18 +344,18 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
             f"than {_MOST:.0e}"
         )
     visible = [sys.modes.d[sys.modes.nu.any(axis=1)] for sys in systems]
-    return Instants.of(default_time_vector(np.concatenate(visible), tfinal, samples))
+    return default_time_vector(np.concatenate(visible), tfinal, samples)
 
 
 def _forced(
-    sys: LosslessSystem, at: Instants, inputs: Any, initial_state: Any, method: str, intersample: str,
+    sys: LosslessSystem, t: Array, inputs: Any, initial_state: Any, method: str, intersample: str,
     keep: bool | None, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
-    u = _input_signal(inputs, sys.ninputs, at.size, transpose)
-    problem = _Problem(sys, at, u, initial_state, method, intersample)
+    u = _input_signal(inputs, sys.ninputs, t.size, transpose)
+    problem = _Problem(sys, t, u, initial_state, method, intersample)
     u.flags.writeable = keep is not None  # states that are still to come are made of it
     return _Response(
-        None if keep is False else problem.states, sys, at, problem.rule, problem.outputs(), inputs=u,
+        None if keep is False else problem.states, sys, t, problem.rule, problem.outputs(), inputs=u,
         issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
         title="Forced response for " + sys.name, transpose=transpose, return_x=bool(keep), squeeze=squeeze,
         sysname=sys.name, trace_types=["forced"], plot_inputs=True,
@@ -363,18 +363,18 @@ def _forced(
 
 
 def _traces(
-    sys: LosslessSystem, at: Instants, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
+    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
     method: str, intersample: str, transpose: bool, squeeze: bool | None,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
     rows, one_output = _selected("output", named, sys.noutputs)
     shown, one_input = _selected("input", named, sys.ninputs)
     ports = range(sys.ninputs)[shown]
-    problems = [_Problem(sys, at, *one(port), method, intersample) for port in ports]
+    problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
     drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
     return _Response(
-        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, at, problems[0].rule, y,
+        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, problems[0].rule, y,
         inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
         title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(named["return_states"]),
@@ -422,12 +422,13 @@ class _Problem:
     """One input and one initial state for one system; outputs and states are separate work."""
 
     def __init__(
-        self, sys: LosslessSystem, at: Instants, u: Array, initial_state: Any, method: str, intersample: str
+        self, sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str
     ) -> None:
         _checks.choice("method", method, METHODS)
         _checks.choice("intersample", intersample, INTERSAMPLE)
         # Euler's rule takes the input at the start of a step, whatever it does until the next
-        self.sys, self.u, self.rule = sys, u, Hold(at.h, method, "zoh" if method == "euler" else intersample)
+        hold, h = "zoh" if method == "euler" else intersample, _checks.time_step(t)[0] or 1.0
+        self.sys, self.u, self.rule = sys, u, Hold(h, method, hold)
         self.z0 = _initial_state(initial_state, sys.nstates)
 
     def outputs(self) -> Array:
@@ -448,38 +449,24 @@ class _Problem:
 
 
 class _Response(TimeResponseData):
-    """Response whose instants and states are made when first looked at; without a function for them no states."""
+    """Response whose states are made when first looked at; without a function for them it has none."""
 
     def __init__(
-        self, compute: Callable[[], Array] | None, sys: LosslessSystem, at: Instants, rule: Hold, y: Array,
+        self, compute: Callable[[], Array] | None, sys: LosslessSystem, t: Array, rule: Hold, y: Array,
         **described: Any,
     ) -> None:  # fmt: skip
         self._compute: Callable[[], Array] | None = None
         self._states: Array | None = None
-        self._at, self.rule = at, rule
-        self._time: Array | None = None
+        self.rule = rule
         # of one sample, since all given to it is copied; no rows rather than no states, on which `states` fails
         first = slice(None, 1)
         u = described.pop("inputs", None)
-        super().__init__(
-            [at.start], y[..., first], y[:0, ..., first], None if u is None else u[..., first], **described
-        )
-        self.t, self.y, self.u, self.x = None, y, u, y[:0]
+        super().__init__(t[first], y[..., first], y[:0, ..., first], None if u is None else u[..., first], **described)
+        self.t, self.y, self.u, self.x = t.copy(), y, u, y[:0]
         if compute is not None:
             self._compute, self.nstates, self.state_labels = compute, sys.nstates, list(sys.state_labels)
             if self.return_x:
                 self.x  # noqa: B018  # asked for
-
-    @property
-    def t(self) -> Any:
-        """Instants."""
-        if self._time is None:
-            self._time = self._at.times()
-        return self._time
-
-    @t.setter
-    def t(self, value: Any) -> None:
-        self._time = value
 
     @property
     def x(self) -> Any:

@@ -242,7 +242,7 @@ class ModalForm(ShownModes):
         Raises
         ------
         StructureError
-            If the numbers of outputs differ.
+            If the other is none, or the numbers of outputs differ.
 
         Examples
         --------
@@ -252,6 +252,8 @@ class ModalForm(ShownModes):
         array([[1., 0.],
                [0., 1.]])
         """
+        if not isinstance(other, ModalForm):
+            raise StructureError(f"other is a {type(other).__name__}; it must be a ModalForm, as modes(sys) gives")
         mine, its = (
             one.shapes / np.maximum(np.linalg.norm(one.shapes, axis=1), _checks.TINY)[:, None] for one in (self, other)
         )

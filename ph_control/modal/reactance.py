@@ -43,7 +43,10 @@ class Reactance:
         self._poles = d[first]
         self._weights = np.add.reduceat(self._kappa[0], first) if len(first) else d
         positive = d[d > 0]
-        self._ordinary = not len(positive) or bool(1 / _MODERATE < positive[0] and positive[-1] < _MODERATE)
+        heaviest = self._weights.max(initial=0.0)
+        self._ordinary = not len(positive) or bool(
+            1 / _MODERATE < positive[0] and positive[-1] < _MODERATE and self._weights.min() > heaviest / _MODERATE**2
+        )
         # those between the poles, as soon as they are needed
         self._zeros = np.full((2, max(0, len(first) - 1)), np.nan)
 

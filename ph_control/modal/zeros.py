@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dlasd4
 
 from .. import _checks
+from ..exceptions import StructureError
 from ..numerics.double_double import Pair, two_sum
 from ..symplectic.forms_and_williamson import skew_normal_form
 
@@ -71,7 +72,7 @@ def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Arr
     smallest, largest, weights = float(d[0] or d[1]), float(d[-1]), kappa.tolist()
     heaviest = max(weights)
     if largest / smallest > _SPREAD or min(weights) < heaviest * _SPREAD**-2:
-        return _bisect(d, kappa, np.array(gaps))
+        raise _out_of_reach(largest / smallest, heaviest / min(weights))
     if not 1 / _MODERATE < largest < _MODERATE:
         # a power of two rounds nothing
         unit = float(2.0 ** np.floor(np.log2(largest)))
@@ -80,31 +81,16 @@ def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Arr
     for k in gaps:
         distance, root, _, failed = dlasd4(k, d, row, _ROW)
         if failed:
-            return _bisect(d, kappa, np.array(gaps))
+            raise _out_of_reach(largest / smallest, heaviest / min(weights))
         found.append((root, distance))
     return found
 
 
-def _bisect(d: Array, kappa: Array, gaps: NDArray[np.intp]) -> list[tuple[float, Array]]:
-    """As `_solve`, for numbers of any size: halving the distance from the nearer pole as often as a double has bits."""
-    half = 0.5 * (d[gaps + 1] - d[gaps])
-
-    def falls_short(pole: Array, offset: Array) -> NDArray[np.bool_]:
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-            w = (pole + offset)[:, None]
-            terms = kappa * (w / (d + w)) / ((d - pole[:, None]) - offset[:, None])
-            return np.asarray(terms.sum(axis=1) < 0)
-
-    upper = falls_short(d[gaps], half)
-    pole, sign = np.where(upper, d[gaps + 1], d[gaps]), np.where(upper, -1.0, 1.0)
-    # positive doubles are in the order of their bits
-    below, above = np.zeros(len(gaps), np.int64), half.view(np.int64)
-    while (above - below > 1).any():
-        middle = below + (above - below) // 2
-        further = falls_short(pole, sign * middle.view(float)) == (sign > 0)
-        below, above = np.where(further, middle, below), np.where(further, above, middle)
-    offset = sign * above.view(float)
-    return [(root, (d - near) - away) for root, near, away in zip((pole + offset).tolist(), pole, offset, strict=True)]
+def _out_of_reach(spread: float, weights: float) -> StructureError:
+    return StructureError(
+        f"the largest frequency is {spread:.1e} times the smallest and the largest residue {weights:.1e} times the "
+        f"smallest; zeros are found up to {_SPREAD:.0e} and {_SPREAD**2:.0e}: leave out modes that are out of all scale"
+    )
 
 
 def many_port_zeros(d: Array, nu: ComplexArray, rigid: Array) -> Array:

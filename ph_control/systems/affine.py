@@ -377,7 +377,7 @@ def _symmetry(sys: Any, sign: float, rtol: float | None) -> Symmetry:
         here, there = np.split(values.reshape(-1, 2 * count), 2, axis=1)
         size = np.abs(here) + np.abs(there)
         residual = float(np.max(np.where(size > 0, np.abs(here + sign * there) / np.where(size > 0, size, 1), 0.0)))
-    if not np.isfinite(residual):
+    if not np.isfinite(residual) or np.isnan(rounding):
         raise StructureError("the transfer function leaves the range of doubles; choose another unit of time")
     allowed = rounding if tolerance is None else tolerance
     return Symmetry(residual <= allowed, residual, allowed)
