@@ -427,8 +427,11 @@ def test_noncanonical_pairs_have_no_coordinates():
         (r"r = 0 at frequency 1", lambda: from_unique([1, 2], [0, 1])),
         (r"r is negative", lambda: from_unique([1, 2], [-1, 1])),
         (r"the weights r = v\^2 leave the range", lambda: to_unique([1, 2], [1, 1e-170, 0, 0])),
-        (r"the weights r = v\^2 leave the range", lambda: same_filter(([1, 2], [1, 1e-170, 0, 0]), ([], []))),
-        (r"the residues r d of the pair leave", lambda: same_filter(([1e100], [1e150, 0]), ([], []))),
+        (
+            r"the modal weights of this d and v leave the range",
+            lambda: same_filter(([1, 2], [1, 1e-170, 0, 0]), ([], [])),
+        ),
+        (r"the modal weights of this d and v leave", lambda: same_filter(([1e100], [1e150, 0]), ([], []))),
         (r"sigma is no permutation of the indices 0 .. 1", lambda: act([[1], [1, 2]], [0, 0], [1, 2], np.ones(4))),
         (r"sigma is \[0 0\]", lambda: act([0, 0], [0, 0], [1, 2], np.ones(4))),
         (r"sigma is \[0. 1.\]", lambda: act([0.0, 1.0], [0, 0], [1, 2], np.ones(4))),

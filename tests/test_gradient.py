@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.equivalence.morphisms import observable_morphism
+from ph_control import observable_morphism
 from ph_control.identification.fit.gradient import gradient_descent
 
 EPS = float(np.finfo(float).eps)

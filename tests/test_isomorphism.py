@@ -9,8 +9,7 @@ from paper_systems import SETTINGS, SQUEEZE, cases, companion, pair, plain, targ
 from reference import EPS, dense_matrices, random_hamiltonian, random_symplectic
 
 import ph_control as phc
-from ph_control.equivalence.isomorphism import are_isomorphic, system_isomorphism
-from ph_control.equivalence.morphisms import is_morphism
+from ph_control import are_isomorphic, is_morphism, system_isomorphism
 
 
 def dense_solutions(sys1, sys2):

@@ -12,8 +12,7 @@ from scipy.io import mmread
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
-from ph_control import PortHamiltonian, StructureError
-from ph_control.systems.models import frenkel_kontorova, from_second_order, lc_circuit, spring_chain
+from ph_control import PortHamiltonian, StructureError, frenkel_kontorova, from_second_order, lc_circuit, spring_chain
 
 EPS = np.finfo(float).eps
 BENCHMARK = Path(__file__).resolve().parents[2] / "shared" / "data" / "models" / "phbench_params_and_refs.json"

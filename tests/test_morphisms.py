@@ -22,7 +22,7 @@ from reference import (
 )
 
 import ph_control as phc
-from ph_control.equivalence.morphisms import (
+from ph_control import (
     controllable_morphism,
     expressive_power,
     is_morphism,

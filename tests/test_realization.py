@@ -19,10 +19,9 @@ from reference import (
 )
 
 import ph_control as phc
+from ph_control import CanonicalMargins, canonical_margins, kalman_decomposition, lift, minreal
 from ph_control.modal.error_bounds import separate
 from ph_control.modal.modal_form import ModalForm
-from ph_control.systems.lifting import lift
-from ph_control.systems.realization import CanonicalMargins, canonical_margins, kalman_decomposition, minreal
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

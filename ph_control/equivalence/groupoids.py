@@ -70,38 +70,35 @@ class PortHamiltonianGroupoid:
         _one_port(self.source)
         L = _invertible("L", self.L, self.source.nstates)
         object.__setattr__(self, "L", _checks.readonly(L))
-        offence = self._offence()
-        if offence:
-            raise StructureError(f"L is not an arrow from this system: {offence}")
+        self._refuse_no_arrow()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.L.copy(), self.source)
 
     @np.errstate(over="ignore", invalid="ignore")  # what overflows is no arrow
-    def _offence(self) -> str:
-        """What keeps `L` from being an arrow, or nothing."""
-        # neither condition depends on the units of Q and B
+    def _refuse_no_arrow(self) -> None:
+        """Hold `L` against the conditions, none of which depends on the units of Q and B."""
         L, Q, B = self.L, self.source.Q / power_of_two(self.source.Q), self.source.B / power_of_two(self.source.B)
+        inverse, turned = np.linalg.inv(L), _conjugate(L)
+        moved = turned @ Q @ inverse
+        products = np.abs(turned) @ np.abs(Q) @ np.abs(inverse)
+        port_products = np.abs(L).T @ np.abs(apply_form(np.abs(L) @ np.abs(B)))
         allowed = _allowed(len(L))
-        inverse = np.linalg.inv(L)
-        moved = _conjugate(L) @ Q @ inverse
-        asymmetry = _relative(moved - moved.T, np.abs(_conjugate(L)) @ np.abs(Q) @ np.abs(inverse))
-        if asymmetry > allowed:
-            return (
-                f"J^T L J Q L^-1 is not symmetric: off by {asymmetry:.1e} of the products in it, allowed {allowed:.1e}"
-            )
-        port = _relative(
-            B + apply_form(L.T @ apply_form(L @ B)), np.abs(L).T @ np.abs(apply_form(np.abs(L) @ np.abs(B)))
-        )
-        if port > allowed:
-            return f"B differs from J^T L^T J L B by {port:.1e} of the products in it, allowed {allowed:.1e}"
+        for what, residual in (
+            ("J^T L J Q L^-1 is not symmetric: off", _relative(moved - moved.T, products)),
+            ("B differs from J^T L^T J L B", _relative(B + apply_form(L.T @ apply_form(L @ B)), port_products)),
+        ):
+            if residual > allowed:
+                raise StructureError(
+                    f"L is not an arrow from this system: {what} by {residual:.1e} of the products in it, allowed "
+                    f"{allowed:.1e}"
+                )
         smallest, tolerance = _definite.smallest_scaled_eigenvalue(0.5 * (moved + moved.T))
         if smallest <= tolerance or np.diag(moved).min(initial=np.inf) <= 0:
-            return (
-                f"J^T L J Q L^-1 is not positive definite: smallest eigenvalue after scaling {smallest:.3g}, needed > "
-                f"{tolerance:.1e}"
+            raise StructureError(
+                "L is not an arrow from this system: J^T L J Q L^-1 is not positive definite: smallest eigenvalue "
+                f"after scaling {smallest:.3g}, needed > {tolerance:.1e}"
             )
-        return ""
 
     @cached_property
     def target(self) -> PortHamiltonian:

@@ -23,7 +23,7 @@ from ..symplectic.forms_and_williamson import symplectic_inverse
 from ..systems.base import LosslessSystem
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
-from .filters import MARGIN, filter_mismatch, lossless_spectrum
+from .filters import MARGIN, filter_mismatch, separation_of
 from .morphisms import balanced, comparable, is_morphism
 from .unique_coordinates import norm_of
 
@@ -183,13 +183,13 @@ def _definite(sys: ct.StateSpace) -> bool:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what overflows is refused
 def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | None) -> Verdict:
-    first, second = lossless_spectrum(sys1), lossless_spectrum(sys2)
+    first, second = separation_of(sys1), separation_of(sys2)
     d1, d2 = first.modes.d, second.modes.d
     # sorted, so equal multisets agree entry by entry
     gap = np.abs(d1 - d2) / d1
     allowed = np.full(len(gap), max(rtol or 0.0, _checks.EPS))
     if rtol is None:
-        allowed = MARGIN * (first.d_error + second.d_error) / d1
+        allowed = MARGIN * (first.errors.d + second.errors.d) / d1
     l = int(np.argmax(gap / allowed))
     if gap[l] > allowed[l]:
         reason = f"the frequencies differ: {d1[l]:.6g} and {d2[l]:.6g}"
@@ -197,14 +197,16 @@ def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | 
     mismatch = filter_mismatch(first, second, rtol)
     if mismatch.decides:
         return Verdict(False, mismatch.residual, mismatch.allowed, None, mismatch.reason)
-    floor = MARGIN * sys1.n * (first.conditioning + second.conditioning) if rtol is None else rtol
+    # the largest relative errors of frequencies
+    worst = sum(float(np.max(found.errors.d / found.modes.d, initial=_checks.EPS)) for found in (first, second))
+    floor = MARGIN * sys1.n * worst if rtol is None else rtol
     if isinstance(sys1, PortHamiltonian) and isinstance(sys2, PortHamiltonian):
         return _judge(_williamson_candidates(sys1, sys2, float(allowed.max())), sys1, sys2, floor)
     if type(sys1) is type(sys2):
         # the same frequencies and residues make the same coefficients
         return _judge([np.eye(2 * sys1.n)], sys1, sys2, floor)
-    for spectrum in (first, second):
-        if 2 * len(spectrum.minimal.d) < sys1.nstates:
+    for found in (first, second):
+        if not found.is_minimal:
             reason = "of two canonical forms, only canonical pairs make them isomorphic, and this one is not"
             return Verdict(False, 1.0, 0.0, None, reason)
     L = _modal_coordinates(sys2)[1] @ _modal_coordinates(sys1)[0]

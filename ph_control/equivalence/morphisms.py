@@ -396,7 +396,7 @@ def is_morphism(L: ArrayLike, sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol:
     leaving = _ratio(norm_of(C1 - C2 @ matrix, axis=1), norm_of(seen1, axis=1) + whole * norm_of(seen2, axis=1))
     direct = _ratio(np.abs(D1 - D2), np.maximum(np.abs(D1), np.abs(D2)))
     _checks.representable("the products of L and these systems", matrix, np.array([dynamics, entering, leaving]))
-    rank, (rows, columns) = scaled_rank(matrix), matrix.shape
+    rank, (rows, columns) = _scaled_rank(matrix), matrix.shape
     return MorphismCheck(dynamics, entering, max(leaving, direct), allowed, rank, rank == columns, rank == rows)
 
 
@@ -429,7 +429,7 @@ def balanced(sys: ct.StateSpace) -> tuple[Array, Array, Array, Array, Array]:
     return t, np.ldexp(A, power - power[:, None]), B / t[:, None], C * t, D
 
 
-def scaled_rank(L: Array) -> int:
+def _scaled_rank(L: Array) -> int:
     """Numerical rank of `L` after scaling rows and columns to largest entries near 1, those of mere rounding apart."""
     size = np.abs(L)
     noise = max(L.shape) * _checks.EPS * size.max(initial=0.0)

@@ -15,13 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from ..exceptions import StructureError
+from ..modal.error_bounds import ModalErrors, Separation, separate
 from ..modal.foster_test import Judged, hamiltonian_form, lossless_modes_with_errors
 from ..modal.modal_form import ModalForm
 from ..symplectic.forms_and_williamson import apply_form
 from ..systems.base import LosslessSystem
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import full_port_hamiltonian
-from .filters import Spectrum, filter_mismatch, lossless_spectrum, modal_spectrum
+from .filters import filter_mismatch, separation_of
 from .isomorphism import Verdict, block_unitary, real_form
 from .unique_coordinates import power_of_two, resonances, squared_weights
 
@@ -70,56 +71,43 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     """
     if rtol is not None:
         _checks.relative_tolerance(rtol)
-    first, second = _spectrum(sys1), _spectrum(sys2)
+    first, second = _separated(sys1), _separated(sys2)
     ports = first.modes.nports, second.modes.nports
     if ports[0] != ports[1]:
         raise StructureError(f"the systems have {ports[0]} and {ports[1]} ports; filters of as many ports compare")
     found = filter_mismatch(first, second, rtol)
     if found.decides:
         return Verdict(False, found.residual, found.allowed, None, found.reason)
-    witness = first.minimal if rtol is None else first.modes.minimal(rtol=rtol)
+    witness = first.minimal() if rtol is None else first.modes.minimal(rtol=rtol)
     return Verdict(True, found.residual, found.allowed, witness, "poles and residues agree")
 
 
-def _spectrum(sys: Any) -> Spectrum:
+def _separated(sys: Any) -> Separation:
     """Modes of anything lossless, with the bounds of their errors."""
     if isinstance(sys, tuple):
         if len(sys) != 2:
             raise StructureError(f"a tuple of {len(sys)} is no system; a pair (d, v) has two parts")
-        return modal_spectrum(_modes_of_pair(*_checks.parameter_pair(*sys)))
-    if isinstance(sys, ModalForm):
-        return modal_spectrum(sys)
-    if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian):
-        return lossless_spectrum(sys)
+        return separation_of(ControllableHamiltonian(*_checks.parameter_pair(*sys)))
+    if isinstance(sys, ModalForm | ControllableHamiltonian | ObservableHamiltonian):
+        return separation_of(sys)
     normal = isinstance(sys, ct.StateSpace) and sys.isctime() and hamiltonian_form(sys) is not None
     if normal or isinstance(sys, LosslessSystem):
-        return lossless_spectrum(full_port_hamiltonian(sys))
-    return _judged_spectrum(lossless_modes_with_errors(sys))
+        return separation_of(full_port_hamiltonian(sys))
+    return _with_judged_errors(lossless_modes_with_errors(sys))
 
 
-def _judged_spectrum(judged: Judged) -> Spectrum:
+def _with_judged_errors(judged: Judged) -> Separation:
     """Modes of a plain system, with the bounds that held when its poles and residues were judged."""
-    found = modal_spectrum(judged.modes)
+    found = separate(judged.modes)
     d, total = found.modes.d, np.sum(np.abs(found.modes.nu) ** 2, axis=1)
-    nu_error = 0.5 * judged.kappa_error / (d * np.sqrt(total))
     rigid = np.sum(found.modes.rigid**2, axis=1)
     whole = max((d * total).max(initial=0.0), rigid.max(initial=0.0))
-    rigid_error = 8 * max(1, found.modes.n) * _checks.EPS * whole / np.sqrt(rigid)
-    return replace(
-        found,
-        d_error=found.d_error + judged.d_error,
-        nu_error=found.nu_error + nu_error,
-        rigid_error=found.rigid_error + rigid_error,
+    errors = ModalErrors(
+        found.errors.d + judged.d_error,
+        found.errors.nu + 0.5 * judged.kappa_error / (d * np.sqrt(total)),
+        found.errors.rigid + 8 * max(1, found.modes.n) * _checks.EPS * whole / np.sqrt(rigid),
     )
-
-
-def _modes_of_pair(d: Array, v: Array) -> ModalForm:
-    n = len(d)
-    order = np.argsort(d, kind="stable")
-    r = squared_weights(v)
-    with np.errstate(over="ignore"):
-        _checks.representable("the residues r d of the pair", r * d)
-    return ModalForm._of(d[order], (v[:n] + 1j * v[n:])[order, None], np.zeros((0, 1)), r[order])
+    return replace(found, errors=errors)
 
 
 @np.errstate(over="ignore")  # what overflows is refused
@@ -236,20 +224,17 @@ def star_equivalent(
     nu2 = np.empty((n, 1), complex)
     nu2[sigma, 0] = theirs[:n] + 1j * theirs[n:]
     P = np.eye(n)[sigma]
-    found = []
-    # frequencies that are equal, and those that the tolerance does not tell apart
-    for groups in (resonances(first, rtol), resonances(first, allowed)):
-        A = real_form(block_unitary(nu1, nu2, groups))
-        energy, motions = reduced_residuals(A, first, ours)
-        residuals = {
-            "frequencies": float(np.max(np.abs(P @ first - second) / np.maximum(P @ first, second), initial=0.0)),
-            "energies of the inputs": energy,
-            "motions": motions,
-            "input weights": _weights_apart(A, nu1, nu2, groups if rtol is None else [np.arange(n)]),
-        }
-        worst = max(residuals, key=lambda name: residuals[name])
-        found.append((residuals[worst], worst, A))
-    residual, worst, A = min(found, key=lambda candidate: candidate[0])
+    groups = resonances(first, allowed)
+    A = real_form(block_unitary(nu1, nu2, groups))
+    energy, motions = reduced_residuals(A, first, ours)
+    residuals = {
+        "frequencies": float(np.max(np.abs(P @ first - second) / np.maximum(P @ first, second), initial=0.0)),
+        "energies of the inputs": energy,
+        "motions": motions,
+        "input weights": _weights_apart(A, nu1, nu2, groups if rtol is None else [np.arange(n)]),
+    }
+    worst = max(residuals, key=lambda name: residuals[name])
+    residual = residuals[worst]
     if residual > allowed:
         return Verdict(False, residual, allowed, None, f"the {worst} differ")
     return Verdict(True, residual, allowed, (P, A), "a permutation and turns within frequencies link them")

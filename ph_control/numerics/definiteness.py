@@ -33,7 +33,7 @@ def built_matrix(Q: ArrayLike) -> Array:
 def not_indefinite(Q: Array, *, name: str = "Q") -> None:
     """Refuse a Hamiltonian matrix with a negative eigenvalue.  O(n^3)."""
     for part in uncoupled_halves(Q):
-        if cholesky_factor(part) is None:
+        if definite_factor(part) is None:
             refuse_indefinite(name, smallest_scaled_eigenvalue(part)[0], 8 * len(Q) * EPS)
 
 
@@ -78,19 +78,13 @@ def unit_diagonal(Q: Array) -> tuple[Array, Array]:
     return scaled, scale
 
 
-def cholesky_factor(Q: Array) -> Array | None:
-    """Lower `F` with `F F^T = Q` if `Q` is clearly definite; None leaves open what it is.
-
-    Clearly definite: the smallest eigenvalue of `Q` scaled to unit diagonal is more than twice what counts as zero.
-    Where a few solutions with the factor show that it is not even near, a factorisation of what is left when the bound
-    is taken off the diagonal need not decide.
-    """
-    found = definite_factor(Q)
-    return None if found is None else found[0]
-
-
 def definite_factor(Q: Array) -> tuple[Array, float] | None:
-    """`cholesky_factor`, and a bound for the norm of the inverse of `Q` scaled to unit diagonal."""
+    """Lower `F` with `F F^T = Q` if `Q` is clearly definite, and a bound for `||Q^{-1}||`, `Q` scaled to unit diagonal.
+
+    None leaves open what it is.  Clearly definite: the smallest eigenvalue of `Q` scaled to unit diagonal is more than
+    twice what counts as zero.  Where a few solutions with the factor show that it is not even near, a factorisation of
+    what is left when the bound is taken off the diagonal need not decide.
+    """
     if Q.size == 0:
         return np.zeros((0, 0)), 0.0
     scaled, scale = unit_diagonal(Q)

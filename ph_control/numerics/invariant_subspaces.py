@@ -53,7 +53,7 @@ def schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
     if not len(A):
         return A.astype(complex), A.astype(complex)
     try:
-        return schur(A, output="complex")
+        return schur(A, output="complex", check_finite=False)
     except np.linalg.LinAlgError:
         raise StructureError(
             f"the eigenvalues of A were not found: its entries range over {np.abs(A[A != 0]).min():.1e} to "
@@ -63,7 +63,7 @@ def schur_form(A: Array) -> tuple[ComplexArray, ComplexArray]:
 
 def eigenvalues_of(T: ComplexArray) -> Eigenvalues:
     """Eigenvalues and eigenvectors of a triangular matrix."""
-    values, left, right = eig(T, left=True, right=True)
+    values, left, right = eig(T, left=True, right=True, check_finite=False)
     overlap = np.sum(left.conj() * right, axis=0)
     return Eigenvalues(values, left, right, overlap, np.maximum(np.abs(overlap), EPS))
 

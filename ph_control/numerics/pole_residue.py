@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance, schur
-from scipy.linalg.lapack import ztrtrs
+from scipy.linalg import schur
+from scipy.linalg.lapack import dgebal, ztrtrs
 
 from .. import _checks
 from ..exceptions import NotLosslessError, StructureError
@@ -155,15 +155,14 @@ def _reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.b
 def _balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     """Units of the states, powers of two, in which rows and columns are alike in size: those of B and C as well."""
     # units do not touch the diagonal, which would hide small couplings from the balancing
-    own, _ = matrix_balance(A - np.diag(np.diag(A)), permute=False, separate=True)
-    rate = float(np.linalg.norm(own)) or 1.0
+    coupling = A - np.diag(np.diag(A))
+    rate = float(np.linalg.norm(dgebal(coupling, scale=1)[0])) or 1.0
     # the unit of input and output does not matter, nor that of time
     whole = np.zeros((len(A) + max(len(C), B.shape[1]),) * 2)
-    whole[: len(A), : len(A)] = A - np.diag(np.diag(A))
+    whole[: len(A), : len(A)] = coupling
     whole[: len(A), len(A) : len(A) + B.shape[1]] = rate * B / np.abs(B).max()
     whole[len(A) : len(A) + len(C), : len(A)] = rate * C / np.abs(C).max()
-    _, (scale, _) = matrix_balance(whole, permute=False, separate=True)
-    scale = scale[: len(A)]
+    scale = dgebal(whole, scale=1)[3][: len(A)]
     A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
     _checks.representable("the balanced state-space matrices", A, B, C)
     return A, B, C
@@ -209,14 +208,13 @@ def _spectral_blocks(resolvent: Resolvent, sizes: list[int], rest: float) -> lis
         blocks.append(_Block(complex(rest), N, block.outputs, block.inputs, block.separation, len(sizes), known))
     for group in clusters(values[still:], radius[still:]):
         group = group + still
-        if len(group) == 1 and separation[group[0]] > len(T) * _PARALLEL:
-            l = group[0]
-            inputs = left[None, :, l].conj() @ to_modes / overlap[l]
-            outputs = from_modes @ right[:, [l]]
+        l = group[0]
+        if len(group) > 1 or separation[l] <= len(T) * _PARALLEL:
+            # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
+            blocks.append(_joint_block(T, to_modes, from_modes, group))
+        else:
+            inputs, outputs = left[None, :, l].conj() @ to_modes / overlap[l], from_modes @ right[:, [l]]
             blocks.append(_Block(values[l], np.zeros((1, 1), complex), outputs, inputs, separation[l], 1))
-            continue
-        # vectors of coinciding eigenvalues are not biorthogonal, and those of a Jordan block parallel
-        blocks.append(_joint_block(T, to_modes, from_modes, group))
     return blocks
 
 

@@ -150,50 +150,12 @@ def darboux(J: ArrayLike) -> Array:
     return _invertible(_planes(_structure_matrix(J))).to_canonical()
 
 
-def normal_form(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> tuple[Array, Array, Array]:
-    """Normal form of `z' = J Q z + B u`, `y = B^T Q z` with an invertible skew `J`.
-
-    Parameters
-    ----------
-    Q : array_like, shape (2n, 2n)
-        Hamiltonian matrix, symmetric positive semidefinite.
-    B : array_like, shape (2n,) or (2n, m)
-        Input matrix.
-    J : array_like, shape (2n, 2n)
-        Skew-symmetric, invertible structure matrix.
-
-    Returns
-    -------
-    Q : ndarray, shape (2n, 2n)
-        `T^{-T} Q T^{-1}`, exactly symmetric.
-    B : ndarray, shape (2n, m)
-        `T B`.
-    T : ndarray, shape (2n, 2n)
-        `darboux(J)`: the new coordinates of a state are `T z`.
-
-    Raises
-    ------
-    StructureError
-        If the matrices do not fit, are not what their names say, or `J` is singular (see `split_casimirs`).
-
-    Notes
-    -----
-    `T^{-1}` needs no solution of equations: `T` is orthogonal up to row factors.  O(n^3).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ph_control.symplectic.darboux_and_casimirs import normal_form
-    >>> Q, B, T = normal_form(np.eye(2), [0.0, 1.0], [[0.0, 4.0], [-4.0, 0.0]])
-    >>> Q
-    array([[4., 0.],
-           [0., 4.]])
-    """
+def normal_form(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> tuple[Array, Array]:
+    """Q and B of `z' = J Q z + B u`, `y = B^T Q z` in the coordinates `darboux(J) z`, Q exactly symmetric."""
     structure = _structure_matrix(J)
     energy, ports = _energy_and_ports(Q, B, len(structure))
     planes = _invertible(_planes(structure))
-    T = planes.to_canonical()
-    return _congruent(energy, planes.from_canonical()), T @ ports, T
+    return _congruent(energy, planes.from_canonical()), planes.to_canonical() @ ports
 
 
 def split_casimirs(Q: ArrayLike, B: ArrayLike, J: ArrayLike) -> CasimirSplit:

@@ -5,6 +5,8 @@ Arrays in, arrays out.  The order of a phase-space vector is `z = (q_1 .. q_n, p
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
@@ -211,7 +213,7 @@ def williamson(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array
             f"use williamson_semidefinite(Q), or ground or remove the {free} rigid-body mode(s)"
         )
     order = np.argsort(d1, kind="stable")
-    return d1[order], _in_order(S, np.concatenate([order, order + n]))
+    return d1[order], S[np.concatenate([order, order + n])]
 
 
 def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
@@ -228,15 +230,14 @@ def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
     frequencies: list[Array] = [np.zeros(0)]
     rotating: list[ComplexArray] = [np.zeros((0, size), complex)]
     rigid: list[Array] = [np.zeros((0, size))]
-    for block in _decoupled(Q):
-        d, S, still = _reduced(_part(Q, block))
+    for block, d, S, still in _reduced_blocks(Q):
         x = np.sqrt(d)[:, None] * (S[0][: len(d)] + 1j * S[0][len(d) :])
         frequencies.append(d)
         rotating.append(_embed(x, block, size))
         rigid.append(_embed(still[0], block, size))
     d = np.concatenate(frequencies)
     order = np.argsort(d, kind="stable")
-    return d[order], _in_order(np.concatenate(rotating), order), np.concatenate(rigid)
+    return d[order], np.concatenate(rotating)[order], np.concatenate(rigid)
 
 
 def direct_sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -281,18 +282,17 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
 
     Pairs in the order oscillating (`d1 = d2`, ascending), free (0, 1), cyclic (0, 0).
     """
-    n, blocks = len(Q) // 2, _decoupled(Q)
+    n = len(Q) // 2
     kinds: list[Array] = [np.zeros((3, 0))]
     upper: list[Array] = [np.zeros((0, 2 * n))]
     lower: list[Array] = [np.zeros((0, 2 * n))]
-    for block in blocks:
+    for block, d, S, still in _reduced_blocks(Q):
         half = len(block) // 2
-        d, S, still = _reduced(_part(Q, block))
         free = len(still[0])
         cyclic = half - len(d) - free
-        if len(blocks) == 1 and len(d) == n:
+        if len(d) == n:
             order = np.argsort(d, kind="stable")
-            return d[order], d[order], _in_order(S[0], np.concatenate([order, order + n]))
+            return d[order], d[order], S[0][np.concatenate([order, order + n])]
         rows = _complete(d, S, still) if free or cyclic else S[0]
         d1 = np.concatenate([d, np.zeros(free + cyclic)])
         d2 = np.concatenate([d, np.ones(free), np.zeros(cyclic)])
@@ -304,30 +304,18 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
     return d1[order], d2[order], np.concatenate([*upper, *lower])[np.concatenate([order, order + n])]
 
 
-def _decoupled(Q: Array) -> list[NDArray[np.intp]]:
-    """Split the indices of phase space into groups of (q, p) pairs that `Q` does not couple."""
+def _reduced_blocks(Q: Array) -> Iterator[tuple[NDArray[np.intp], Array, Pair, Pair]]:
+    """`reduce_block` of each group of (q, p) pairs that `Q` does not couple to others, with its indices before it."""
     count, label = coupled_pairs(Q)
-    groups = [np.flatnonzero(label == k) for k in range(count)]
-    return [np.concatenate([group, group + len(label)]) for group in groups]
-
-
-def _part(Q: Array, block: NDArray[np.intp]) -> Array:
-    return Q if len(block) == len(Q) else Q[np.ix_(block, block)]
-
-
-def _reduced(Q: Array) -> tuple[Array, Pair, Pair]:
-    d, S, still = reduce_block(Q)
-    _checks.representable("the rows of the normal form of this Q", d, S[0])
-    return d, S, still
-
-
-def _in_order(rows: NDArray, order: NDArray[np.intp]) -> NDArray:
-    return rows if np.array_equal(order, np.arange(len(rows))) else rows[order]
+    for k in range(count):
+        group = np.flatnonzero(label == k)
+        block = np.concatenate([group, group + len(label)])
+        d, S, still = reduce_block(Q[np.ix_(block, block)] if count > 1 else Q)
+        _checks.representable("the rows of the normal form of this Q", d, S[0])
+        yield block, d, S, still
 
 
 def _embed(rows: NDArray, block: NDArray[np.intp], size: int) -> NDArray:
-    if len(block) == size:
-        return rows
     full = np.zeros((len(rows), size), rows.dtype)
     full[:, block] = rows
     return full

@@ -235,7 +235,7 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
             # powers of two after which the sizes within a row or a column say what rounding does
             unit = np.exp2(np.round(np.log2(column)))
             F, right = F / unit, unit[:, None] * right
-        high, low = product(exactly(F), exactly(right), needed, _lower_times)
+        high, low = product(exactly(F), exactly(right), needed, lambda a, b: dtrmm(1.0, a, b, lower=1))
         rows.append((high.T, low.T))
     return rows, sigma * np.sqrt(squares).reshape(2, -1).prod(axis=0), bool(np.max(x * y) <= _TIGHT)
 
@@ -249,10 +249,6 @@ def _cost_of_rounding(d: Array, x: Array, y: Array) -> float:
     energy = d * x * x
     first, second = np.maximum.accumulate(d * x * y), np.maximum.accumulate(energy)
     return float(max(np.max(x * x * first), np.max(x * y * second)) / energy.max())
-
-
-def _lower_times(lower: Array, right: Array) -> Array:
-    return np.asarray(dtrmm(1.0, lower, right, lower=1))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # where rounding leaves the form open the steps may diverge

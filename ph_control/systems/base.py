@@ -7,7 +7,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from control.nlsys import NonlinearIOSystem
+from control.iosys import InputOutputSystem
 from numpy.typing import NDArray
 
 from .. import _checks
@@ -56,6 +56,8 @@ class LosslessSystem(ct.StateSpace):
     _factory: str
     _integrated = False  # whether the transfer function is that of the modes, or that divided by s
     _views: dict[str, Any]
+    params: dict[str, Any]
+    _current_params: dict[str, Any]
     _state_index: dict[str, int] | None
 
     def _setup(self, nstates: int, nports: int, names: dict[str, Any]) -> None:
@@ -64,16 +66,19 @@ class LosslessSystem(ct.StateSpace):
                 "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
             )
         self._views = {}
-        sizes = {"inputs": nports, "outputs": nports}
-        if names:
-            sizes["states"] = nstates
+        sizes, named = {"inputs": nports, "outputs": nports, "states": nstates}, bool(names)
+        if named:
             _checks.signal_names(names, **sizes)
-        defaults = {kind: count for kind, count in sizes.items() if names.get(kind, names.get(kind[:-1])) is None}
-        # StateSpace.__init__ would build and store dense matrices; its base class keeps the names and the timebase
-        NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **(names | defaults))
-        # the functions are those of the class; of its own a system would have to hold itself, and outlive its last use
-        del self.updfcn, self.outfcn
-        if not names:
+        for kind, count in sizes.items():
+            single = names.pop(kind[:-1], None)
+            if names.get(kind) is None:
+                names[kind] = count if single is None else single
+        if not named:
+            del names["states"]
+        # the constructors between would build dense matrices, and functions that hold the system
+        InputOutputSystem.__init__(self, dt=0, **names)
+        self.params, self._current_params = {}, {}
+        if not named:
             self.nstates, self._state_index = nstates, None
 
     @property

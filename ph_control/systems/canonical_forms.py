@@ -47,19 +47,21 @@ class _CanonicalForm(LosslessSystem):
     def modes(self) -> ModalForm:
         """Modal form: frequencies ascending, with their weights."""
         n = self.n
-        q, p = self._v[:n], self._v[n:]
-        if len(self._d) == n:
-            order = np.argsort(self._d, kind="stable")
-            nu, rigid, r = (q + 1j * p)[order, None], np.zeros((0, 1)), (q * q + p * p)[order]
-            return _in_range(ModalForm._of(self._d[order], nu, rigid, r))
-        d1, d2 = self._d[:n], self._d[n:]
+        q, p = np.split(self._v, 2)
+        d1, d2 = self._d[:n], self._d[-n:]
         free = (d1 == 0) | (d2 == 0)
-        # a squeeze that makes both halves of the energy of a mode alike
-        d, squeeze = d1[~free] * np.sqrt(d2[~free] / d1[~free]), (d1[~free] / d2[~free]) ** 0.25
-        order = np.argsort(d, kind="stable")
-        nu = (q[~free] * squeeze + 1j * p[~free] / squeeze)[order, None]
         still = np.sqrt(d1[free]) * q[free] + np.sqrt(d2[free]) * p[free]
-        return _in_range(ModalForm._of(d[order], nu, still[:, None]))
+        d1, d2, q, p = (part[~free] for part in (d1, d2, q, p))
+        # a squeeze that makes both halves of the energy of a mode alike
+        d, squeeze = d1 * np.sqrt(d2 / d1), (d1 / d2) ** 0.25
+        q, p = q * squeeze, p / squeeze
+        order = np.argsort(d, kind="stable")
+        modes = ModalForm._of(d[order], (q + 1j * p)[order, None], still[:, None], (q * q + p * p)[order])
+        what = "the modal weights of this d and v"
+        with np.errstate(over="ignore"):
+            _checks.representable(what, modes.r, modes.kappa, nonzero=modes.nu[:, 0] != 0)
+            _checks.representable(what, modes.rigid**2, nonzero=modes.rigid != 0)
+        return modes
 
     @View
     def a(self) -> Array:
@@ -350,15 +352,6 @@ def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -
     moved = np.eye(1, len(still))[0] * np.linalg.norm(modes.rigid)
     doubled = np.concatenate([still, d, still + 1.0, d])
     return kind(doubled, np.concatenate([still, nu.real, moved, nu.imag]), **names)
-
-
-def _in_range(modes: ModalForm) -> ModalForm:
-    """Refuse a modal form of one port whose weights leave the range of doubles."""
-    what = "the modal weights of this d and v"
-    with np.errstate(over="ignore"):
-        _checks.representable(what, modes.r, modes.kappa, nonzero=modes.nu[:, 0] != 0)
-        _checks.representable(what, modes.rigid**2, nonzero=modes.rigid != 0)
-    return modes
 
 
 def _restore(kind: type[Any], d: Array, v: Array, names: dict[str, Any]) -> Any:

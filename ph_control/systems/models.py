@@ -276,7 +276,7 @@ def _with_mass(M: Array, K: Array, b: Array, condense: bool) -> tuple[Array, Arr
             f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({_listed(without)}, counted from "
             f"1); {remedy}"
         )
-    if _definite.cholesky_factor(M) is not None:
+    if _definite.definite_factor(M) is not None:
         return M, K, b, np.arange(n)
     smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
     _definite.refuse_indefinite("M", smallest, tolerance)

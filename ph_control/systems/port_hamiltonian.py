@@ -498,7 +498,7 @@ def ph(
         )
     if B is not None:
         if J is not None:
-            Q, B, _ = normal_form(Q, B, J)
+            Q, B = normal_form(Q, B, J)
         return PortHamiltonian(Q, B, **names)
     source = Q
     if J is not None:
