@@ -15,10 +15,9 @@ from ph_control.identification.data.frequency_record import record_of_frequency_
 from ph_control.identification.diagnosis.damping import contradiction, sentence
 from ph_control.identification.diagnosis.verdict import Outcome
 from ph_control.identification.regression.free import FreeProjection
-from ph_control.identification.regression.free_rows import FreeRecord, FreeResponse, FreeTransform
-from ph_control.identification.regression.frequency_rows import FrequencyRows
-from ph_control.identification.regression.spectral_rows import Spectrum
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.frequency_rows import FreeResponse, FrequencyRows
+from ph_control.identification.regression.spectral_rows import FreeWindow, Spectrum
+from ph_control.identification.regression.time_rows import Experiment, FreeRecord
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.modal.discretization import Hold
 
@@ -241,11 +240,11 @@ def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, sta
     p = d * (-ratio + 1j * np.sqrt(1 - ratio**2))
     size = np.linalg.norm(y)
     weight = kappa * p ** {"velocity": 1, "displacement": 0, "acceleration": 2}[quantity] / (2j * p.imag)
-    for rows in (FreeRecord(experiment), FreeTransform(spectrum, np.arange(1, spectrum.last + 1))):
+    for rows in (FreeRecord.of(experiment), FreeWindow.of(spectrum, np.arange(1, spectrum.last + 1))):
         at = FreeProjection([rows], p)
         assert np.sqrt(at.loss) < 1e5 * np.finfo(float).eps * size
-        assert at.residues == pytest.approx(weight, rel=1e-7)
-        assert at.feedthrough == pytest.approx(kappa if quantity == "acceleration" else 0.0, abs=1e-7)
+        assert at.residues[:, 0, 0] == pytest.approx(weight, rel=1e-7)
+        assert at.feedthrough[0, 0] == pytest.approx(kappa if quantity == "acceleration" else 0.0, abs=1e-7)
         wrong = FreeProjection([rows], p * (1 + 0.01j))
         assert np.sqrt(wrong.loss) > 1e-4 * size
 
@@ -265,7 +264,7 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind, method, inters
         seen = rng.random(len(y)) < (1.0 if kind == "bins" else 0.9)
         experiment = Experiment(u, y, seen, Hold(H, method, intersample), from_rest=kind == "from rest", offset=True)
         spectrum = Spectrum.of(experiment)
-        rows = FreeRecord(experiment) if kind != "bins" else FreeTransform(spectrum, np.arange(1, spectrum.last + 1))
+        rows = FreeRecord.of(experiment) if kind != "bins" else FreeWindow.of(spectrum, np.arange(1, spectrum.last + 1))
 
     def loss(x):
         return FreeProjection([rows], x[2:] + 1j * x[:2]).loss

@@ -9,8 +9,8 @@ from reference import EPS, dense_simulation
 import ph_control as phc
 from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.grouped import Modal, Shared, gram
-from ph_control.identification.regression.modal_regressors import regressors
-from ph_control.identification.regression.time_rows import Experiment, TimeEvaluation
+from ph_control.identification.regression.modal_regressors import Regressors
+from ph_control.identification.regression.time_rows import Experiment, RecordColumns
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
 
@@ -27,7 +27,7 @@ def test_columns_reproduce_a_simulation_with_initial_state(method, intersample):
     y = phc.forced_response(plant, h * np.arange(300), u, z0, method=method, intersample=intersample).outputs
     hold = Hold(h, method, intersample)
     amplitude = d * np.sqrt(r) * (z0[:3] + 1j * z0[3:])
-    predicted = regressors(d, u, hold).columns() @ np.concatenate([r * d, amplitude.real, amplitude.imag])
+    predicted = Regressors(d, u, hold).columns() @ np.concatenate([r * d, amplitude.real, amplitude.imag])
     assert np.abs(predicted - y).max() <= 4e3 * np.finfo(float).eps * np.abs(y).max()
 
 
@@ -37,12 +37,12 @@ def test_slopes_are_the_derivatives_of_the_columns(method, intersample, block):
     rng = np.random.default_rng(3)
     u, hold, step = rng.standard_normal(250), Hold(0.1, method, intersample), 1e-5
     d = np.array([1e-3, 0.3, 4.0, 29.0]) if method != "euler" else np.array([1e-3, 0.3, 1.0, 2.0])
-    difference = (getattr(regressors(d + step, u, hold), block) - getattr(regressors(d - step, u, hold), block)) / (
+    difference = (getattr(Regressors(d + step, u, hold), block) - getattr(Regressors(d - step, u, hold), block)) / (
         2 * step
     )
-    slope = getattr(regressors(d, u, hold), block + "_slope")
+    slope = getattr(Regressors(d, u, hold), block + "_slope")
     # a central difference is right to step^2 |f'''| / 6 plus rounding / step
-    third = (250 * 0.1) ** 3 * np.abs(getattr(regressors(d, u, hold), block)).max()
+    third = (250 * 0.1) ** 3 * np.abs(getattr(Regressors(d, u, hold), block)).max()
     allowed = third * step**2 / 6 + 1e3 * np.finfo(float).eps * np.abs(slope).max() / step
     assert np.abs(slope - difference).max() <= allowed
     assert np.abs(slope).max() > 1e2 * allowed
@@ -53,7 +53,7 @@ def test_slopes_are_the_derivatives_of_the_columns(method, intersample, block):
 def test_frequency_of_a_phase_turns_a_mode_by_that_phase(phase, h, method):
     hold = Hold(h, method)
     d = hold.frequency_of(np.array([phase]))
-    assert np.isclose(-np.angle(hold.multiplier(-1j * d)[0]), phase, rtol=1e-12)
+    assert np.isclose(np.angle(hold.multiplier(1j * d)[0]), phase, rtol=1e-12)
 
 
 # --- every kind of sensor -------------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ def test_columns_of_every_sensor_are_those_of_a_dense_simulation(method, intersa
     rng = np.random.default_rng(4)
     samples, h, d = 301, 0.05, np.array([0.7, 3.0, 11.0])
     u, free = rng.standard_normal(samples), {"velocity": 1, "displacement": 1j / d, "acceleration": -1j * d}[quantity]
-    found = regressors(d, u, Hold(h, method, intersample), quantity)
+    found = Regressors(d, u, Hold(h, method, intersample), quantity)
     for l in range(3):
         one, nil = np.array([1.0 + 0j]), np.zeros(samples)
         # a free motion is named by what it shows at the output
@@ -101,8 +101,8 @@ def test_slopes_of_every_sensor_are_the_derivatives_of_its_columns(method, inter
     u, hold, step = rng.standard_normal(130), Hold(0.1, method, intersample), 1e-5
     d = np.array([0.05, 0.3, 1.0, 2.0])
     for block in BLOCKS:
-        ahead, here, behind = (getattr(regressors(d + s, u, hold, quantity), block) for s in (step, 0.0, -step))
-        slope = getattr(regressors(d, u, hold, quantity), block + "_slope")
+        ahead, here, behind = (getattr(Regressors(d + s, u, hold, quantity), block) for s in (step, 0.0, -step))
+        slope = getattr(Regressors(d, u, hold, quantity), block + "_slope")
         # relative changes of the frequency, and of the weights 1/d of a displacement, bound the third derivative
         reach = 13.0 + 3 / d
         allowed = step**2 * reach**3 * np.abs(here).max(axis=0) + 1e3 * EPS * np.abs(here).max(axis=0) / step
@@ -144,7 +144,7 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
         size = np.abs(entire).max(axis=-1, keepdims=True)
         assert (np.abs(piece - entire) <= 200 * samples * EPS * size).all()
     # and they are the columns and slopes over the whole record
-    found = regressors(d, u, one.hold, quantity)
+    found = Regressors(d, u, one.hold, quantity)
     F, cos, sin = (getattr(found, block)[observed].T for block in BLOCKS)
     expected = [] if from_rest else [cos, sin]
     expected += [np.ones((1, int(observed.sum())))] * offset + [F] * driven + [y[None, observed]]
@@ -176,7 +176,7 @@ def test_inner_products_by_groups_are_those_of_the_columns(
     kappa = np.array([0.5, 0.0, 2.0])
     assert at.gram() is None and at.sensitive_gram(kappa, own) is None
     columns = np.concatenate(list(at.blocks()), axis=1), np.concatenate(list(at.sensitive_blocks(kappa, own)), axis=1)
-    monkeypatch.setattr(TimeEvaluation, "_by_gram", True)
+    monkeypatch.setattr(RecordColumns, "_by_gram", True)
     for piece in (1, 1 << 19):
         monkeypatch.setattr(experiment, "_BLOCK", piece)
         monkeypatch.setattr(experiment, "_FEWEST", 3)
@@ -216,7 +216,7 @@ def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkey
     rng = np.random.default_rng(10)
     u = rng.standard_normal(samples)
     hold = Hold(1.0)
-    y = regressors(d, u, hold).columns() @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
+    y = Regressors(d, u, hold).columns() @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
     y += noise * np.std(y) * rng.standard_normal(samples)
     problem = Problem((Experiment(u, y, np.ones(samples, bool), hold),))
     fast, slow = problem.project(d), problem.project(d)

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import ph_control as phc
-from ph_control.identification.regression.modal_regressors import regressors
+from ph_control.identification.regression.modal_regressors import Regressors
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.steps import TimeSearch
@@ -29,7 +29,7 @@ def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method
 def dense(problem, d):
     """Columns of the linear problem over the whole record, residues first."""
     (one,) = problem.experiments
-    columns = regressors(d, one.u, one.hold).columns()
+    columns = Regressors(d, one.u, one.hold).columns()
     return columns[:, : len(d)] if one.from_rest else columns
 
 
@@ -65,7 +65,7 @@ def test_jacobian_has_the_gram_matrix_of_the_dense_one():
     d = np.array([0.41, 1.08])
     at = problem.project(d)
     (one,) = problem.experiments
-    found = regressors(d, one.u, one.hold)
+    found = Regressors(d, one.u, one.hold)
     slopes, own = found.slopes(), at.own[0]
     by_d = slopes[:, :2] * at.kappa + slopes[:, 2:4] * own[:2] + slopes[:, 4:] * own[2:]
     J = np.concatenate([by_d, found.columns()], axis=1)

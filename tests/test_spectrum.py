@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reference import EPS
 
-from ph_control.identification.regression.modal_regressors import QUANTITIES, output_weight, regressors
-from ph_control.identification.regression.spectral_rows import SmoothColumns, Spectrum, Window
+from ph_control.identification.regression.modal_regressors import QUANTITIES, Regressors, SampledModes
+from ph_control.identification.regression.spectral_rows import Spectrum, TransformColumns, Window
 from ph_control.identification.regression.time_rows import Experiment
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
@@ -22,7 +22,7 @@ def experiment_of(samples=200, hold=("exact", "zoh"), quantity="velocity", drive
     hold = Hold(0.1, *hold)
     u = rng.standard_normal(samples) if driven else np.zeros(samples)
     free = rng.standard_normal(3) + 1j * rng.standard_normal(3)
-    longer = regressors(D, np.concatenate([u, u[:1]]), hold, quantity)
+    longer = Regressors(D, np.concatenate([u, u[:1]]), hold, quantity)
     y = (longer.columns() @ np.concatenate([KAPPA * driven, free.real, free.imag]))[:samples]
     one = Experiment(u, y, np.ones(samples, bool), hold, quantity=quantity, driven=driven)
     return one, free, _ends(one, free)
@@ -30,13 +30,11 @@ def experiment_of(samples=200, hold=("exact", "zoh"), quantity="velocity", drive
 
 def _ends(one, free):
     """What the columns belong to, from `c (x_0 - x_T)` by the recursion itself, the record going round at its end."""
-    step = one.hold.step(-1j * D)
-    lam, b0, b1 = step.multiplier, step.b0[:, 0], step.b1[:, 0]
+    step = SampledModes.lossless(one.hold, D, one.quantity)
     x = free.astype(complex)
-    weight = output_weight(D, one.quantity)[0]
     around = np.concatenate([one.u, one.u[:1]])
     for now, after in pairwise(around):
-        x = lam * x + weight * KAPPA * one.driven * (b0 * now + b1 * after)
+        x = step.multiplier * x + KAPPA * one.driven * (step.b0 * now + step.b1 * after)
     return free - x
 
 
@@ -47,17 +45,26 @@ def test_transform_of_a_simulation_is_a_combination_of_the_columns_at_every_bin(
     one, _, tau = experiment_of(samples, hold, quantity, driven)
     spectrum = Spectrum.of(one)
     bins = np.arange(samples // 2 + 1)
-    forced, (plus, minus) = spectrum.columns(D, bins)
-    left = spectrum.Y - KAPPA @ forced - tau @ plus - tau.conj() @ minus
-    assert np.abs(left).max() <= 100 * samples * EPS * np.abs(spectrum.Y).max()
-    # the smooth columns tell the same with another name for the motion, found here from some of the bins
+    # the columns give the ends another name, found here from all bins but the constant
     at = Problem((Window(spectrum, bins[1 : spectrum.last + 1]),)).project(D)
     assert np.allclose(at.kappa, KAPPA * driven, rtol=1e3 * samples * EPS)
-    left = spectrum.left(D, at.kappa, at.own[0])
+    left = Window(spectrum, bins).at(D).left(at.kappa, at.own[0])
     assert np.abs(left).max() <= 1e3 * samples * EPS * np.abs(spectrum.Y).max()
+    motion = at.own[0][:3] + 1j * at.own[0][3:]
+    turned = SampledModes.of(one.hold, 1j * D).powers(np.array([float(samples)]))[:, 0]
+    if not driven:
+        assert np.allclose(2 * motion * (1 - turned), tau.conj(), rtol=0, atol=1e3 * samples * EPS * np.abs(tau).max())
 
 
-PARTS = ("forced", "plus", "minus")
+PARTS = ("ahead", "behind", "motion", "mirrored")
+
+
+def parts_of(spectrum, d, bins):
+    """The columns of residues and motions of lossless modes, each with what belongs to the conjugate."""
+    at = TransformColumns(spectrum.length, spectrum.lossless(d), bins)
+    over = at.numerators(spectrum.U)
+    slopes = *at.forced_slopes(spectrum.U, over), *at.motion_slopes
+    return dict(zip(PARTS, (*at.forced(over), *at.motion), strict=True)), dict(zip(PARTS, slopes, strict=True))
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
@@ -66,17 +73,16 @@ def test_slopes_of_the_columns_are_their_derivatives_on_bins_and_between(hold, q
     spectrum = Spectrum.of(experiment_of(hold=hold, quantity=quantity)[0])
     bins, step = np.arange(1, 100), 1e-5
     d = spectrum.frequency(np.array([4.0, 9.0 + 1e-6, 17.0 - 3e-4, 25.3, 31.5 - 1e-3]))
-    ahead, here, behind = (SmoothColumns(spectrum, d + s, bins) for s in (step, 0.0, -step))
-    for part, slope in zip(PARTS, here.slopes, strict=True):
-        column = getattr(here, part)
-        difference = (getattr(ahead, part) - getattr(behind, part)) / (2 * step)
-        # `plus` vanishes where `minus` peaks: they are two parts of one column
-        size = np.abs(here.minus if part == "plus" else column).max(axis=1)
+    (ahead, _), (here, slopes), (behind, _) = (parts_of(spectrum, d + s, bins) for s in (step, 0.0, -step))
+    for part, column in here.items():
+        difference = (ahead[part] - behind[part]) / (2 * step)
+        # what belongs to the conjugate vanishes where the other peaks: they are two parts of one column
+        size = np.abs(here["motion" if part == "mirrored" else part]).max(axis=1)
         # the record lasts 20: a column changes by no more than its size times this, to the power of the order; the
         # weights of the input and of the sensor change more slowly
         allowed = step**2 * 20.0**3 * size + 1e3 * EPS * size / step
-        assert (np.abs(slope - difference).max(axis=1) <= allowed).all(), part
-        assert (np.abs(slope).max(axis=1) > 100 * allowed).all()
+        assert (np.abs(slopes[part] - difference).max(axis=1) <= allowed).all(), part
+        assert column.shape == (5, 99) and (np.abs(slopes[part]).max(axis=1) > 100 * allowed).all()
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
@@ -86,11 +92,15 @@ def test_the_transform_of_a_model_is_that_of_its_columns(hold, quantity, driven)
     """Of modes on a bin, next to one, two at the same bin, and between."""
     spectrum = Spectrum.of(experiment_of(hold=hold, quantity=quantity, driven=driven)[0])
     d = spectrum.frequency(np.array([4.0, 9.0 + 1e-6, 17.0 - 3e-4, 17.2, 25.5]))
-    at = SmoothColumns(spectrum, d, np.arange(0, 60))
+    bins = np.arange(0, 60)
     rng = np.random.default_rng(4)
-    kappa, motion = rng.random(5), rng.standard_normal(5) + 1j * rng.standard_normal(5)
-    parts = [kappa[:, None] * at.forced, motion[:, None] * at.plus, motion.conj()[:, None] * at.minus]
-    assert np.abs(at.output(kappa, motion) - sum(parts).sum(axis=0)).max() <= 100 * EPS * np.abs(parts).max()
+    residues, motion = rng.standard_normal((2, 5)) + 1j * rng.standard_normal((2, 5))
+    at, (columns, _) = TransformColumns(spectrum.length, spectrum.lossless(d), bins), parts_of(spectrum, d, bins)
+    factors = dict(zip(PARTS, (residues * driven, residues.conj() * driven, motion, motion.conj()), strict=True))
+    parts = [factors[name][:, None] * column for name, column in columns.items()]
+    found = at.output(spectrum.U if driven else None, residues, motion, 0.7)
+    expected = sum(parts).sum(axis=0) + 0.7 * spectrum.U[bins] * driven
+    assert np.abs(found - expected).max() <= 100 * EPS * max(np.abs(one).max() for one in parts)
 
 
 @pytest.mark.parametrize("hold", HOLDS)
@@ -99,12 +109,10 @@ def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(h
     one, *_ = experiment_of(400, hold)
     spectrum = Spectrum.of(one)
     d, bins = spectrum.frequency(np.array([place])), np.arange(5, 20)
-    at = SmoothColumns(spectrum, d, bins)
-    columns = np.concatenate([at.forced, at.plus + at.minus, 1j * (at.plus - at.minus)])
-    real = np.concatenate([columns.real, columns.imag], axis=1).T
+    real = np.concatenate(list(Window(spectrum, bins).at(d).blocks()))[:-1].T
     real = real / np.linalg.norm(real, axis=0)
     assert np.linalg.cond(real) < 1e3
-    motions = np.fft.rfft(regressors(d, one.u, one.hold).columns(), axis=0)[bins]
+    motions = np.fft.rfft(Regressors(d, one.u, one.hold).columns(), axis=0)[bins]
     targets = np.concatenate([motions.real, motions.imag])
     left = targets - real @ np.linalg.lstsq(real, targets, rcond=None)[0]
     assert (np.linalg.norm(left, axis=0) <= 1e3 * 400 * EPS * np.linalg.norm(targets, axis=0)).all()
@@ -114,10 +122,10 @@ def test_columns_pass_smoothly_through_a_bin():
     spectrum = Spectrum.of(experiment_of(400)[0])
     bins = np.arange(5, 20)
     step = 5e-4
-    path = [SmoothColumns(spectrum, spectrum.frequency(np.array([12 + k * step])), bins) for k in range(-20, 21)]
+    path = [parts_of(spectrum, spectrum.frequency(np.array([12 + k * step])), bins)[0] for k in range(-20, 21)]
     for part in PARTS:
-        found = np.array([getattr(at, part)[0] for at in path])
-        size = np.abs(path[0].minus if part == "plus" else found).max()
+        found = np.array([at[part][0] for at in path])
+        size = np.abs(path[0]["motion"] if part == "mirrored" else found).max()
         # a bin is a turn of the mode over the record
         assert np.abs(np.diff(found, 3, axis=0)).max() <= (2 * np.pi * step) ** 3 * size
         assert np.ptp(found.real) + np.ptp(found.imag) > 0

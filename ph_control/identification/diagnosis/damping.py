@@ -17,11 +17,10 @@ from scipy.special import fdtrc
 from scipy.stats import norm
 
 from ..regression.free import FreeProjection, first_step
-from ..regression.free_rows import FreeRecord, FreeRows, FreeTransform
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.prediction import fit_percent
-from ..regression.spectral_rows import Spectrum
-from ..regression.time_rows import Experiment
+from ..regression.spectral_rows import FreeWindow, Spectrum
+from ..regression.time_rows import Experiment, FreeRecord, FreeRows
 from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import SURE, Finding, noise_size
 from ..search.criteria import criteria, free_preference, preference
@@ -101,10 +100,10 @@ def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None
     rows: list[FreeRows] = []
     for one in records:
         if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
-            about = FreeTransform.about(Spectrum.of(one), p, through)
+            about = FreeWindow.about(Spectrum.of(one), p, through)
             rows.append(replace(about, counts=noise_size(noise, one, at, about.bins) ** -0.5))
         else:
-            rows.append(FreeRecord(one, through))
+            rows.append(FreeRecord.of(one, through))
     gain, left, dof, fitted = first_step(rows, p, shared, directions)
     near = sum(one.samples for one in rows) - fitted
     if not dof or near < 1:
@@ -212,13 +211,13 @@ def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: s
     records, free, offsets = isinstance(search.data, Records), [], []
     for one, own in zip(problem.experiments, at.own, strict=True):
         moving = isinstance(one, Experiment) and not one.from_rest
-        free.append((2 * (own[:n] + 1j * own[n : 2 * n]))[rank] if moving else np.zeros(n * records, complex))
-        offsets.append(float(own[-1]) if isinstance(one, Experiment) and one.offset else 0.0)
+        free.append((2 * (own[:n, 0] + 1j * own[n : 2 * n, 0]))[rank] if moving else np.zeros(n * records, complex))
+        offsets.append(float(own[-1, 0]) if isinstance(one, Experiment) and one.offset else 0.0)
     loss = at.loss / problem.samples
     model = DampedModel(
         poles=at.p[rank],
-        residues=at.residues[rank],
-        feedthrough=at.feedthrough,
+        residues=at.residues[rank, 0, 0] if at.inputs else np.zeros(n, complex),
+        feedthrough=float(at.feedthrough[0, 0]) if at.inputs else 0.0,
         covariance=_covariance(at, variance, rank),
         noise_variance=variance,
         loss=loss,
@@ -226,7 +225,7 @@ def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: s
         fit_percent=_fit_percent(problem, errors),
         free_amplitudes=tuple(free),
         offsets=tuple(offsets),
-        predicted=tuple(search.data.predicted(at)),
+        predicted=tuple(at.predicted()),
         damped=np.zeros(n, bool),
         negative=np.zeros(n, bool),
         quantity=quantity,

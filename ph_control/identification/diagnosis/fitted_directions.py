@@ -13,7 +13,7 @@ from ...modal.discretization import Hold
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.frequency_rows import modal_columns
-from ..regression.modal_regressors import regressors
+from ..regression.modal_regressors import Regressors
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -61,7 +61,7 @@ def of_record(
     """
     shared, parts = np.zeros((record.samples, 0)), [np.zeros((record.samples, 0))]
     if len(d):
-        found = regressors(d, record.u, hold, quantity)
+        found = Regressors(d, record.u, hold, quantity)
         # without an input the forced columns are 0
         by_d = kappa * found.forced_slope + free.real * found.cosine_slope + free.imag * found.sine_slope
         shared = np.concatenate([by_d, found.forced[:, weighted]], axis=1)

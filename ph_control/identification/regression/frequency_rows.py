@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import EPS
 from ..data.frequency_record import FrequencyRecord
+from .spectral_rows import Pair, real_rows, stacked
 from .time_rows import Evaluation
 
 Array = NDArray[np.float64]
@@ -118,11 +120,10 @@ class FrequencyEvaluation(Evaluation):
         columns, _ = modal_columns(self._d, self._rows.record.omega, self._rows.quantity)
         return np.asarray(kappa @ columns)
 
-    def _joined(self, more: ComplexArray | Array) -> Array:
+    def _joined(self, more: NDArray[Any]) -> Array:
         record = self._rows.record
         target = record.response[record.observed][None]
-        rows = np.concatenate([self._columns, more, target]) * self._rows.scale
-        return np.concatenate([rows.real, rows.imag], axis=1)
+        return real_rows([self._columns, more, target], self._rows.scale)
 
 
 def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
@@ -139,3 +140,85 @@ def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, 
         "acceleration": -(omega**2) + 0j,
     }[quantity]
     return factor / gap, -2 * d[:, None] * factor / gap**2
+
+
+# --- with damping ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FreeResponse:
+    """A frequency response for modes with any damping and residues, on a background of what modes outside leave."""
+
+    rows: FrequencyRows
+    moving: bool = False
+    inputs: int = 1
+    outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
+
+    @property
+    def samples(self) -> int:
+        """Real and imaginary parts."""
+        return self.rows.samples
+
+    @property
+    def through(self) -> bool:
+        """A force is felt by an accelerometer at once."""
+        return self.rows.quantity == "acceleration"
+
+    @property
+    def target(self) -> ComplexArray:
+        """Response in the scale of its weights."""
+        return self.rows.target
+
+    def own_unknowns(self, n: int) -> int:
+        """The background."""
+        return len(self.background(n))
+
+    def background(self, n: int) -> ComplexArray:
+        """Modes far below the band act as a mass, those far above as a spring; only where points abound."""
+        omega, quantity = self.rows.omega, self.rows.quantity
+        lowest = omega[omega > 0].min(initial=np.inf)
+        if len(omega) < 10 + 4 * n or not np.isfinite(lowest):
+            return np.zeros((0, len(omega)), complex)
+        if quantity == "acceleration":
+            # the mass is what is fed through
+            return -(omega[None] ** 2).astype(complex)
+        factor = 1j * omega if quantity == "velocity" else np.ones(len(omega), complex)
+        return np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
+
+    def at(self, p: ComplexArray) -> FreeResponseEvaluation:
+        """The rows for modes with these poles."""
+        return FreeResponseEvaluation(self, p)
+
+    def columns(self, p: ComplexArray) -> ComplexArray:
+        """Columns of all unknowns, in the scale of the weights."""
+        through = np.ones((int(self.through), len(self.rows.omega)))
+        columns = np.concatenate([self.background(len(p)), stacked(self.poles(p)), through])
+        return np.asarray(columns * self.rows.scale)
+
+    def poles(self, p: ComplexArray) -> Pair:
+        """`1 / (s - p)` and `1 / (s - conj p)`."""
+        s, poles = 1j * self.rows.omega, p[:, None]
+        gap = s - poles
+        gap = np.where(gap == 0, EPS * np.abs(poles), gap)
+        return np.asarray(1.0 / gap), np.asarray(1.0 / (s - poles.conj()))
+
+
+class FreeResponseEvaluation(Evaluation):
+    """The rows of a response for modes with any damping and residues."""
+
+    def __init__(self, rows: FreeResponse, p: ComplexArray) -> None:
+        self._rows, self._p = rows, p
+
+    def blocks(self) -> Iterator[Array]:
+        """All rows in one block."""
+        ahead, behind = self._rows.poles(self._p)
+        slopes = self._rows.rows.scale * stacked((ahead**2, behind**2))
+        yield real_rows([self._rows.columns(self._p), slopes, self._rows.target[None]])
+
+    def predict(self, shared: Array, own: Array) -> ComplexArray:
+        """Response of a model at all frequencies of the record; NaN where nothing was measured."""
+        record = self._rows.rows.record
+        everywhere = np.full((shared.shape[1], len(record.omega)), np.nan, complex)
+        weights = np.concatenate([own, shared])
+        everywhere[:, record.observed] = weights.T @ self._rows.columns(self._p) / self._rows.rows.scale
+        return everywhere

@@ -1,24 +1,29 @@
-"""What each mode contributes to the output, and how that changes with its frequency.
+"""What each mode contributes to the samples of a record, and how that changes with its pole.
 
-Given the natural frequencies the predicted output is linear in everything else:
+Given the poles the predicted output is linear in everything else.  A mode `x' = p x + w u` adds
 
-    y_k = sum_l  kappa_l F_l(k) + alpha_l Re lambda_l^k - beta_l Im lambda_l^k,
+    y_k = Re(a lambda^k + x_k),
 
-`F_l` the response of a mode of unit residue from rest, `alpha + i beta` its free motion at the output.  What is
-measured of the port is a weight `c_l` on the modal state, `F_l = Re(c_l x_l)`: 1 for its velocity, `i / d_l` for its
-displacement, `-i d_l` (and the input itself, fed through) for its acceleration.
+`a` its free motion at the output and `x` its response from rest.  Without losses `p = -i d`, and what is measured of
+the port is the weight `w`: the residue `kappa` times 1 for its velocity, `i / d` for its displacement, `-i d` (and the
+input itself, fed through) for its acceleration.  With sensors anywhere the weight is any complex number, so that the
+real and the imaginary part of its column belong to one unknown each.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from ...modal.discretization import Hold, Step
+from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
+from ...numerics import double_double
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -26,6 +31,64 @@ ComplexArray = NDArray[np.complex128]
 QUANTITIES = ("velocity", "displacement", "acceleration")
 
 SHORT = 32  # samples in a group
+
+_DEAD = 1e-200  # of the largest state: what has died away must not leave the range of doubles, where all is slow
+
+
+@dataclass(frozen=True)
+class SampledModes:
+    """One step `x_(k+1) = lambda x_k + b0 u_k + b1 u_(k+1)` of modes (n,), and its derivatives by their poles.
+
+    `lambda = exp(growth + i phase)` with the phase as a pair of doubles, so that high powers keep their phase; `turn`
+    is the derivative of its logarithm.
+    """
+
+    growth: Array
+    phase: double_double.Pair
+    b0: ComplexArray
+    b1: ComplexArray
+    turn: ComplexArray
+    b0_slope: ComplexArray
+    b1_slope: ComplexArray
+
+    def powers(self, k: Array) -> ComplexArray:
+        """`lambda^k` for integers k, shape (n, len(k))."""
+        rotation = double_double.cis_multiples(self.phase, k)
+        return rotation * np.exp(np.multiply.outer(self.growth, k)) if self.growth.any() else rotation
+
+    @property
+    def multiplier(self) -> ComplexArray:
+        """The numbers `lambda`."""
+        return self.powers(np.ones(1))[:, 0]
+
+    @classmethod
+    def of(cls, hold: Hold, p: ComplexArray) -> SampledModes:
+        """Modes with poles `p` and unit weight."""
+        b0, b1, b0_slope, b1_slope = hold.weights_and_derivatives(p)
+        return cls(*hold.log_multiplier(p), b0, b1, hold.log_derivative(p), b0_slope, b1_slope)
+
+    @classmethod
+    def lossless(cls, hold: Hold, d: Array, quantity: str, sign: int = -1) -> SampledModes:
+        """Modes without losses and of unit residue, with the poles `-i d`, or `i d`; derivatives by the frequencies."""
+        weight, slope = output_weight(d, quantity)
+        if sign > 0:
+            weight, slope = weight.conj(), slope.conj()
+        return cls.of(hold, imaginary(sign * d)).along(1j * sign).weighted(weight, slope)
+
+    def along(self, direction: complex) -> SampledModes:
+        """The same with derivatives by a real number along which the poles move."""
+        slopes = (direction * part for part in (self.turn, self.b0_slope, self.b1_slope))
+        return SampledModes(self.growth, self.phase, self.b0, self.b1, *slopes)
+
+    def weighted(self, weight: ComplexArray, slope: ComplexArray) -> SampledModes:
+        """The same for inputs with a weight that changes with the pole by a slope."""
+        return replace(
+            self,
+            b0=weight * self.b0,
+            b1=weight * self.b1,
+            b0_slope=weight * self.b0_slope + slope * self.b0,
+            b1_slope=weight * self.b1_slope + slope * self.b1,
+        )
 
 
 def output_weight(d: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
@@ -37,13 +100,53 @@ def output_weight(d: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
     return imaginary(-d), imaginary(-np.ones(len(d)))
 
 
-@dataclass(frozen=True)
-class Carry:
-    """What the past leaves at the start of a piece of a record: sample number, modal states and their derivatives."""
+# --- groups of samples ------------------------------------------------------------------------------------------------
 
-    sample: int
-    state: ComplexArray
-    slope: ComplexArray
+
+@dataclass(frozen=True)
+class ModalColumns:
+    """Columns `Re(sum_i amplitude_i motion_i + response to the samples of the group)` over groups of samples.
+
+    `amplitudes` (1 or 2, n, count) belong to `lambda^s`, s counting the samples of a group, and to `s lambda^s` times
+    the derivative of the logarithm; `within` (n, SHORT, SHORT) is the response to the samples of an `input`, if any.  A
+    `pair` stands for complex coefficients: beside the real parts are those of `i` times the same.
+    """
+
+    amplitudes: tuple[ComplexArray, ...]
+    within: NDArray[Any] | None = None
+    pair: bool = False
+    input: int = 0
+
+    @property
+    def turned(self) -> list[tuple[tuple[ComplexArray, ...], Array | None]]:
+        """Amplitudes and real responses of the real parts, and of those of `i` times the same."""
+        real = None if self.within is None else self.within.real
+        if not self.pair:
+            return [(self.amplitudes, real)]
+        imaginary_part = None if self.within is None else -self.within.imag
+        return [(self.amplitudes, real), (tuple(1j * part for part in self.amplitudes), imaginary_part)]
+
+
+@dataclass(frozen=True)
+class GroupStates:
+    """A piece of a record by groups: its samples, and modal states at the start of each, with their derivatives.
+
+    `samples` are those of the piece in the record, `inputs` (m, count, SHORT); `driven` and `driven_slope`
+    (m, n, count) the states that each input causes from rest, `free` and `free_slope` (n, count) those of unit motions.
+    """
+
+    samples: slice
+    inputs: Array
+    driven: ComplexArray
+    driven_slope: ComplexArray
+    free: ComplexArray
+    free_slope: ComplexArray
+
+    def after(self, count: int) -> GroupStates:
+        """The same without the first groups."""
+        states = (part[..., count:] for part in (self.driven, self.driven_slope, self.free, self.free_slope))
+        part = slice(self.samples.start + count * SHORT, self.samples.stop)
+        return GroupStates(part, self.inputs[:, count:], *states)
 
 
 class Kernel:
@@ -53,198 +156,153 @@ class Kernel:
     their own group is a product with the impulse responses `g`, and what all earlier ones do is a free motion.
     """
 
-    def __init__(self, d: Array, hold: Hold, quantity: str = "velocity") -> None:
-        self.n = len(d)
-        p = imaginary(-d)
-        now, then, *slopes = hold.weights_and_derivatives(p)
-        self._step = Step(*hold.log_multiplier(p), now[:, None], then[:, None], np.ones((1, len(d)), complex))
-        # derivatives by the frequency: the pole moves down the axis
-        db0, self._db1 = (-1j * slope for slope in slopes)
-        self._turn = -1j * hold.log_derivative(p)
-        self._powers = self._step.powers(np.arange(SHORT + 1.0))
-        lam, b0, b1 = self._powers[:, 1], self._step.b0[:, 0], self._step.b1[:, 0]
-        self._b1 = b1
-        weight = self.weight = b0 + lam * b1
-        weight_slope = db0 + lam * (self._turn * b1 + self._db1)
+    def __init__(self, modes: SampledModes, through: float = 0.0) -> None:
+        self.modes, self._through = modes, through
+        self._powers = modes.powers(np.arange(SHORT + 1.0))
+        lam = self._powers[:, 1]
+        self.weight = modes.b0 + lam * modes.b1
+        weight_slope = modes.b0_slope + lam * (modes.turn * modes.b1 + modes.b1_slope)
         # from the lag 1 on, lambda^(m-1) w and its derivative
         past = self._powers[:, :-1]
-        self._impulse = weight[:, None] * past
+        self._impulse = self.weight[:, None] * past
         lags = np.arange(float(SHORT))
-        self._impulse_slope = (weight_slope[:, None] + np.outer(self._turn * weight, lags)) * past
-        self._output, self._output_slope = output_weight(d, quantity)
-        self._fed_through = float(quantity == "acceleration")
+        self._impulse_slope = (weight_slope[:, None] + np.outer(modes.turn * self.weight, lags)) * past
 
-    def start(self, u: Array) -> Carry:
-        """A record from rest: what an interpolated first sample adds to the state at once is taken off again."""
-        return Carry(0, -self._b1 * u[0], -self._db1 * u[0])
+    @property
+    def n(self) -> int:
+        """Number of modes."""
+        return len(self.weight)
 
-    @cached_property
-    def within(self) -> Array:
-        """Output of samples of one group at its instants, shape (n, SHORT, SHORT)."""
-        lag_0 = (self._output * self._b1).real + self._fed_through
-        return _toeplitz(lag_0, (self._output[:, None] * self._impulse).real)
+    def within(self, pair: bool = False) -> NDArray[Any]:
+        """Response to the samples of a group at its instants, shape (n, SHORT, SHORT); complex for a pair."""
+        now, later = self.modes.b1 + self._through, self._impulse
+        return _toeplitz(now, later) if pair else _toeplitz(now.real, later.real)
 
-    @cached_property
-    def within_slope(self) -> Array:
-        """Its derivative by the frequency."""
-        lag_0 = (self._output_slope * self._b1 + self._output * self._db1).real
-        later = self._output_slope[:, None] * self._impulse + self._output[:, None] * self._impulse_slope
-        return _toeplitz(lag_0, later.real)
+    def within_slope(self, pair: bool = False) -> NDArray[Any]:
+        """Its derivative by the pole, or by what the poles move along."""
+        now, later = self.modes.b1_slope, self._impulse_slope
+        return _toeplitz(now, later) if pair else _toeplitz(now.real, later.real)
 
     @cached_property
     def motion(self) -> Array:
-        """Real and imaginary part of `lambda^i` and of `i lambda^i d log lambda`, shape (n, 4, SHORT)."""
+        """Real and imaginary part of `lambda^s` and of `s lambda^s d log lambda`, shape (n, 4, SHORT)."""
         free = self._powers[:, :SHORT]
-        turning = self._turn[:, None] * np.arange(float(SHORT)) * free
+        turning = self.modes.turn[:, None] * np.arange(float(SHORT)) * free
         return np.stack([free.real, -free.imag, turning.real, -turning.imag], axis=1)
 
-    def turns(self, count: int) -> ComplexArray:
-        """`lambda^k` at the starts of `count` groups and after them, shape (n, count + 1)."""
-        return self._step.powers(SHORT * np.arange(count + 1.0))
+    def pieces(self, inputs: Array, size: int, slopes: bool) -> Iterator[GroupStates]:
+        """States through a record with inputs (m, T), so many groups at a time; derivatives are 0 if not asked for."""
+        modes, samples = self.modes, inputs.shape[1]
+        # what an interpolated first sample adds to the state at once is taken off again
+        state, slope = -np.outer(inputs[:, 0], modes.b1), -np.outer(inputs[:, 0], modes.b1_slope)
+        leaps = modes.powers(SHORT * np.arange(min(size, -(-samples // SHORT)) + 1.0))
+        for first in range(0, samples, size * SHORT):
+            part = slice(first, min(first + size * SHORT, samples))
+            groups = np.stack([in_groups(u[part]) for u in inputs])
+            count = groups.shape[1]
+            turns = leaps[:, : count + 1]
+            driven = np.empty((len(groups), self.n, count + 1), complex)
+            driven_slope = np.zeros_like(driven)
+            for k, u in enumerate(groups):
+                driven[k] = self._carried(turns, self._impulse[:, ::-1] @ u.T, state[k])
+                if slopes:
+                    push = self._impulse_slope[:, ::-1] @ u.T
+                    push += (SHORT * modes.turn * self._powers[:, SHORT])[:, None] * driven[k, :, :-1]
+                    driven_slope[k] = self._carried(turns, push, slope[k])
+            free = turns[:, :-1] * modes.powers(np.array([float(first)])) if first else turns[:, :-1]
+            free_slope = (modes.turn[:, None] * (first + SHORT * np.arange(float(count)))) * free
+            yield GroupStates(part, groups, driven[..., :-1], driven_slope[..., :-1], free, free_slope)
+            state, slope = driven[..., -1], driven_slope[..., -1]
 
-    def states(
-        self, groups: Array, turns: ComplexArray, carry: Carry, slopes: bool
-    ) -> tuple[ComplexArray, ComplexArray, Carry]:
-        """States at the start of every group (n, count), their derivatives where asked for, and what is carried on.
+    def _carried(self, turns: ComplexArray, push: ComplexArray, start: ComplexArray) -> ComplexArray:
+        """All `x_k`, `k = 0 .. count`, of `x_(k+1) = leap x_k + push_k`.
 
-        `x_(k+1) = leap x_k + push_k` is a running sum once every push is turned back to the start.
+        A running sum once every push is turned back to the start; modes that die away cannot be turned back.
         """
-        back = 1.0 / turns[:, 1:]
-        state = _accumulated(turns, back, self._impulse[:, ::-1] @ groups.T, carry.state)
-        slope = np.zeros_like(state)
-        if slopes:
-            push = self._impulse_slope[:, ::-1] @ groups.T
-            push += (SHORT * self._turn * self._powers[:, SHORT])[:, None] * state[:, :-1]
-            slope = _accumulated(turns, back, push, carry.slope)
-        onward = Carry(carry.sample + len(groups) * SHORT, state[:, -1], slope[:, -1])
-        return state[:, :-1], slope[:, :-1], onward
+        total = np.empty_like(turns)
+        total[:, 0] = start
+        if (self.modes.growth >= 0).all():
+            np.multiply(push, 1.0 / turns[:, 1:], out=total[:, 1:])
+            return turns * np.cumsum(total, axis=1)
+        for k, leap in enumerate(self._powers[:, SHORT]):
+            total[k, 1:], _ = lfilter([1.0], [1.0, -leap], push[k], zi=[leap * start[k]])
+        total[np.abs(total) < _DEAD * np.abs(total).max(initial=0.0)] = 0.0
+        return total
 
-    def free_starts(self, sample: int, turns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """`lambda^k` at the start of every group, the first of them at `sample`, and its derivative; (n, count)."""
-        count = turns.shape[1] - 1
-        free = self._step.powers(np.array([float(sample)])) * turns[:, :-1] if sample else turns[:, :-1]
-        return free, (self._turn[:, None] * (sample + SHORT * np.arange(float(count)))) * free
-
-    def forced(self, groups: Array, state: ComplexArray, out: Array | None = None) -> Array:
-        """Response to the input with unit residue, shape (n, count, SHORT)."""
-        out = np.matmul(groups, self.within, out=out)
-        out += _real_part(self._output[:, None] * state, self.motion[:, :2])
-        return out
-
-    def free(self, starts: ComplexArray, out: Array | None = None) -> Array:
-        """`Re(start lambda^i)`, shape (n, count, SHORT)."""
-        return _real_part(starts, self.motion[:, :2], out)
-
-    def forced_slope(self, groups: Array, state: ComplexArray, slope: ComplexArray) -> Array:
-        """Derivative of `forced` by the frequencies."""
-        return self.sensitivity(np.ones(self.n), groups, state, slope)
-
-    def free_slope(self, starts: ComplexArray, slopes: ComplexArray) -> Array:
-        """Derivative of `free` by the frequencies, where the starts change as given."""
-        return _real_part(np.stack([slopes, starts]), self.motion)
-
-    def sensitivity(
-        self, kappa: Array, groups: Array | None, state: ComplexArray, slope: ComplexArray, out: Array | None = None
-    ) -> Array:
-        """Derivative of the output by the frequencies, with residues `kappa`: all past in `state` and its `slope`."""
-        by_slope = self._output_slope[:, None] * state + self._output[:, None] * slope
-        return self.moved(kappa, groups, kappa[:, None] * by_slope, (kappa * self._output)[:, None] * state, out)
-
-    def moved(
-        self, kappa: Array, groups: Array | None, slope: ComplexArray, state: ComplexArray, out: Array | None = None
-    ) -> Array:
-        """Derivative of the output by the frequencies, from the output amplitudes of all past and their derivatives."""
-        motion = _real_part(np.stack([slope, state]), self.motion, None if groups is not None else out)
-        if groups is None:
-            return motion
-        out = np.matmul(groups, kappa[:, None, None] * self.within_slope, out=out)
-        out += motion
-        return out
-
-    @property
-    def output(self) -> tuple[ComplexArray, ComplexArray]:
-        """Weight of the modal states in the output, and its derivative."""
-        return self._output, self._output_slope
+    def fill(self, columns: ModalColumns, groups: Array, out: Array) -> None:
+        """Columns over groups of samples (count, SHORT), into an array (columns, count, SHORT)."""
+        for place, (amplitudes, within) in enumerate(columns.turned):
+            here = out[place * self.n : (place + 1) * self.n]
+            motion = self.motion[:, : 2 * len(amplitudes)]
+            weights = np.concatenate([part for one in amplitudes for part in ([one.real], [one.imag])])
+            if within is None:
+                np.matmul(np.moveaxis(weights, 0, 2), motion, out=here)
+            else:
+                np.matmul(groups, within, out=here)
+                here += np.matmul(np.moveaxis(weights, 0, 2), motion)
 
 
-def _toeplitz(now: Array, later: Array) -> Array:
+def _toeplitz(now: NDArray[Any], later: NDArray[Any]) -> NDArray[Any]:
     """Upper triangular Toeplitz matrices (n, SHORT, SHORT): `now` on the diagonal, `later` (n, SHORT) above it."""
     response = np.concatenate([np.zeros((len(now), SHORT)), now[:, None], later[:, : SHORT - 1]], axis=1)
     # row j holds the response to sample j
     return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(response, SHORT, axis=1)[:, SHORT:0:-1])
 
 
-def _real_part(starts: ComplexArray, motion: Array, out: Array | None = None) -> Array:
-    """`Re(sum start * motion)` for starts (n, count) or several of them (m, n, count), shape (n, count, SHORT)."""
-    several = starts[None] if starts.ndim == 2 else starts
-    weights = np.concatenate([part for one in several for part in ([one.real], [one.imag])])
-    return np.matmul(np.moveaxis(weights, 0, 2), motion, out=out)
-
-
-def _accumulated(turns: ComplexArray, back: ComplexArray, push: ComplexArray, start: ComplexArray) -> ComplexArray:
-    """All `x_k`, `k = 0 .. count`, of `x_(k+1) = leap x_k + push_k`."""
-    total = np.empty_like(turns)
-    total[:, 0] = start
-    np.multiply(push, back, out=total[:, 1:])
-    return turns * np.cumsum(total, axis=1)
+def in_groups(signal: Array) -> Array:
+    """Samples `SHORT` at a time, shape (count, SHORT), zeros after the last."""
+    padding = -len(signal) % SHORT
+    padded = np.concatenate([signal, np.zeros(padding)]) if padding else signal
+    return padded.reshape(-1, SHORT)
 
 
 class Regressors:
-    """Columns of the linear problem and their derivatives over a whole record, each of shape (T, n).
+    """Columns of lossless modes and their derivatives over a whole record, each of shape (T, n), computed when asked.
 
-    For frequencies `d` and an input `u`: O(T n), computed when asked for.
+    `forced` is the response to the input with unit residue from rest, `cosine` the free motion from a unit amplitude
+    and `sine` that from one a quarter of a turn ahead.
     """
 
     def __init__(self, d: Array, u: Array, hold: Hold, quantity: str = "velocity") -> None:
-        self._kernel, self._samples = Kernel(d, hold, quantity), len(u)
-        self._groups = in_groups(u)
-        self._start = self._kernel.start(u)
+        self._kernel = Kernel(SampledModes.lossless(hold, d, quantity), float(quantity == "acceleration"))
+        self._samples = len(u)
+        (self._states,) = self._kernel.pieces(u[None], -(-len(u) // SHORT), True)
 
-    @cached_property
-    def _states(self) -> tuple[ComplexArray, ComplexArray, Carry]:
-        return self._kernel.states(self._groups, self._turns, self._start, True)
-
-    @cached_property
-    def _turns(self) -> ComplexArray:
-        return self._kernel.turns(len(self._groups))
-
-    @cached_property
-    def _free(self) -> tuple[ComplexArray, ComplexArray]:
-        return self._kernel.free_starts(0, self._turns)
-
-    def _flat(self, parts: Array) -> Array:
-        return parts.reshape(len(parts), -1)[:, : self._samples].T
+    def _flat(self, amplitudes: tuple[ComplexArray, ...], within: Array | None = None) -> Array:
+        groups = self._states.inputs[0]
+        out = np.empty((self._kernel.n, *groups.shape))
+        self._kernel.fill(ModalColumns(amplitudes, within), groups, out)
+        return out.reshape(len(out), groups.size)[:, : self._samples].T
 
     @property
     def forced(self) -> Array:
-        """Response to the input with unit residue, from rest."""
-        return self._flat(self._kernel.forced(self._groups, self._states[0]))
+        """Response to the input."""
+        return self._flat((self._states.driven[0],), self._kernel.within())
 
     @property
     def cosine(self) -> Array:
-        """Free motion from a unit amplitude."""
-        return self._flat(self._kernel.free(self._free[0]))
+        """Free motion."""
+        return self._flat((self._states.free,))
 
     @property
     def sine(self) -> Array:
-        """Free motion from an amplitude a quarter of a turn ahead."""
-        return self._flat(self._kernel.free(1j * self._free[0]))
+        """Free motion a quarter of a turn ahead."""
+        return self._flat((1j * self._states.free,))
 
     @property
     def forced_slope(self) -> Array:
         """Derivative of `forced` by the frequency."""
-        return self._flat(self._kernel.forced_slope(self._groups, *self._states[:2]))
+        return self._flat((self._states.driven_slope[0], self._states.driven[0]), self._kernel.within_slope())
 
     @property
     def cosine_slope(self) -> Array:
         """Derivative of `cosine`."""
-        return self._flat(self._kernel.free_slope(*self._free))
+        return self._flat((self._states.free_slope, self._states.free))
 
     @property
     def sine_slope(self) -> Array:
         """Derivative of `sine`."""
-        starts, slopes = self._free
-        return self._flat(self._kernel.free_slope(1j * starts, 1j * slopes))
+        return self._flat((1j * self._states.free_slope, 1j * self._states.free))
 
     def columns(self) -> Array:
         """All columns `[F, Re lambda^k, -Im lambda^k]`, shape (T, 3n)."""
@@ -253,15 +311,3 @@ class Regressors:
     def slopes(self) -> Array:
         """Derivative of each column by the frequency of its own mode, shape (T, 3n)."""
         return np.concatenate([self.forced_slope, self.cosine_slope, self.sine_slope], axis=1)
-
-
-def regressors(d: Array, u: Array, hold: Hold, quantity: str = "velocity") -> Regressors:
-    """Columns and exact derivatives for frequencies `d` and input `u`: O(T n)."""
-    return Regressors(d, u, hold, quantity)
-
-
-def in_groups(signal: Array) -> Array:
-    """Samples `SHORT` at a time, shape (count, SHORT), zeros after the last."""
-    padding = -len(signal) % SHORT
-    padded = np.concatenate([signal, np.zeros(padding)]) if padding else signal
-    return padded.reshape(-1, SHORT)

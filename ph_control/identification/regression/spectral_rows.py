@@ -2,23 +2,24 @@
 
 The transform of a finite record obeys, exactly and for every mode,
 
-    X_m = (kappa (b_0 + b_1 z_m) U_m + z_m tau) / (z_m - lambda),      z_m = exp(2 pi i m / T),   tau = x_0 - x_T,
+    X_m = ((b_0 + b_1 z_m) U_m + z_m tau) / (z_m - lambda),      z_m = exp(2 pi i m / T),   tau = x_0 - x_T,
 
-so that near its frequency a mode is three unknowns (`kappa`, complex `tau`) in a linear problem over a few bins,
-whatever the length of the record.
+so that near its frequency a mode is a few unknowns (residue, complex `tau`) in a linear problem over a few bins,
+whatever the length of the record.  Modes have poles of positive imaginary part here, with or without losses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
-from .modal_regressors import output_weight
+from .modal_regressors import SampledModes
 from .time_rows import Evaluation, Experiment
 
 Array = NDArray[np.float64]
@@ -26,9 +27,10 @@ ComplexArray = NDArray[np.complex128]
 Bins = NDArray[np.intp]
 Pair = tuple[ComplexArray, ComplexArray]
 
-_OFF_BIN = 1e-3  # bins: on a bin the columns of a mode become parallel, though their span does not
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
 _PIECE = 1 << 18  # numbers worked on at a time
+_HALF_WIDTH = 12  # bins on either side of a damped mode, and as many half-widths of its peak
+_THINNED = 256  # bins about a damped mode, at most
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,7 @@ class Spectrum:
 
     def place(self, d: Array) -> Array:
         """Frequencies in bins, as the samples show them."""
-        high, low = self.experiment.hold.step(imaginary(-d)).phase
-        return np.abs(high + low) * self.length / (2 * np.pi)
+        return _place(self.experiment.hold.log_multiplier(imaginary(d))[1], self.length)
 
     def frequency(self, place: Array) -> Array:
         """Natural frequencies that the samples show at these places."""
@@ -70,43 +71,21 @@ class Spectrum:
         ends = np.abs(transform[0]) ** 2 + (np.abs(transform[-1]) ** 2 if self.length % 2 == 0 else 0.0)
         return float((2 * inside + ends) / self.length)
 
-    def columns(self, d: Array, bins: Bins) -> tuple[ComplexArray, ComplexArray]:
-        """Columns `(f, g)` of modes at bins that broadcast against `d[..., None]`; of one on a bin, those close by.
+    def lossless(self, d: Array) -> SampledModes:
+        """Modes without losses of unit residue, as `TransformColumns` takes them."""
+        half = np.full(len(d), 0.5 + 0j)
+        return SampledModes.lossless(self.experiment.hold, d, self.experiment.quantity, 1).weighted(half, 0 * half)
 
-        `f` belongs to `kappa`; `g` and `conj` of it at the negative bin to `tau`, so that its columns are `g_+ + g_-`
-        and `i (g_+ - g_-)`, kept as the pair `g_+`, `g_-` stacked in front.
-        """
-        one = self.experiment
-        step = one.hold.step(imaginary(-d))
-        lam = self._off_bin(d, step.multiplier)[..., None]
-        b0, b1 = step.b0[..., 0, None], step.b1[..., 0, None]
-        weight = output_weight(d, one.quantity)[0][..., None]
-        z = np.exp(2j * np.pi / self.length * bins)
-        U = self.U[bins] if one.driven else np.zeros(bins.shape)
-        right, left = 0.5 / (z - lam), 0.5 / (z - lam.conj())
-        gain, mirrored = weight * (b0 + b1 * z), weight.conj() * (b0.conj() + b1.conj() * z)
-        forced = U * (gain * right + mirrored * left)
-        if one.quantity == "acceleration":
-            forced = forced + U
-        return forced, np.stack([z * right, z * left])
-
-    def _off_bin(self, d: Array, lam: ComplexArray) -> ComplexArray:
-        """The multipliers, those on a bin moved a little off it."""
-        place = self.place(d)
-        offset = place - np.rint(place)
-        wanted = np.where(offset < 0, -_OFF_BIN, _OFF_BIN)
-        turn = np.where(np.abs(offset) < _OFF_BIN, wanted - offset, 0.0) * 2 * np.pi / self.length
-        return lam * np.exp(-1j * turn)
-
-    def left(self, d: Array, kappa: Array, own: Array) -> ComplexArray:
-        """Transform of what modes do not explain, at all bins; O(T n) time."""
-        n = len(d)
+    def left(self, modes: SampledModes, residues: Array | ComplexArray, own: Array, through: float) -> ComplexArray:
+        """Transform of what modes with these residues and motions do not explain, at all bins; O(T n) time."""
+        n = len(residues)
         residual = self.Y.copy()
-        ends = own[:n] + 1j * own[n : 2 * n]
         size = max(1, _PIECE // max(1, n))
         for first in range(0, len(residual), size):
             bins = np.arange(first, min(first + size, len(residual)))
-            residual[bins] -= SmoothColumns(self, d, bins).output(kappa, ends)
+            columns = TransformColumns(self.length, modes, bins)
+            inputs = self.U if self.experiment.driven else None
+            residual[bins] -= columns.output(inputs, residues, own[:n] + 1j * own[n : 2 * n], through)
         return residual
 
     def beside_offset(self, residual: ComplexArray) -> ComplexArray:
@@ -114,124 +93,105 @@ class Spectrum:
         return np.concatenate([[0.0], residual[1:]]) if self.experiment.offset else residual
 
 
-class SmoothColumns:
-    """Columns of modes (n,) at bins (K,), of the same span, that pass smoothly through the bins; and their derivatives.
+def _place(phase: tuple[Array, Array], length: int) -> Array:
+    return np.abs(phase[0] + phase[1]) * length / (2 * np.pi)
 
-    The ends are told by a motion `x`: `tau = (1 - lambda^T) x - sigma kappa`.  The first factor has its zero, and
-    `sigma` takes from the column of `kappa` its pole, at the bin nearest to the mode.  Columns are of shape (n, K).
+
+class TransformColumns:
+    """Columns of modes (n,) at bins (K,), or (n, K) of their own, that pass smoothly through the bins.
+
+    The ends are told by a motion `x`: `tau = (1 - lambda^T) x - sigma rho`.  The first factor has its zero, and `sigma`
+    takes from the column of the residue `rho` its pole, at the bin nearest to the mode.  Each complex coefficient has
+    two parts, of its own and of its conjugate, each of shape (n, K).
     """
 
-    def __init__(self, spectrum: Spectrum, d: Array, bins: Bins) -> None:
-        one, T = spectrum.experiment, spectrum.length
-        self._one, self._d, self._step = one, d, one.hold.step(imaginary(-d))
-        place = spectrum.place(d)
-        centre = np.rint(place).astype(int)
-        self._at_centre = bins == centre[:, None]
-        self._z, self._z_0 = (np.exp(2j * np.pi / T * each) for each in (bins, centre[:, None]))
-        self._U, self._U_0 = spectrum.U[bins], spectrum.U[np.minimum(centre, T // 2)][:, None]
-        lam = self._step.multiplier[:, None]
-        self._right, self._left = 0.5 / (self._z - lam), 0.5 / np.where(self._at_centre, 1.0, self._z - lam.conj())
-        self._left[self._at_centre] = 0.0
-        # log of conj(lambda) over the z of the centre; lambda^T; and the sum that a pole with a zero upon it is
-        apart = self._step.growth + 2j * np.pi / T * (place - centre)
-        self._length, self._back = T, np.exp(T * apart).conj()[:, None]
-        self._total, self._total_slope = (0.5 * part[:, None] for part in _geometric(apart, T))
+    def __init__(self, length: int, modes: SampledModes, bins: Bins) -> None:
+        self._length, self._modes, self._bins = length, modes, bins
+        place = _place(modes.phase, length)
+        self._centre = np.rint(place).astype(int)
+        self._at_centre = bins == self._centre[:, None]
+        self._z, self._z_0 = (np.exp(2j * np.pi / length * each) for each in (bins, self._centre[:, None]))
+        lam = modes.multiplier[:, None]
+        self._near, self._far = 1.0 / np.where(self._at_centre, 1.0, self._z - lam), 1.0 / (self._z - lam.conj())
+        self._near[self._at_centre] = 0.0
+        # log of lambda over the z of the centre; lambda^T; and the sum that a pole with a zero upon it is
+        apart = modes.growth + 2j * np.pi / length * (place - self._centre)
+        self._back = np.exp(length * apart)[:, None]
+        self._total, self._total_slope = (part[:, None] for part in _geometric(apart, length))
 
     @cached_property
-    def plus(self) -> ComplexArray:
-        """What belongs to the motion."""
-        return np.asarray((1 - self._back) * self._z * self._right)
+    def motion(self) -> Pair:
+        """What belongs to the motion, and to its conjugate."""
+        ahead = np.where(self._at_centre, self._total, (1 - self._back) * self._z * self._near)
+        return ahead, (1 - self._back).conj() * self._z * self._far
 
-    @cached_property
-    def minus(self) -> ComplexArray:
-        """What belongs to its conjugate."""
-        return np.where(self._at_centre, self._total, (1 - self._back).conj() * self._z * self._left)
+    def numerators(self, U: ComplexArray) -> Pair:
+        """What stands over the poles in the columns of the residues of an input with this transform."""
+        return self._numerators(U, self._modes.b0, self._modes.b1)
 
-    @cached_property
-    def _weights(self) -> tuple[tuple[Array | ComplexArray, ...], tuple[ComplexArray, ...]]:
-        """Weights of the output, and of the input now and a sample later; and their derivatives."""
-        step, slopes = self._step, self._one.hold.weights_and_derivatives(imaginary(-self._d))[2:]
-        db0, db1 = (-1j * slope for slope in slopes)
-        weight, slope = output_weight(self._d, self._one.quantity)
-        return (weight[:, None], step.b0, step.b1), (slope[:, None], db0[:, None], db1[:, None])
+    def forced(self, numerators: Pair) -> Pair:
+        """What belongs to the residues of an input, and to their conjugates."""
+        return numerators[0] * self._near, numerators[1] * self._far
 
-    def _gain(self, z: ComplexArray) -> ComplexArray:
-        """What the input is multiplied by ahead of a pole."""
-        weight, b0, b1 = self._weights[0]
-        return np.asarray(weight * (b0 + b1 * z))
+    def _numerators(self, U: ComplexArray, b0: ComplexArray, b1: ComplexArray) -> Pair:
+        """What stands over the pole, 0 at the centre, and over its mirror."""
+        sigma, at = self._sigma(U, b0, b1), U[self._bins]
+        b0, b1 = b0[:, None], b1[:, None]
+        ahead = at * (b0 + b1 * self._z) - sigma * self._z
+        return ahead, at * (b0.conj() + b1.conj() * self._z) - sigma.conj() * self._z
 
-    def _gain_slope(self, z: ComplexArray) -> ComplexArray:
-        (weight, b0, b1), (weight_slope, db0, db1) = self._weights
-        return np.asarray(weight_slope * (b0 + b1 * z) + weight * (db0 + db1 * z))
-
-    def _pole(self, gain: Callable[[ComplexArray], ComplexArray]) -> ComplexArray:
+    def _sigma(self, U: ComplexArray, b0: ComplexArray, b1: ComplexArray) -> ComplexArray:
         """`sigma` of each mode, shape (n, 1)."""
-        return gain(self._z_0.conj()).conj() * self._U_0 / self._z_0
-
-    def _numerators(self, gain: Callable[[ComplexArray], ComplexArray]) -> Pair:
-        """What stands over the pole and its mirror, 0 over the latter at the centre."""
-        sigma = self._pole(gain)
-        return self._U * gain(self._z) - sigma.conj() * self._z, self._U * gain(self._z.conj()).conj() - sigma * self._z
+        U_0 = U[np.minimum(self._centre, self._length // 2)][:, None]
+        return (b0[:, None] + b1[:, None] * self._z_0) * U_0 / self._z_0
 
     @cached_property
-    def _over_poles(self) -> Pair:
-        return self._numerators(self._gain)
+    def _pole_slopes(self) -> Pair:
+        moving = self._modes.turn[:, None] * self._modes.multiplier[:, None]
+        return moving * self._near**2, moving.conj() * self._far**2
 
     @cached_property
-    def forced(self) -> ComplexArray:
-        """What belongs to `kappa`."""
-        if not self._one.driven:
-            return np.zeros(self.plus.shape, complex)
-        ahead, behind = self._over_poles
-        forced = ahead * self._right + behind * self._left
-        return forced + self._U if self._one.quantity == "acceleration" else forced
-
-    @cached_property
-    def slopes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Derivatives of `forced`, `plus` and `minus` by the frequency of each mode."""
-        turn = -1j * self._one.hold.log_derivative(imaginary(-self._d))[:, None]
-        moving = 2 * turn * self._step.multiplier[:, None]
-        right_slope, left_slope = moving * self._right**2, moving.conj() * self._left**2
+    def motion_slopes(self) -> Pair:
+        """Derivatives of `motion` by the poles and their conjugates, or by what these move along."""
+        near_slope, far_slope = self._pole_slopes
+        turn = self._modes.turn[:, None]
         zero, zero_slope = 1 - self._back, -self._length * turn * self._back
-        plus = self._z * (zero_slope * self._right + zero * right_slope)
-        minus = self._z * (zero_slope.conj() * self._left + zero.conj() * left_slope)
-        minus = np.where(self._at_centre, self._total_slope * turn.conj(), minus)
-        if not self._one.driven:
-            return np.zeros(plus.shape, complex), plus, minus
-        (ahead, behind), (ahead_slope, behind_slope) = self._over_poles, self._numerators(self._gain_slope)
-        forced = ahead_slope * self._right + behind_slope * self._left + ahead * right_slope + behind * left_slope
-        return forced, plus, minus
+        ahead = self._z * (zero_slope * self._near + zero * near_slope)
+        behind = self._z * (zero_slope.conj() * self._far + zero.conj() * far_slope)
+        return np.where(self._at_centre, self._total_slope * turn, ahead), behind
 
-    def output(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
-        """Transform of a model, `kappa @ forced + motion @ plus + conj(motion) @ minus`, without these columns.
+    def forced_slopes(self, U: ComplexArray, numerators: Pair) -> Pair:
+        """Derivatives of `forced`."""
+        (near_slope, far_slope), (ahead, behind) = self._pole_slopes, numerators
+        ahead_slope, behind_slope = self._numerators(U, self._modes.b0_slope, self._modes.b1_slope)
+        return ahead_slope * self._near + ahead * near_slope, behind_slope * self._far + behind * far_slope
+
+    def output(
+        self, U: ComplexArray | None, residues: Array | ComplexArray, motion: ComplexArray, through: float
+    ) -> ComplexArray:
+        """Transform of a model with an input, or none, without the columns.
 
         What stands over the poles is a polynomial in `z` and the input, whose coefficients meet the poles in products.
         """
-        driven, acceleration = self._one.driven, self._one.quantity == "acceleration"
-        weight, b0, b1 = (np.ravel(part) for part in self._weights[0])
+        b0, b1 = self._modes.b0, self._modes.b1
         turned = motion * (1 - self._back[:, 0])
-        if driven:
-            turned = turned - kappa * self._pole(self._gain)[:, 0].conj()
-        over = np.stack([kappa * weight * b0, kappa * weight * b1, turned])
-        still, moving, free = over @ self._right + over.conj() @ self._left
+        if U is not None:
+            turned = turned - residues * self._sigma(U, b0, b1)[:, 0]
+        over = np.stack([residues * b0, residues * b1, turned])
+        still, moving, free = over @ self._near + over.conj() @ self._far
         found = self._z * free
-        if driven:
-            found += self._U * (still + self._z * moving + (kappa.sum() if acceleration else 0.0))
+        if U is not None:
+            found += U[self._bins] * (still + self._z * moving + through)
         mode, place = np.nonzero(self._at_centre)
-        np.add.at(found, place, motion[mode].conj() * self._total[mode, 0])
+        np.add.at(found, place, motion[mode] * self._total[mode, 0])
         return np.asarray(found)
-
-    def sensitivity(self, kappa: Array, motion: ComplexArray) -> ComplexArray:
-        """Its derivative by each frequency."""
-        forced, plus, minus = self.slopes
-        return np.asarray(kappa[:, None] * forced + motion[:, None] * plus + motion.conj()[:, None] * minus)
 
 
 def _geometric(x: ComplexArray, count: int) -> tuple[ComplexArray, ComplexArray]:
     """`sum e^(k x), k < count`, and its derivative by `x`."""
     near = np.abs(count * x) < _NEAR
     safe = np.where(near, 1.0 / count, x)
-    top, bottom = (2 * np.exp(half) * np.sinh(half) for half in (0.5 * count * safe, 0.5 * safe))
+    top, bottom = _exp_minus_1(count * safe), _exp_minus_1(safe)
     sums = [count, count * (count - 1) / 2, count * (count - 1) * (2 * count - 1) / 6, (count * (count - 1) / 2) ** 2]
     total = sums[0] + x * (sums[1] + x / 2 * (sums[2] + x / 3 * sums[3]))
     slope = sums[1] + x * (sums[2] + x / 2 * sums[3])
@@ -239,9 +199,28 @@ def _geometric(x: ComplexArray, count: int) -> tuple[ComplexArray, ComplexArray]
     return np.where(near, total, top / bottom), np.where(near, slope, far)
 
 
+def _exp_minus_1(z: ComplexArray) -> ComplexArray:
+    """`e^z - 1` without cancellation near 0, also far to the left."""
+    # not expm1, whose complex version loses digits in some releases of numpy
+    half = np.where(np.abs(z.real) > 1, 1.0, 0.5 * z)
+    return np.where(np.abs(z.real) > 1, np.exp(z) - 1, 2 * np.exp(half) * np.sinh(half))
+
+
+def stacked(pair: Pair) -> ComplexArray:
+    """Columns of the real and the imaginary part of a coefficient, from what belongs to it and to its conjugate."""
+    ahead, behind = pair
+    return np.concatenate([ahead + behind, 1j * (ahead - behind)])
+
+
+def real_rows(columns: Sequence[ComplexArray], scale: Array | float = 1.0) -> Array:
+    """Real and imaginary parts of complex columns (k, m) beside one another."""
+    joined = np.concatenate(columns) * scale
+    return np.concatenate([joined.real, joined.imag], axis=1)
+
+
 @dataclass(frozen=True)
 class Window:
-    """The bins of a spectrum about some modes, as rows for the solver."""
+    """The bins of a spectrum about some lossless modes, as rows for the solver."""
 
     spectrum: Spectrum
     bins: Bins
@@ -249,9 +228,7 @@ class Window:
     @classmethod
     def about(cls, spectrum: Spectrum, d: Array, half_width: int) -> Window:
         """Bins within `half_width` of any of the modes; the constant is never among them."""
-        centres = np.rint(spectrum.place(d)).astype(int)
-        bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
-        return cls(spectrum, bins[(bins >= 1) & (bins <= spectrum.last)])
+        return cls(spectrum, _bins_about(spectrum, d, half_width))
 
     @property
     def samples(self) -> int:
@@ -287,33 +264,157 @@ class Window:
         return WindowEvaluation(self, d)
 
 
+def _bins_about(spectrum: Spectrum, d: Array, half_width: int) -> Bins:
+    centres = np.rint(spectrum.place(d)).astype(int)
+    bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
+    return np.asarray(bins[(bins >= 1) & (bins <= spectrum.last)])
+
+
 class WindowEvaluation(Evaluation):
-    """The rows of a window at some frequencies."""
+    """The rows of a window for lossless modes."""
 
     def __init__(self, window: Window, d: Array) -> None:
-        self._window, self._d = window, d
+        self._window, self._modes = window, window.spectrum.lossless(d)
+        self._input = window.spectrum.U if window.driven else None
+        self._through = float(window.spectrum.experiment.quantity == "acceleration")
 
     @cached_property
-    def _columns(self) -> SmoothColumns:
-        return SmoothColumns(self._window.spectrum, self._d, self._window.bins)
+    def columns(self) -> TransformColumns:
+        """Columns of the motion and of the residues."""
+        return TransformColumns(self._window.spectrum.length, self._modes, self._window.bins)
+
+    @cached_property
+    def _numerators(self) -> Pair:
+        return self.columns.numerators(self._window.spectrum.U)
+
+    @cached_property
+    def forced(self) -> ComplexArray:
+        """Columns of the residues, of nothing without an input."""
+        if self._input is None:
+            return np.zeros_like(self.columns.motion[0])
+        ahead, behind = self.columns.forced(self._numerators)
+        return ahead + behind + self._through * self._input[self._window.bins]
+
+    @cached_property
+    def _first(self) -> list[ComplexArray]:
+        return [stacked(self.columns.motion), *([self.forced] if self._window.driven else [])]
+
+    @property
+    def _target(self) -> ComplexArray:
+        return self._window.spectrum.Y[None, self._window.bins]
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
-        yield self._joined([])
+        yield real_rows([*self._first, self._target])
 
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives of the output by the frequencies."""
-        n = len(self._d)
-        yield self._joined([self._columns.sensitivity(kappa, own[:n] + 1j * own[n : 2 * n])])
+        yield real_rows([*self._first, self.sensitivity(kappa, own), self._target])
 
-    def predict(self, kappa: Array, own: Array) -> ComplexArray:
+    def sensitivity(self, kappa: Array, own: Array) -> ComplexArray:
+        """Derivatives of the output by the frequencies, shape (n, K)."""
+        n = len(kappa)
+        motion = own[:n, None] + 1j * own[n : 2 * n, None]
+        ahead, behind = self.columns.motion_slopes
+        found = motion * ahead + motion.conj() * behind
+        if self._input is not None:
+            ahead, behind = self.columns.forced_slopes(self._input, self._numerators)
+            found += kappa[:, None] * (ahead + behind)
+        return found
+
+    def left(self, kappa: Array, own: Array) -> ComplexArray:
+        """Transform of what a model does not explain, at all bins."""
+        return self._window.spectrum.left(self._modes, kappa, own, self._through * float(kappa.sum()))
+
+    def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Transform of a model at all bins."""
-        spectrum = self._window.spectrum
-        return spectrum.Y - spectrum.left(self._d, kappa, own)
+        return self._window.spectrum.Y - self.left(shared, own)
 
-    def _joined(self, more: list[ComplexArray]) -> Array:
-        at = self._columns
-        shared = [at.forced] if self._window.driven else []
-        target = self._window.spectrum.Y[None, self._window.bins]
-        rows = np.concatenate([at.plus + at.minus, 1j * (at.plus - at.minus), *shared, *more, target])
-        return np.concatenate([rows.real, rows.imag], axis=1)
+
+@dataclass(frozen=True, eq=False)
+class FreeWindow:
+    """Some bins of the transforms of a record, for modes with any damping and residues.
+
+    Of several inputs (m, bins of all) and outputs (q, ...); a bin that stands for several `counts` as the root of them.
+    """
+
+    length: int
+    hold: Hold
+    U: ComplexArray
+    Y: ComplexArray
+    bins: Bins
+    counts: Array | float = 1.0
+    through: bool = True
+    outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
+    moving: bool = True
+
+    @classmethod
+    def of(
+        cls, spectrum: Spectrum, bins: Bins, counts: Array | float = 1.0, through: bool = True
+    ) -> FreeWindow:  # fmt: skip
+        """Bins of a record of one input and one output."""
+        one = spectrum.experiment
+        U = spectrum.U[None] if one.driven else np.zeros((0, len(spectrum.U)), complex)
+        return cls(spectrum.length, one.hold, U, spectrum.Y[None], bins, counts, through)
+
+    @classmethod
+    def about(cls, spectrum: Spectrum, p: ComplexArray, through: bool = True) -> FreeWindow:
+        """The bins about some modes."""
+        return cls.of(spectrum, _bins_about(spectrum, p.imag, _HALF_WIDTH), through=through)
+
+    @classmethod
+    def thinned(cls, spectrum: Spectrum, p: ComplexArray, through: bool = True) -> FreeWindow:
+        """The bins about some modes as far as their peaks reach; of wide ones a part, each counting as many."""
+        bins, counts = thinned_bins(spectrum, p)
+        return cls.of(spectrum, bins, counts, through)
+
+    @property
+    def samples(self) -> int:
+        """Real and imaginary parts."""
+        return 2 * len(self.bins)
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.U)
+
+    def own_unknowns(self, n: int) -> int:
+        """The motion at the ends of every mode."""
+        return 2 * n
+
+    def at(self, p: ComplexArray) -> FreeWindowEvaluation:
+        """The rows for modes with these poles."""
+        return FreeWindowEvaluation(self, p)
+
+
+def thinned_bins(spectrum: Spectrum, p: ComplexArray) -> tuple[Bins, Array]:
+    """Bins about some modes as far as their peaks reach, of wide ones a part, and roots of how many each stands for."""
+    steps = np.zeros(spectrum.last + 1, int)
+    widths = np.abs(p.real) / spectrum.experiment.bin
+    for k in np.argsort(-widths):
+        reach = int(min(_HALF_WIDTH * (1 + widths[k]), spectrum.last))
+        centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
+        steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // _THINNED)
+    bins = np.flatnonzero(np.arange(len(steps)) % np.maximum(steps, 1) == 0)
+    bins = bins[(bins >= 1) & (steps[bins] > 0)]
+    return bins, np.sqrt(steps[bins])
+
+
+class FreeWindowEvaluation(Evaluation):
+    """The rows of a window for modes with any damping and residues."""
+
+    def __init__(self, window: FreeWindow, p: ComplexArray) -> None:
+        self._window = window
+        self._columns = TransformColumns(window.length, SampledModes.of(window.hold, p), window.bins)
+
+    def blocks(self) -> Iterator[Array]:
+        """All rows in one block."""
+        window, columns = self._window, self._columns
+        over = [columns.numerators(U) for U in window.U]
+        rows = [stacked(columns.motion)]
+        for U, numerators in zip(window.U, over, strict=True):
+            rows += [stacked(columns.forced(numerators)), *([U[None, window.bins]] * window.through)]
+        rows.append(stacked(columns.motion_slopes))
+        rows += [stacked(columns.forced_slopes(U, each)) for U, each in zip(window.U, over, strict=True)]
+        # squares add up to squares in time
+        yield real_rows([*rows, window.Y[:, window.bins]], np.sqrt(2.0 / window.length) * window.counts)

@@ -1,16 +1,16 @@
-"""One experiment as the solver sees it: rows of a linear problem, made in blocks that fit in the cache.
+"""Records in time as rows of a linear problem, made in blocks that fit in the cache.
 
-Every kind of data offers the same: for given frequencies the output is `N nu + F kappa`, with the residues `kappa`
-shared by all experiments and `nu` (the free motion, an offset) belonging to this one alone.  A block holds columns as
-rows, shape (p, m): the `own` unknowns first (of those the first 2n belong to the modes), then the residues of a driven
-experiment, the derivatives by the frequencies where they are asked for, and the output.
+Every kind of data offers the same: for given poles the outputs are `N nu + F kappa`, with the unknowns `kappa`
+(residues and what is fed through) shared by all experiments and `nu` (the free motion, an offset) belonging to this one
+alone.  A block holds columns as rows, shape (p, m): the `own` unknowns first (of those the first 2n belong to the
+modes), then the shared ones of a driven experiment, derivatives, and the outputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,19 +18,20 @@ from numpy.typing import NDArray
 
 from ...modal.discretization import Hold
 from .grouped import Modal, Shared, gram
-from .modal_regressors import SHORT, Kernel, in_groups
+from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
+from .triangular import triangle
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the length of the record
 _FEWEST = 32  # groups of samples in a block
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
-_SAMPLES = ((0, SHORT), (SHORT, SHORT), (2 * SHORT, 1))  # where inputs, outputs and a constant stand, and how many
 
 
 class Rows(Protocol):
-    """What an experiment offers to the solver."""
+    """What an experiment offers to the solver of lossless modes."""
 
     @property
     def samples(self) -> int:
@@ -59,14 +60,51 @@ class Rows(Protocol):
         """The rows at frequencies `d`."""
 
 
-class Evaluation(Protocol):
-    """The rows of an experiment at one set of frequencies."""
+class FreeRows(Protocol):
+    """What an experiment offers to the solver of modes with any damping and residues.
+
+    Derivatives are those of the columns of complex coefficients, by the pole: of the free motion, if modes may be
+    `moving` at the start, then of the residues.  A complex coefficient has two columns, for its real and its imaginary
+    part.  For each input there are residues (2n), and what is fed `through` if that may be.
+    """
+
+    @property
+    def samples(self) -> int:
+        """Number of real rows of each output."""
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs with columns for the residues; 0 for a free motion."""
+
+    @property
+    def outputs(self) -> NDArray[np.intp]:
+        """Which of all outputs these rows show."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether the modes may be in motion at the start."""
+
+    @property
+    def through(self) -> bool:
+        """Whether there are columns for what is fed through."""
+
+    def own_unknowns(self, n: int) -> int:
+        """Number of unknowns of this experiment and each output alone."""
+
+    def at(self, p: ComplexArray) -> Evaluation:
+        """The rows for modes with these poles, of positive imaginary part."""
+
+
+class Evaluation:
+    """The rows of an experiment at one set of poles: by blocks, or by their inner products."""
 
     def blocks(self) -> Iterator[Array]:
         """All rows, block by block."""
+        raise NotImplementedError
 
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives of the output by the frequencies, at these residues and own unknowns."""
+        raise NotImplementedError
 
     def gram(self) -> Array | None:
         """Inner products of the columns of `blocks`, where they can be had without these."""
@@ -76,8 +114,17 @@ class Evaluation(Protocol):
         """Those of `sensitive_blocks`."""
         return None
 
-    def predict(self, kappa: Array, own: Array) -> NDArray[Any]:
+    def predict(self, shared: Array, own: Array) -> NDArray[Any]:
         """Output of a model at all instants or frequencies, observed or not."""
+        raise NotImplementedError
+
+    def factor(self, rows: int) -> Array:
+        """Triangular factor of the columns."""
+        return triangle(self.blocks, rows, self.gram())
+
+    def sensitive_factor(self, rows: int, kappa: Array, own: Array) -> Array:
+        """The same with the derivatives of the output by the frequencies."""
+        return triangle(partial(self.sensitive_blocks, kappa, own), rows, self.sensitive_gram(kappa, own))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +136,7 @@ class Experiment:
 
     u: Array
     y: Array
-    observed: NDArray[np.bool_]
+    observed: Mask
     hold: Hold
     from_rest: bool = False
     offset: int = 0
@@ -144,181 +191,288 @@ class Experiment:
         return TimeEvaluation(self, d)
 
 
-@dataclass(frozen=True)
-class _States:
-    """Where the modes are at the start of every group of a piece of a record, and how that changes with frequency."""
+@dataclass(frozen=True, eq=False)
+class FreeRecord:
+    """The observed samples of a record, for modes with any damping and residues.
 
-    part: slice
-    groups: Array
-    state: ComplexArray
-    slope: ComplexArray
-    free: ComplexArray
-    turning: ComplexArray
+    Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
+    """
+
+    u: Array
+    y: Array
+    observed: Mask
+    hold: Hold
+    moving: bool = True
+    offset: int = 0
+    through: bool = True
+    driven: bool = True
+    outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
+
+    @classmethod
+    def of(cls, one: Experiment, through: bool = True) -> FreeRecord:
+        """The record of one input and one output."""
+        return cls(one.u[None], one.y[None], one.observed, one.hold, not one.from_rest, one.offset, through, one.driven)
+
+    @classmethod
+    def by_observation(cls, u: Array, y: Array, observed: Mask, hold: Hold, **options: Any) -> list[FreeRecord]:
+        """A record with inputs (m, T) and outputs (q, T), divided into outputs observed at the same samples."""
+        masks, kind = np.unique(observed, axis=0, return_inverse=True)
+        groups = [(mask, np.flatnonzero(kind.ravel() == k)) for k, mask in enumerate(masks) if mask.any()]
+        return [cls(u, y[outputs], mask, hold, outputs=outputs, **options) for mask, outputs in groups]
+
+    @property
+    def samples(self) -> int:
+        """Number of observed samples."""
+        return int(self.observed.sum())
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.u) if self.driven else 0
+
+    def own_unknowns(self, n: int) -> int:
+        """Free motion of every mode, then the drift per sample, and the constant as the last."""
+        return 2 * n * self.moving + self.offset
+
+    def at(self, p: ComplexArray) -> FreeTimeEvaluation:
+        """The rows for modes with these poles."""
+        return FreeTimeEvaluation(self, p)
 
 
-class TimeEvaluation(Evaluation):
-    """The rows of a record: O(T n) time, memory for one block; a record of one block is worked out once."""
+# --- columns ----------------------------------------------------------------------------------------------------------
 
-    def __init__(self, experiment: Experiment, d: Array) -> None:
-        self._experiment, self._kernel = experiment, Kernel(d, experiment.hold, experiment.quantity)
-        self._groups = self._at_once((4 * len(d) + 2) * SHORT)
-        self._only: tuple[_States, Array] | None = None
+Column = ModalColumns | tuple[str, int]  # modal columns, or a constant, a drift, an input or an output by its number
+
+
+class RecordColumns(Evaluation):
+    """Columns over a record with inputs (m, T) and outputs (q, T) that were observed at the same samples.
+
+    O(T n) time and memory for one block; a record of one block is worked out once.
+    """
+
+    def __init__(self, u: Array, y: Array, observed: Mask, offset: int, kernel: Kernel, width: int) -> None:
+        self._u, self._y, self._observed, self._offset, self._kernel = u, y, observed, offset, kernel
+        self._complete = bool(observed.all())
+        self._groups = self._at_once(width * SHORT)
+        self._only: tuple[GroupStates, Array] | None = None
+
+    def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
+        """All columns in their order, with derivatives if wanted and not known to be some others."""
+        raise NotImplementedError
 
     def blocks(self) -> Iterator[Array]:
         """All rows, block by block."""
-        for states, columns in self._pieces(slopes=False):
-            yield columns[:, self._kept(states)]
-
-    def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
-        """The same with the derivatives of the output by the frequencies, at these residues and own unknowns."""
-        for states, columns in self._pieces(slopes=True):
-            yield self._joined(states, columns, kappa, own)[:, self._kept(states)]
+        for states, columns in self._pieces(True):
+            yield self._kept(states, columns)
 
     def gram(self) -> Array | None:
         """Inner products of the columns, for a long record without gaps."""
-        return self._by_groups(None, np.zeros(0)) if self._by_gram else None
+        return self._by_groups(partial(self.layout, slopes=True)) if self._by_gram else None
 
-    def sensitive_gram(self, kappa: Array, own: Array) -> Array | None:
-        """The same with the derivatives of the output by the frequencies."""
-        return self._by_groups(kappa, own) if self._by_gram else None
+    def predict(self, shared: Array, own: Array) -> Array:
+        """Output at all samples, observed or not, shape (T,); of several outputs (q, T)."""
+        weights = np.concatenate([own, shared])
+        return np.concatenate([weights.T @ columns[: len(weights)] for _, columns in self._pieces(False)], axis=-1)
 
-    def predict(self, kappa: Array, own: Array) -> Array:
-        """Output at all samples, observed or not, shape (T,)."""
-        weights = np.concatenate([own, kappa]) if self._experiment.driven else own
-        return np.concatenate([weights @ columns[:-1] for _, columns in self._pieces(slopes=False)])
+    def _offsets(self) -> list[Column]:
+        terms: list[Column] = [("drift", 0), ("constant", 0)]
+        return terms[2 - self._offset :]
+
+    def _outputs(self) -> list[Column]:
+        return [("output", k) for k in range(len(self._y))]
 
     def _at_once(self, width: int) -> int:
         """Groups of so many numbers each that are looked at in one go."""
-        return min(-(-len(self._experiment.u) // SHORT), max(_FEWEST, _BLOCK // width))
+        return min(-(-self._u.shape[1] // SHORT), max(_FEWEST, _BLOCK // width))
 
-    # --- columns --------------------------------------------------------------------------------------------------
-
-    def _pieces(self, slopes: bool) -> Iterator[tuple[_States, Array]]:
+    def _pieces(self, slopes: bool) -> Iterator[tuple[GroupStates, Array]]:
         if self._only is not None:
             yield self._only
             return
-        alone = self._groups * SHORT >= len(self._experiment.u)
-        for states in self._states(slopes or alone, self._groups):
-            piece = states, self._columns(states)
+        alone = self._groups * SHORT >= self._u.shape[1]
+        for states in self._kernel.pieces(self._u, self._groups, slopes or alone):
+            piece = states, self._filled(states, self.layout(states, slopes or alone))
             if alone:
                 self._only = piece
             yield piece
 
-    def _states(self, slopes: bool, size: int) -> Iterator[_States]:
-        """States of the modes through the whole record, so many groups at a time."""
-        one, kernel = self._experiment, self._kernel
-        carry, leaps = kernel.start(one.u), kernel.turns(size)
-        for first in range(0, len(one.u), size * SHORT):
-            part = slice(first, min(first + size * SHORT, len(one.u)))
-            groups = in_groups(one.u[part])
-            turns = leaps[:, : len(groups) + 1]
-            state, slope, carry = kernel.states(groups, turns, carry, slopes)
-            yield _States(part, groups, state, slope, *kernel.free_starts(first, turns))
+    def _kept(self, states: GroupStates, columns: Array) -> Array:
+        return columns if self._complete else columns[:, self._observed[states.samples]]
 
-    def _kept(self, states: _States) -> slice | NDArray[np.bool_]:
-        return slice(None) if self._experiment.complete else self._experiment.observed[states.part]
-
-    def _columns(self, states: _States) -> Array:
+    def _filled(self, states: GroupStates, layout: Sequence[Column]) -> Array:
         """Columns of a piece, those of the samples that pad the last group left out."""
-        one, kernel, groups, y = self._experiment, self._kernel, states.groups, self._experiment.y[states.part]
-        n, own = kernel.n, one.own_unknowns(kernel.n)
-        block = np.empty((own + n * one.driven + 1, len(groups) * SHORT))
-        columns = block.reshape(len(block), len(groups), SHORT)
-        if one.driven:
-            kernel.forced(groups, states.state, columns[own : own + n])
-        if not one.from_rest:
-            kernel.free(states.free, columns[:n])
-            kernel.free(1j * states.free, columns[n : 2 * n])
-        if one.offset > 1:
-            block[own - 2] = np.arange(states.part.start, states.part.start + block.shape[1])
-        if one.offset:
-            block[own - 1] = 1.0
-        block = block[:, : len(y)]
-        block[-1] = y
-        return block
+        part, n = states.samples, self._kernel.n
+        sizes = [n * (1 + one.pair) if isinstance(one, ModalColumns) else 1 for one in layout]
+        block = np.empty((sum(sizes), *states.inputs.shape[1:]))
+        flat = block.reshape(len(block), states.inputs[0].size)[:, : part.stop - part.start]
+        place = 0
+        for one, size in zip(layout, sizes, strict=True):
+            if isinstance(one, ModalColumns):
+                self._kernel.fill(one, states.inputs[one.input], block[place : place + size])
+            else:
+                flat[place] = self._plain(*one, part)
+            place += size
+        return flat
 
-    def _joined(self, states: _States, columns: Array, kappa: Array | None, own: Array) -> Array:
-        """Columns of a piece, with the derivatives of the output by the frequencies if there are residues."""
-        if kappa is None:
-            return columns
-        groups = states.groups if self._experiment.driven else None
-        moved = self._kernel.moved(kappa, groups, *self._amplitudes(states, kappa, own))
-        by_d = moved.reshape(len(moved), len(states.groups) * SHORT)[:, : columns.shape[1]]
-        return np.concatenate([columns[:-1], by_d, columns[-1:]])
+    def _plain(self, kind: str, number: int, part: slice) -> Array | float:
+        if kind == "drift":
+            return np.arange(float(part.start), part.stop)
+        if kind == "constant":
+            return 1.0
+        return (self._u if kind == "input" else self._y)[number, part]
 
-    def _amplitudes(self, states: _States, kappa: Array, own: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Derivatives by the frequencies of the modes' amplitudes in the output, and these amplitudes, (n, count)."""
-        n = self._kernel.n
-        moving = own[:n, None] + 1j * own[n : 2 * n, None] if len(own) >= 2 * n else np.zeros((n, 1), complex)
-        now, later = moving * states.free, moving * states.turning
-        if self._experiment.driven:
-            output, output_slope = (weight[:, None] for weight in self._kernel.output)
-            now += (kappa[:, None] * output) * states.state
-            later += kappa[:, None] * (output_slope * states.state + output * states.slope)
-        return later, now
-
-    # --- inner products without columns -----------------------------------------------------------------------------
+    # --- inner products without columns -------------------------------------------------------------------------------
 
     @property
     def _width(self) -> int:
         """Numbers about each group of samples that the inner products are made of, at most."""
-        return 8 * self._kernel.n + 2 * SHORT + 1
+        return 8 * self._kernel.n * len(self._u) + (len(self._u) + len(self._y)) * SHORT + 1
 
     @property
     def _by_gram(self) -> bool:
         """Whether it pays to go without the columns: no gaps, no drift, and many more samples than numbers."""
-        one = self._experiment
-        return one.complete and one.offset < 2 and len(one.u) >= max(_LONG, SHORT * self._width // 2)
+        return (
+            self._complete and self._offset < 2 and self._u.shape[1] >= max(_LONG, SHORT * self._width // 2)
+        )  # fmt: skip
 
-    def _by_groups(self, kappa: Array | None, own: Array) -> Array:
-        """Inner products by way of groups of samples, with the derivatives if there are residues."""
-        one = self._experiment
-        size, whole = self._at_once(self._width), len(one.u) // SHORT
+    def _by_groups(self, layout: Callable[[GroupStates], Sequence[Column]]) -> Array:
+        """Inner products by way of groups of samples."""
+        whole = self._u.shape[1] // SHORT
         inner: Array | float = 0.0
         rest = np.zeros((1, 0))
-        for states in self._states(kappa is not None, size):
-            full = whole - states.part.start // SHORT
-            numbers = self._numbers(states, kappa, own)[:, :full]
+        for states in self._kernel.pieces(self._u, self._at_once(self._width), True):
+            full = whole - states.samples.start // SHORT
+            columns = layout(states)
+            numbers = self._numbers(states, columns)[:, :full]
             inner = inner + numbers @ numbers.T
-            if full < len(states.groups):
-                rest = self._after(states, full, kappa, own)
-        return gram(*self._parts(kappa), np.asarray(inner)) + rest @ rest.T
+            if full < states.inputs.shape[1]:
+                late = states.after(full)
+                rest = self._filled(late, layout(late))
+        return gram(*self._parts(columns), np.asarray(inner)) + rest @ rest.T
 
-    def _numbers(self, states: _States, kappa: Array | None, own: Array) -> Array:
+    def _numbers(self, states: GroupStates, layout: Sequence[Column]) -> Array:
         """What the columns within each group are made of, shape (rows, count): see `_parts`."""
-        amplitudes = [states.free, self._kernel.output[0][:, None] * states.state]
-        if kappa is not None:
-            amplitudes += self._amplitudes(states, kappa, own)
+        amplitudes = [each for one in layout if isinstance(one, ModalColumns) for each in one.amplitudes]
         rows = [part for amplitude in amplitudes for part in (amplitude.real, amplitude.imag)]
-        outputs = in_groups(self._experiment.y[states.part])
-        return np.concatenate([*rows, states.groups.T, outputs.T, np.ones((1, len(outputs)))])
+        signals = [*states.inputs, *(in_groups(y[states.samples]) for y in self._y)]
+        return np.concatenate([*rows, *(one.T for one in signals), np.ones((1, states.inputs.shape[1]))])
 
-    def _parts(self, kappa: Array | None) -> tuple[int, list[Modal], list[Shared]]:
+    def _parts(self, layout: Sequence[Column]) -> tuple[int, list[Modal], list[Shared]]:
         """Number of columns, and how they follow within a group from the numbers of the group."""
-        one, kernel, n = self._experiment, self._kernel, self._kernel.n
-        own = one.own_unknowns(n)
-        forced, by_d = slice(own, own + n), slice(own + n * one.driven, own + n * one.driven + n)
-        rows = [slice(k * n, k * n + n) for k in range(4 if kappa is None else 8)]
-        inputs, outputs, always = (slice(rows[-1].stop + k, rows[-1].stop + k + m) for k, m in _SAMPLES)
-        cosine, sine, *turning = np.moveaxis(kernel.motion, 1, 0)
-        modal, shared = [], [Shared(slice(-1, None), outputs, np.eye(SHORT)[None])]
-        if not one.from_rest:
-            modal += [Modal(slice(n), rows[0], cosine), Modal(slice(n), rows[1], sine)]
-            modal += [Modal(slice(n, 2 * n), rows[0], sine), Modal(slice(n, 2 * n), rows[1], -cosine)]
-        if one.offset:
-            shared.append(Shared(slice(own - 1, own), always, np.ones((1, 1, SHORT))))
-        if one.driven:
-            modal += [Modal(forced, rows[2], cosine), Modal(forced, rows[3], sine)]
-            shared.append(Shared(forced, inputs, kernel.within))
-        if kappa is not None:
-            modal += [Modal(by_d, row, phi) for row, phi in zip(rows[4:], (cosine, sine, *turning), strict=True)]
-            if one.driven:
-                shared.append(Shared(by_d, inputs, kappa[:, None, None] * kernel.within_slope))
-        return by_d.start + n * (kappa is not None) + 1, modal, shared
+        n, motion = self._kernel.n, np.moveaxis(self._kernel.motion, 1, 0)
+        amplitudes = sum(len(one.amplitudes) for one in layout if isinstance(one, ModalColumns))
+        signals = [2 * n * amplitudes + SHORT * k for k in range(len(self._u) + len(self._y) + 1)]
+        modal, shared, column, row = [], [], 0, 0
+        for one in layout:
+            if not isinstance(one, ModalColumns):
+                kind, number = one
+                first = signals[{"input": number, "output": len(self._u) + number}.get(kind, -1)]
+                size = 1 if kind == "constant" else SHORT
+                weights = np.ones((1, 1, SHORT)) if kind == "constant" else np.eye(SHORT)[None]
+                shared.append(Shared(slice(column, column + 1), slice(first, first + size), weights))
+                column += 1
+                continue
+            for turn, (_, within) in enumerate(one.turned):
+                here = slice(column, column + n)
+                for k in range(len(one.amplitudes)):
+                    real, imaginary = (slice(row + 2 * k * n + part * n, row + 2 * k * n + part * n + n)
+                                       for part in (0, 1))  # fmt: skip
+                    first, second = motion[2 * k], motion[2 * k + 1]
+                    if turn:
+                        first, second = second, -first
+                    modal += [Modal(here, real, first), Modal(here, imaginary, second)]
+                if within is not None:
+                    inputs = signals[one.input]
+                    shared.append(Shared(here, slice(inputs, inputs + SHORT), within))
+                column += n
+            row += 2 * n * len(one.amplitudes)
+        return column, modal, shared
 
-    def _after(self, states: _States, full: int, kappa: Array | None, own: Array) -> Array:
-        """Columns of the samples after the last whole group."""
-        part = slice(states.part.start + full * SHORT, states.part.stop)
-        late = (states.state, states.slope, states.free, states.turning)
-        last = _States(part, states.groups[full:], *(each[:, full:] for each in late))
-        return self._joined(last, self._columns(last), kappa, own)
+
+class TimeEvaluation(RecordColumns):
+    """The rows of a record for lossless modes."""
+
+    def __init__(self, one: Experiment, d: Array) -> None:
+        self._experiment, self._modes = one, SampledModes.lossless(one.hold, d, one.quantity)
+        kernel = Kernel(self._modes, float(one.quantity == "acceleration"))
+        super().__init__(one.u[None], one.y[None], one.observed, one.offset, kernel, 4 * len(d) + 2)
+
+    @cached_property
+    def _within(self) -> Array:
+        return self._kernel.within()
+
+    @cached_property
+    def _within_slope(self) -> Array:
+        return self._kernel.within_slope()
+
+    def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
+        """Free motions, offsets, responses, output."""
+        motion = [] if self._experiment.from_rest else [ModalColumns((states.free,), pair=True)]
+        forced = [ModalColumns((states.driven[0],), self._within)] if self._experiment.driven else []
+        return [*motion, *self._offsets(), *forced, *self._outputs()]
+
+    def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
+        """All rows with the derivatives of the output by the frequencies, at these residues and own unknowns."""
+        for states, columns in self._pieces(True):
+            by_d = self._filled(states, [self._by_d(states, kappa, own)])
+            yield self._kept(states, np.concatenate([columns[:-1], by_d, columns[-1:]]))
+
+    def sensitive_gram(self, kappa: Array, own: Array) -> Array | None:
+        """Their inner products, for a long record without gaps."""
+        if not self._by_gram:
+            return None
+
+        def layout(states: GroupStates) -> list[Column]:
+            columns = self.layout(states, False)
+            return [*columns[:-1], self._by_d(states, kappa, own), columns[-1]]
+
+        return self._by_groups(layout)
+
+    def predict(self, shared: Array, own: Array) -> Array:
+        """Output at all samples, observed or not, shape (T,)."""
+        return super().predict(shared if self._experiment.driven else shared[:0], own)
+
+    def _by_d(self, states: GroupStates, kappa: Array, own: Array) -> ModalColumns:
+        """Derivatives by the frequencies, from the amplitudes of all past and their derivatives."""
+        n = self._kernel.n
+        moving = own[:n, None] + 1j * own[n : 2 * n, None] if len(own) >= 2 * n else np.zeros((n, 1), complex)
+        slope, state, within = moving * states.free_slope, moving * states.free, None
+        if self._experiment.driven:
+            slope += kappa[:, None] * states.driven_slope[0]
+            state += kappa[:, None] * states.driven[0]
+            within = kappa[:, None, None] * self._within_slope
+        return ModalColumns((slope, state), within)
+
+
+class FreeTimeEvaluation(RecordColumns):
+    """The rows of a record for modes with any damping and residues: `y = 2 Re(residue state) + ...`."""
+
+    def __init__(self, rows: FreeRecord, p: ComplexArray) -> None:
+        self._rows, n, m, two = rows, len(p), len(rows.u), np.full(len(p), 2.0 + 0j)
+        kernel = Kernel(SampledModes.of(rows.hold, p).weighted(two, 0 * two))
+        width = 4 * n * (1 + m) + m + rows.offset + len(rows.y)
+        super().__init__(rows.u, rows.y, rows.observed, rows.offset, kernel, width)
+
+    @cached_property
+    def _within(self) -> tuple[ComplexArray, ComplexArray]:
+        return self._kernel.within(pair=True), self._kernel.within_slope(pair=True)
+
+    def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
+        """Free motions, offsets, responses, what is fed through, derivatives, outputs."""
+        rows, columns = self._rows, self._offsets()
+        if rows.moving:
+            columns.insert(0, ModalColumns((2 * states.free,), pair=True))
+        for k in range(rows.inputs):
+            columns.append(ModalColumns((states.driven[k],), self._within[0], True, k))
+            columns += [("input", k)] * rows.through
+        if slopes:
+            if rows.moving:
+                columns.append(ModalColumns((2 * states.free_slope, 2 * states.free), pair=True))
+            for k in range(rows.inputs):
+                states_of = (states.driven_slope[k], states.driven[k])
+                columns.append(ModalColumns(states_of, self._within[1], True, k))
+        return columns + self._outputs()
+
+    def predict(self, shared: Array, own: Array) -> Array:
+        """Outputs at all samples, shape (q, T)."""
+        return super().predict(shared if self._rows.driven else shared[:0], own)

@@ -1,28 +1,27 @@
-"""Variable projection: residues and initial states eliminated, frequencies by Levenberg-Marquardt.
+"""Variable projection: residues and initial states eliminated, poles by Levenberg-Marquardt.
 
-For given frequencies the best `kappa >= 0` and initial states solve a linear problem (`Projection`); what is left
-is a small non-linear problem in the frequencies alone (Golub and Pereyra, with the Jacobian of Kaufman).
-
-Of the rows only triangular factors are kept, made block by block, so that memory does not grow with the record:
-orthogonal transformations eliminate what belongs to one experiment, then the factors of all are put under one another.
+For given frequencies the best `kappa >= 0` and initial states of lossless modes solve a linear problem (`Projection`);
+what is left is a small non-linear problem in the frequencies alone.  `refine` solves it, and in the same way that of
+modes with any damping, whose poles are two numbers each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, nnls
 
 from ..._checks import EPS
+from .elimination import Eliminated, LinearProjection, eliminate, tolerance, without
 from .frequency_rows import FrequencyRows
 from .time_rows import Rows
-from .triangular import reduced, triangle
+from .triangular import reduced
 
 Array = NDArray[np.float64]
 
@@ -31,12 +30,14 @@ Progress = Callable[[int, float], None]  # iteration, loss
 _FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
 LAST = 1e-15  # relative decrease of the loss at which the last refinement ends
 _BETTER = 1e-3  # relative decrease of the loss for which a mode is moved to another place
-_WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, above which its rank is looked at
+_STUCK = 1e16  # damping of steps of which none leads on
+
+# --- lossless modes -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The experiments of one fit, and what the fit may do.
+    """The experiments of one fit of lossless modes, and what the fit may do.
 
     `signed` lets residues take either sign; `structured` takes the free motion from modes without weight, which no
     state of a port-Hamiltonian system shows at its port.
@@ -86,37 +87,40 @@ class Problem:
         """Best residues and initial states for frequencies `d`."""
         return Projection(self, d)
 
+    def inside(self, d: Array) -> Array:
+        """Frequencies brought to the band."""
+        return np.clip(d, 1e-3 * self.bin, self.ceiling)
 
-@dataclass(frozen=True)
-class _Eliminated:
-    """An experiment whose own unknowns are eliminated: `own = solve @ (rest_of_rows - ...)`.
+    def reach(self, at: Projection) -> Array:
+        """Widths of the basins of the modes: a Fourier bin each."""
+        return np.full(len(at.d), self.bin)
 
-    `above` (k, p) are the rows that the own unknowns fit exactly, `inverse` (s, k) turns them into these unknowns,
-    `below` what is left for the shared columns, the last column being the output.
-    """
-
-    inverse: Array
-    above: Array
-    below: Array
-    deficiency: int
+    def elsewhere(self, at: Projection) -> Iterator[Array]:
+        """Starts beside a minimum where the rows know of such places."""
+        for rows in self.experiments:
+            for l, place in rows.elsewhere(at.d, at.kappa) if isinstance(rows, FrequencyRows) else []:
+                yield np.where(np.arange(len(at.d)) == l, place, at.d)
 
 
-class Projection:
-    """The linear problem at one set of frequencies (n,), solved."""
+class Projection(LinearProjection):
+    """The linear problem of lossless modes at one set of frequencies (n,), solved."""
 
     def __init__(self, problem: Problem, d: Array) -> None:
-        self.problem, self.d = problem, d
+        self.problem, self.d, self.x = problem, d, d
         self._evaluations = [one.at(d) for one in problem.experiments]
+
+    @property
+    def sizes(self) -> Array:
+        """The frequencies."""
+        return self.d
 
     # --- first pass: residues, initial states, loss ---------------------------------------------------------------
 
     @cached_property
     def _factors(self) -> list[Array]:
         """Triangular factor of `[own, shared, output]` of each experiment."""
-        return [
-            triangle(evaluation.blocks, rows.samples, evaluation.gram())
-            for evaluation, rows in zip(self._evaluations, self.problem.experiments, strict=True)
-        ]
+        pairs = zip(self._evaluations, self.problem.experiments, strict=True)
+        return [evaluation.factor(rows.samples) for evaluation, rows in pairs]
 
     @cached_property
     def _lengths(self) -> Array:
@@ -140,31 +144,30 @@ class Projection:
         factor[:, np.flatnonzero(np.concatenate([held, held]))] = 0.0
         return reduced(factor)
 
-    def _eliminated(self, factors: Sequence[Array], held: NDArray[np.bool_]) -> list[_Eliminated]:
+    def _eliminated(self, factors: Sequence[Array], held: NDArray[np.bool_]) -> list[Eliminated]:
         return [
             eliminate(self._without_held(factor, k, held), self._own(k), self.problem.samples)
             for k, factor in enumerate(factors)
         ]
 
     @cached_property
-    def _solution(self) -> tuple[Array, NDArray[np.bool_], list[_Eliminated], int]:
-        """Residues, which of them are free, the eliminated experiments, and the rank that the residues lack."""
+    def _solution(self) -> tuple[Array, NDArray[np.bool_], list[Eliminated]]:
+        """Residues, which of them are free, and the eliminated experiments."""
         n = len(self.d)
         held = np.zeros(n, bool)
         while True:
             parts = self._eliminated(self._factors, held)
             if not self.problem.driven:
-                return np.zeros(n), ~held, parts, 0
+                return np.zeros(n), ~held, parts
             stacked = np.concatenate(
                 [p.below if rows.driven else _widened(p.below, n) for p, rows in self._pairs(parts)]
             )
-            scaled = stacked[:, :-1] / self._lengths
-            kappa, free, deficiency = _residues(scaled, stacked[:, -1], held, self.problem)
+            kappa, free = _residues(stacked[:, :-1] / self._lengths, stacked[:, -1], held, self.problem)
             if not self.problem.structured or np.array_equal(free, ~held):
-                return kappa / self._lengths, free, parts, deficiency
+                return kappa / self._lengths, free, parts
             held = ~free
 
-    def _pairs(self, parts: list[_Eliminated]) -> Iterable[tuple[_Eliminated, Rows]]:
+    def _pairs(self, parts: list[Eliminated]) -> Iterable[tuple[Eliminated, Rows]]:
         return zip(parts, self.problem.experiments, strict=True)
 
     @property
@@ -189,11 +192,6 @@ class Projection:
             found.append(own)
         return found
 
-    @property
-    def deficiency(self) -> int:
-        """How many combinations of residues and initial states the data do not show at all."""
-        return self._solution[3] + sum(part.deficiency for part in self._solution[2])
-
     @cached_property
     def loss(self) -> float:
         """Sum of squared residuals."""
@@ -208,18 +206,12 @@ class Projection:
     @cached_property
     def _sensitive_factors(self) -> list[Array]:
         """Triangular factor of `[own, shared, by frequency, output]` of each experiment."""
-        return [
-            triangle(
-                partial(evaluation.sensitive_blocks, self.kappa, own),
-                rows.samples,
-                evaluation.sensitive_gram(self.kappa, own),
-            )
-            for evaluation, own, rows in zip(self._evaluations, self.own, self.problem.experiments, strict=True)
-        ]
+        triples = zip(self._evaluations, self.own, self.problem.experiments, strict=True)
+        return [evaluation.sensitive_factor(rows.samples, self.kappa, own) for evaluation, own, rows in triples]
 
     @cached_property
-    def _reduced(self) -> tuple[Array, Array]:
-        """Jacobian by the frequencies with everything else moving along, and the residual, both in a few rows."""
+    def condensed(self) -> tuple[Array, Array]:
+        """Residual, and its Jacobian by the frequencies with everything else moving along, both in a few rows."""
         n = len(self.d)
         rows = []
         for part, one in self._pairs(self._eliminated(self._sensitive_factors, ~self.free)):
@@ -229,10 +221,9 @@ class Projection:
         rest = stacked[:, n:]
         if shared.size and self.problem.driven:
             U, sigma, _ = np.linalg.svd(shared, full_matrices=False)
-            basis = U[:, sigma > _tolerance(self.problem.samples, n) * max(1.0, sigma.max(initial=0.0))]
-            rest = rest - basis @ (basis.T @ rest)
+            rest = without(rest, U[:, sigma > tolerance(self.problem.samples, n) * max(1.0, sigma.max(initial=0.0))])
         # the frequency of a mode without any trace stays: its column would be rounding
-        return -rest[:, :n] * self._traced, rest[:, n]
+        return rest[:, n], -rest[:, :n] * self._traced
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
@@ -245,17 +236,6 @@ class Projection:
         n = len(self.d)
         records = any(self._own(k) >= 2 * n for k in range(len(self.problem.experiments)))
         return (self.free & self.problem.driven) | (self._moving & records)
-
-    @cached_property
-    def gradient(self) -> Array:
-        """Half the gradient of the loss by the frequencies, shape (n,)."""
-        jacobian, residual = self._reduced
-        return np.asarray(jacobian.T @ residual)
-
-    @cached_property
-    def gram(self) -> Array:
-        """`J^T J` of the residuals by the frequencies, shape (n, n)."""
-        return np.asarray(self._reduced[0].T @ self._reduced[0])
 
     def jacobian(self) -> tuple[Array, NDArray[np.bool_]]:
         """Derivatives of the prediction by `(d, kappa, own of each experiment)` and which of these are free.
@@ -299,89 +279,86 @@ class Projection:
         ]
 
 
-def _tolerance(samples: int, columns: int) -> float:
-    return max(samples, columns) * EPS
-
-
 def _widened(below: Array, n: int) -> Array:
     """Rows of an experiment without residues, with zeros in their place."""
     return np.concatenate([np.zeros((len(below), n)), below], axis=1)
 
 
-def eliminate(factor: Array, own: int, samples: int) -> _Eliminated:
-    """Eliminate the first `own` columns of a triangular factor; directions that these do not reach stay below."""
-    if own == 0:
-        return _Eliminated(np.zeros((0, 0)), factor[:0], factor, 0)
-    corner = factor[:own, :own]
-    lengths = np.sqrt(np.einsum("ij,ij->j", corner, corner))
-    lengths = np.where(lengths > 0, lengths, 1.0)
-    direct, singular = lapack.dtrtri(corner / lengths)
-    if not singular and np.abs(direct).max() < _WELL_CONDITIONED:
-        return _Eliminated(direct / lengths[:, None], factor[:own, own:], factor[own:, own:], 0)
-    U, sigma, Vt = np.linalg.svd(corner / lengths)
-    kept = sigma > _tolerance(samples, own) * sigma.max(initial=0.0)
-    above = U.T @ factor[:own, own:]
-    inverse = (Vt[kept].T / sigma[kept]) / lengths[:, None]
-    below = np.concatenate([above[~kept], factor[own:, own:]])
-    return _Eliminated(inverse, above[kept], below, int(np.sum(~kept)))
-
-
-def _residues(
-    columns: Array, rhs: Array, held: NDArray[np.bool_], problem: Problem
-) -> tuple[Array, NDArray[np.bool_], int]:
-    """Least squares with `kappa >= 0` for columns of length at most 1; which are free; how many directions are lost."""
-    tolerance = _tolerance(problem.samples, columns.shape[1])
-    kappa, deficiency = _least_squares(columns, rhs, ~held, tolerance)
+def _residues(columns: Array, rhs: Array, held: NDArray[np.bool_], problem: Problem) -> tuple[Array, NDArray[np.bool_]]:
+    """Least squares with `kappa >= 0` for columns of length at most 1, and which are free."""
+    smallest = tolerance(problem.samples, columns.shape[1])
+    kappa = _least_squares(columns, rhs, ~held, smallest)
     if problem.signed or np.all(kappa >= 0):
-        return kappa, ~held, deficiency
-    shown = np.where(held, 0.0, columns)
-    found, _ = nnls(shown, rhs, maxiter=30 * max(1, len(held)))
+        return kappa, ~held
+    found, _ = nnls(np.where(held, 0.0, columns), rhs, maxiter=30 * max(1, len(held)))
     free = found > 0
-    kappa, deficiency = _least_squares(columns, rhs, free, tolerance)
     # a rank-deficient problem can leave a residue at minus rounding
-    return np.maximum(kappa, 0.0), free, deficiency
+    return np.maximum(_least_squares(columns, rhs, free, smallest), 0.0), free
 
 
-def _least_squares(columns: Array, rhs: Array, free: NDArray[np.bool_], tolerance: float) -> tuple[Array, int]:
-    """Smallest solution with the columns that are free, and the rank that these lack."""
+def _least_squares(columns: Array, rhs: Array, free: NDArray[np.bool_], smallest: float) -> Array:
+    """Smallest solution with the columns that are free."""
     solution = np.zeros(columns.shape[1])
-    if not free.any():
-        return solution, 0
-    U, sigma, Vt = np.linalg.svd(columns[:, free], full_matrices=False)
-    kept = sigma > tolerance * max(1.0, sigma.max(initial=0.0))
-    solution[free] = Vt[kept].T @ ((U[:, kept].T @ rhs) / sigma[kept])
-    return solution, int(np.sum(~kept))
+    if free.any():
+        U, sigma, Vt = np.linalg.svd(columns[:, free], full_matrices=False)
+        kept = sigma > smallest * max(1.0, sigma.max(initial=0.0))
+        solution[free] = Vt[kept].T @ ((U[:, kept].T @ rhs) / sigma[kept])
+    return solution
+
+
+# --- the poles ------------------------------------------------------------------------------------------------------
+
+At = TypeVar("At", bound=LinearProjection)
+
+
+class Minimisation(Protocol[At]):
+    """A loss over real numbers `x` that fix the poles."""
+
+    @property
+    def samples(self) -> int:
+        """Number of real equations."""
+
+    def project(self, x: Array) -> At:
+        """The best linear unknowns at `x`."""
+
+    def inside(self, x: Array) -> Array:
+        """Numbers brought to where they are allowed."""
+
+    def reach(self, at: At) -> Array:
+        """Widths of the basins of the loss; no step is longer."""
+
+    def elsewhere(self, at: At) -> Iterator[Array]:
+        """Places close to a minimum where the loss may have another one."""
 
 
 @dataclass(frozen=True)
-class Refinement:
+class Refinement(Generic[At]):
     """End of a Levenberg-Marquardt run."""
 
-    projection: Projection
+    projection: At
     iterations: int
     converged: bool
     interrupted: bool = False
 
 
 def refine(
-    problem: Problem,
-    d: Array,
+    problem: Minimisation[At],
+    x: Array,
     *,
     rtol: float,
     max_iterations: int = 60,
     last: bool = True,
     progress: Progress | None = None,
-) -> Refinement:
-    """Minimise the loss over the frequencies from a start within the basin of the minimum.
+) -> Refinement[At]:
+    """Minimise the loss over `x` from a start within the basin of the minimum.
 
     Stops when a full step would reduce the loss by less than `rtol` of itself, or when steps drown in rounding; that
     step is still taken if it is to be the `last`.
-    No step is longer than one Fourier bin in any frequency, so that it stays in its basin.
     """
-    current = problem.project(d)
-    if len(d) == 0:
+    current = problem.project(x)
+    if len(x) == 0:
         return Refinement(current, 0, True)
-    state: _Descent | None = _Descent(current)
+    state: _Descent[At] | None = _Descent(current)
     try:
         while state is not None:
             end = state
@@ -398,30 +375,24 @@ def refine(
 
 
 @dataclass
-class _Descent:
+class _Descent(Generic[At]):
     """Where a refinement stands."""
 
-    current: Projection
+    current: At
     damping: float = 1e-3
     growth: float = 2.0
     iterations: int = 0
     converged: bool = False
 
 
-def _elsewhere(problem: Problem, state: _Descent) -> _Descent | None:
-    """A start beside a minimum from which the loss is lower, where the rows know of such places."""
+def _elsewhere(problem: Minimisation[At], state: _Descent[At]) -> _Descent[At] | None:
+    """A start beside a minimum from which the loss is lower, where the problem knows of such places."""
     at = state.current
-    best = at
-    for rows in problem.experiments:
-        for l, place in rows.elsewhere(at.d, at.kappa) if isinstance(rows, FrequencyRows) else []:
-            moved = at.d.copy()
-            moved[l] = min(max(place, 1e-3 * problem.bin), problem.ceiling)
-            trial = problem.project(moved)
-            best = trial if trial.loss < best.loss else best
+    best = min([at, *(problem.project(problem.inside(x)) for x in problem.elsewhere(at))], key=lambda one: one.loss)
     return _Descent(best, iterations=state.iterations) if best.loss < (1 - _BETTER) * at.loss else None
 
 
-def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None:
+def _descend(problem: Minimisation[At], state: _Descent[At], rtol: float, last: bool) -> None:
     """One iteration of Levenberg and Marquardt, damped as Nielsen does."""
     current = state.current
     state.iterations += 1
@@ -430,13 +401,13 @@ def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None
         state.converged = True
         return
     step = _damped_step(current.gram, scale, state.damping, current.gradient)
-    step *= min(1.0, problem.bin / np.abs(step).max())
+    step *= min(1.0, float(np.min(problem.reach(current) / np.maximum(np.abs(step), np.finfo(float).tiny))))
     promised = float(-(current.gradient @ step) - 0.5 * step @ current.gram @ step)
-    if promised <= 0.5 * rtol * current.loss or np.all(np.abs(step) <= 2 * EPS * current.d):
+    if promised <= 0.5 * rtol * current.loss or np.all(np.abs(step) <= 2 * EPS * current.sizes):
         state.converged = True
         if not last:
             return
-    trial = problem.project(np.clip(current.d + step, 1e-3 * problem.bin, problem.ceiling))
+    trial = problem.project(problem.inside(current.x + step))
     ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
     # the last step shortens the way to the minimum also where its gain drowns in the rounding of the loss
     if trial.loss < current.loss or (state.converged and trial.loss <= current.loss * (1 + problem.samples * EPS)):
@@ -445,20 +416,20 @@ def _descend(problem: Problem, state: _Descent, rtol: float, last: bool) -> None
         state.growth = 2.0
     else:
         state.damping, state.growth = state.damping * state.growth, 2 * state.growth
-        state.converged = state.converged or state.damping > 1e16
+        state.converged = state.converged or state.damping > _STUCK
 
 
-def _follow_secants(problem: Problem, state: _Descent) -> None:
+def _follow_secants(problem: Minimisation[At], state: _Descent[At]) -> None:
     """The way to the minimum where much is left, so that the curvature is not that of the Jacobian alone (BFGS)."""
     start, curvature = state.current, np.diag(state.current.gram)
-    unit = np.minimum(problem.bin, np.sqrt(start.loss / np.where(curvature > 0, curvature, np.inf)))
+    unit = np.minimum(problem.reach(start), np.sqrt(start.loss / np.where(curvature > 0, curvature, np.inf)))
     if not unit.any() or start.loss == 0:
         return
     best = start
 
     def relative(x: Array) -> tuple[float, Array]:
         nonlocal best
-        at = problem.project(np.clip(start.d + unit * x, 1e-3 * problem.bin, problem.ceiling))
+        at = problem.project(problem.inside(start.x + unit * x))
         best = at if at.loss < best.loss else best
         return at.loss / start.loss, 2 * unit * at.gradient / start.loss
 

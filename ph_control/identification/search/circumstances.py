@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
-from ...modal.modal_form import imaginary
-from ..regression.modal_regressors import output_weight
+from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import Experiment, Rows
 from ..regression.variable_projection import Problem, Projection
@@ -142,7 +141,7 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
     moved, target, near = [], [], []
     for k, (one, spectrum, window) in enumerate(zip(records, spectra, windows, strict=True)):
         bins, size = np.arange(1, spectrum.last + 1), float(np.sqrt(spectrum.length))
-        left = spectrum.left(d, at.kappa, at.own[k]) / size
+        left = window.at(d).left(at.kappa, at.own[k]) / size
         (block,) = window.at(d).sensitive_blocks(at.kappa, at.own[k])
         columns = np.zeros((2 * n * (len(records) + 1), block.shape[1]))
         columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
@@ -209,11 +208,10 @@ def input_size(experiments: Sequence[Rows]) -> float:
 
 def _response(one: Experiment, d: Array, kappa: Array, phase: Array) -> ComplexArray:
     """Frequency response from sample to sample at some phases per step."""
-    step, z = one.hold.step(imaginary(-d)), np.exp(1j * phase)
-    weight = kappa * output_weight(d, one.quantity)[0]
+    step, z = SampledModes.lossless(one.hold, d, one.quantity), np.exp(1j * phase)
     found = np.full(len(phase), kappa.sum() if one.quantity == "acceleration" else 0.0, complex)
-    for w, lam, b0, b1 in zip(weight, step.multiplier, step.b0[:, 0], step.b1[:, 0], strict=True):
-        gain, mirrored = w * (b0 + b1 * z), np.conj(w) * (np.conj(b0) + np.conj(b1) * z)
+    for w, lam, b0, b1 in zip(kappa, step.multiplier, step.b0, step.b1, strict=True):
+        gain, mirrored = w * (b0 + b1 * z), w * (np.conj(b0) + np.conj(b1) * z)
         ahead = np.where(z == lam, EPS, z - lam)
         found += 0.5 * (gain / ahead + mirrored / (z - np.conj(lam)))
     return found

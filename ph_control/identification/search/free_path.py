@@ -55,7 +55,7 @@ def free_step(search: FreeSearch, p: ComplexArray) -> FreeStep:
     """Modes refined from a start, in the end over all that was measured: elsewhere, too, they have to be right."""
     at = search.refined(p)
     if len(p) and search.data.windowed:
-        at = refine_free(lambda _: search.data.all_rows(True), at.p, search.band, _ROUGH)
+        at = refine_free(lambda _: search.data.all_rows(True), at.p, search.region, _ROUGH)
     left = search.data.left(at)
     return FreeStep(at, left, search.data.loss(left))
 
@@ -92,7 +92,7 @@ def _vagueness(problem: Problem, search: FreeSearch, at: FreeProjection) -> Arra
     n = len(at.p)
     inner = at.covariance(at.loss / max(1, at.rows - free_unknowns(problem, n)))
     errors = np.sqrt(np.diag(inner)[n : 2 * n])
-    return np.asarray(errors / np.maximum(_VAGUE * np.abs(at.sigma), _VAGUE * search.band.bin))
+    return np.asarray(errors / np.maximum(_VAGUE * np.abs(at.sigma), _VAGUE * search.region.bin))
 
 
 def evidence(search: FreeSearch, at: FreeProjection) -> Array:
@@ -117,13 +117,13 @@ def _closest(at: FreeProjection, band: float) -> tuple[float, int]:
 
 def _is_sound(search: FreeSearch, step: FreeStep) -> bool:
     at = step.at
-    return bool(_closest(at, search.band.bin)[0] >= 1 and np.all(np.abs(at.sigma) <= _BROADEST * at.d))
+    return bool(_closest(at, search.region.bin)[0] >= 1 and np.all(np.abs(at.sigma) <= _BROADEST * at.d))
 
 
 def _sound(search: FreeSearch, step: FreeStep) -> FreeStep:
     """A model without the modes that only mend the shape of others."""
     while len(step.at.p) and not _is_sound(search, step):
-        distance, weaker = _closest(step.at, search.band.bin)
+        distance, weaker = _closest(step.at, search.region.bin)
         if distance >= 1:
             weaker = int(np.argmax(np.abs(step.at.sigma) / step.at.d))
         step = free_step(search, np.delete(step.at.p, weaker))
@@ -134,7 +134,7 @@ def _joined_by_one(problem: Problem, search: FreeSearch, step: FreeStep, demandi
     """One more mode, away from those that are there; if nothing else is left, what is not even that."""
     at = step.at
     candidates, gains = search.data.candidates(step.left)
-    needed = _APART * search.band.bin + np.abs(at.sigma)
+    needed = _APART * search.region.bin + np.abs(at.sigma)
     distant = [
         (complex(p), float(gain)) for p, gain in zip(candidates, gains, strict=True)
         if np.all(np.abs(p.imag - at.p.imag) > needed)
@@ -165,10 +165,10 @@ def finished(search: FreeSearch, p: ComplexArray, accelerometer: bool) -> FreePr
 
     A force is felt by an accelerometer at once; velocity and displacement follow it.
     """
-    at = refine_free(lambda _: search.data.all_rows(True), p, search.band, _EXACT)
+    at = refine_free(lambda _: search.data.all_rows(True), p, search.region, _EXACT)
     if accelerometer or not at.has_feedthrough:
         return at
     error = float(np.sqrt(at.covariance(at.loss / max(1, at.rows))[-1, -1]))
-    if abs(at.feedthrough) > _THROUGH * error:
+    if abs(at.feedthrough[0, 0]) > _THROUGH * error:
         return at
-    return refine_free(lambda _: search.data.all_rows(False), at.p, search.band, _EXACT)
+    return refine_free(lambda _: search.data.all_rows(False), at.p, search.region, _EXACT)

@@ -8,16 +8,16 @@ peaks may be much wider than a bin, it is solved over windows of several widths.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..regression.free import Band, FreeProjection, refine_free
-from ..regression.free_rows import FreeRecord, FreeResponse, FreeRows, FreeTransform
-from ..regression.frequency_rows import FrequencyRows
-from ..regression.spectral_rows import Bins, Spectrum
-from ..regression.time_rows import Experiment
+from ..regression.free import FreeProjection, PoleRegion, refine_free
+from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.modal_regressors import SampledModes
+from ..regression.spectral_rows import Bins, FreeWindow, Spectrum
+from ..regression.time_rows import Experiment, FreeRecord, FreeRows
 from ..regression.variable_projection import Problem
 from .response_candidates import ranked_candidates
 
@@ -49,9 +49,6 @@ class FreeData(Protocol):
     def left(self, at: FreeProjection) -> list[ComplexArray]:
         """What a model leaves of each experiment, at all its bins or points."""
 
-    def predicted(self, at: FreeProjection) -> Sequence[NDArray[Any]]:
-        """Output of a model over all that was measured."""
-
     def loss(self, left: Sequence[ComplexArray]) -> float:
         """Sum of squares, over the data as they were measured."""
 
@@ -68,40 +65,33 @@ class Records:
         self.windowed = max(len(one.u) for one in experiments) > _IN_TIME and all(
             one.complete and not one.from_rest and one.offset < 2 for one in experiments
         )
-        self._in_time = [FreeRecord(one) for one in experiments]
+        self._in_time = [FreeRecord.of(one) for one in experiments]
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The bins about the modes of long records."""
-        return [FreeTransform.thinned(one, p) for one in self.spectra] if self.windowed else self._in_time
+        return [FreeWindow.thinned(one, p) for one in self.spectra] if self.windowed else self._in_time
 
     def all_rows(self, through: bool) -> Sequence[FreeRows]:
         """All observed samples."""
-        return [FreeRecord(one, through) for one in self.experiments]
+        return [FreeRecord.of(one, through) for one in self.experiments]
 
     def left(self, at: FreeProjection) -> list[ComplexArray]:
         """Transforms of what a model leaves; 0 where an output is missing, or an offset explains it."""
+        residues = at.residues[:, 0] if at.inputs else np.zeros((len(at.p), 1), complex)
         if not len(at.p):
             left = [one.Y.copy() for one in self.spectra]
-        elif isinstance(at.experiments[0], FreeTransform):
-            left = [self._beside(one, at, own) for one, own in zip(self.spectra, at.own, strict=True)]
+        elif isinstance(at.experiments[0], FreeWindow):
+            left = [
+                one.left(
+                    SampledModes.of(one.experiment.hold, at.p), residues[:, 0], own[:, 0],
+                    float(at.feedthrough[0, 0]) if at.has_feedthrough else 0.0,
+                )
+                for one, own in zip(self.spectra, at.own, strict=True)
+            ]  # fmt: skip
         else:
-            pairs = zip(self.experiments, self.predicted(at), strict=True)
+            pairs = zip(self.experiments, at.predicted(), strict=True)
             left = [np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0)) for one, predicted in pairs]
         return [spectrum.beside_offset(each) for spectrum, each in zip(self.spectra, left, strict=True)]
-
-    def _beside(self, spectrum: Spectrum, at: FreeProjection, own: Array) -> ComplexArray:
-        left = spectrum.Y.copy()
-        size = max(1, _PIECE // (4 * len(at.p) + 1))
-        weights = np.concatenate([own, at.shared]) if spectrum.experiment.driven else own
-        for first in range(0, len(left), size):
-            bins = np.arange(first, min(first + size, len(left)))
-            left[bins] -= weights @ np.concatenate(FreeTransform(spectrum, bins).columns(at.p)[0])
-        return left
-
-    def predicted(self, at: FreeProjection) -> list[Array]:
-        """Outputs at all samples of a model over these."""
-        pairs = zip(at.experiments, at.own, strict=True)
-        return [rows.predict(at.p, own, at.shared) for rows, own in pairs if isinstance(rows, FreeRecord)]
 
     def loss(self, left: Sequence[ComplexArray]) -> float:
         """Sum of squares over the observed samples."""
@@ -219,20 +209,10 @@ class Responses:
         """All points."""
         return self._responses
 
-    def predicted(self, at: FreeProjection) -> list[ComplexArray]:
-        """Responses at all frequencies of a record; NaN where nothing was measured."""
-        found = []
-        for rows, own in zip(self._responses, at.own, strict=True):
-            record = rows.rows.record
-            everywhere = np.full(len(record.omega), np.nan, complex)
-            everywhere[record.observed] = np.concatenate([own, at.shared]) @ rows.columns(at.p) / rows.rows.scale
-            found.append(everywhere)
-        return found
-
     def left(self, at: FreeProjection) -> list[ComplexArray]:
         """What a model leaves, in the scale of the weights."""
         return [
-            rows.target - np.concatenate([own, at.shared]) @ rows.columns(at.p)
+            rows.target - np.concatenate([own, at.shared])[:, 0] @ rows.columns(at.p)
             for rows, own in zip(self._responses, at.own, strict=True)
         ]
 
@@ -259,8 +239,8 @@ class FreeSearch:
 
     def __init__(self, problem: Problem, data: FreeData) -> None:
         self.problem, self.data = problem, data
-        self.band = Band(problem.bin, problem.ceiling)
+        self.region = PoleRegion(problem.bin, problem.ceiling)
 
     def refined(self, p: ComplexArray, rtol: float = 1e-8) -> FreeProjection:
         """The best damped modes near these poles."""
-        return refine_free(self.data.rows, p, self.band, rtol)
+        return refine_free(self.data.rows, p, self.region, rtol)

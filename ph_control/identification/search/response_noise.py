@@ -116,7 +116,7 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Fr
     squares, shares, gains = [], [], []
     for rows, left in zip(search.data.all_rows(True), step.left, strict=True):
         squares.append(np.abs(left / rows.rows.scale) ** 2)
-        shares.append(_spare(next(rows.blocks(step.at.p))[:-1]))
+        shares.append(_spare(next(rows.at(step.at.p).blocks())[:-1]))
         gains.append(np.abs(rows.target - left) / rows.rows.scale)
     gain, spare = np.concatenate(gains), np.concatenate(shares)
     if spare.sum() < _FEWEST or not np.ptp(gain) or step.loss <= problem.rounding:

@@ -24,6 +24,7 @@ _BATCH = 1 << 13  # candidates worked on at a time
 _EVERYWHERE = 1 << 15  # samples up to which every bin has candidates; above, those where the residual peaks
 _PEAKS = 400  # bins that have candidates then
 _COMPARED = 16  # candidates compared over all bins of all of them
+_OFF_BIN = 1e-3  # bins: closer to one the columns of a mode are nearly parallel
 _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
@@ -162,7 +163,16 @@ def _about(spectrum: Spectrum, d: Array) -> _Columns:
 
 
 def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _Columns:
-    forced, (plus, minus) = spectrum.columns(d, bins)
-    columns = np.stack([forced, plus + minus, 1j * (plus - minus)], axis=2)
+    """Columns of the residue and of the ends of modes; of those on a bin, where the pole of one is, a little off it."""
+    modes, one, place = spectrum.lossless(d), spectrum.experiment, spectrum.place(d)
+    offset = place - np.rint(place)
+    moved = np.where(np.abs(offset) < _OFF_BIN, np.copysign(_OFF_BIN, offset) - offset, 0.0)
+    multiplier = modes.multiplier * np.exp(2j * np.pi / spectrum.length * moved)
+    lam, b0, b1 = (each[:, None] for each in (multiplier, modes.b0, modes.b1))
+    z = np.exp(2j * np.pi / spectrum.length * bins)
+    near, far = 1.0 / (z - lam), 1.0 / (z - lam.conj())
+    forced = (b0 + b1 * z) * near + (b0.conj() + b1.conj() * z) * far + float(one.quantity == "acceleration")
+    forced *= spectrum.U[bins] if one.driven else 0.0
+    columns = np.stack([forced, z * (near + far), 1j * z * (near - far)], axis=2)
     scale = float(np.sqrt(2.0 / spectrum.length))
     return _Columns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)

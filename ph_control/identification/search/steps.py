@@ -161,7 +161,7 @@ class TimeSearch:
         end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
         left, at = [one.Y for one in self._spectra], end.projection
         if len(d):
-            left = [one.left(at.d, at.kappa, own) for one, own in zip(self._spectra, at.own, strict=True)]
+            left = [one.at(at.d).left(at.kappa, own) for one, own in zip(windows, at.own, strict=True)]
         left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
         loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
         return self._ended(end, left, loss)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..regression.free_rows import FreeResponse
+from ..regression.frequency_rows import FreeResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -18,7 +18,7 @@ from scipy.linalg import qr
 from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
-from ..regression.modal_regressors import SHORT, Kernel, in_groups, output_weight, regressors
+from ..regression.modal_regressors import SHORT, Kernel, Regressors, SampledModes, output_weight
 from ..regression.time_rows import Experiment
 from ..regression.triangular import reduced
 from ..regression.variable_projection import Projection, eliminate
@@ -241,7 +241,7 @@ def model_information(problem: Experiment, d: Array, r: Array, amplitudes: Compl
 def _sensitivities(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Array:
     """Derivatives of the output by `(d, kappa, Re x(0), Im x(0))` at a model, shape (T, 4n)."""
     n = len(d)
-    found = regressors(d, problem.u, problem.hold, problem.quantity)
+    found = Regressors(d, problem.u, problem.hold, problem.quantity)
     coefficients = np.concatenate([r * d, amplitudes.real, amplitudes.imag])
     columns, slopes = problem.seen(found.columns()), problem.seen(found.slopes())
     if not problem.driven:
@@ -307,11 +307,10 @@ def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
 
 def _state_sizes(problem: Experiment, d: Array) -> tuple[Array, Array]:
     """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
-    kernel = Kernel(d, problem.hold)
-    groups = in_groups(problem.u)
-    states, _, _ = kernel.states(groups, kernel.turns(len(groups)), kernel.start(problem.u), False)
+    kernel = Kernel(SampledModes.lossless(problem.hold, d, "velocity"))
+    (states,) = kernel.pieces(problem.u[None], len(problem.u), False)
     weight = np.abs(kernel.weight)
-    size = np.sqrt(SHORT) * np.linalg.norm(states, axis=1)
+    size = np.sqrt(SHORT) * np.linalg.norm(states.driven[0], axis=1)
     driven = size * problem.hold.h / np.where(weight > 0, weight, 1.0)
     if problem.hold.intersample == "foh":
         driven += problem.hold.h * np.linalg.norm(problem.u)

@@ -1,0 +1,115 @@
+"""Linear unknowns eliminated from rows of data, so that a small problem in the poles alone is left.
+
+Of the rows only triangular factors are kept: orthogonal transformations eliminate what belongs to one experiment, then
+the factors of all are put under one another, and what they share is eliminated as well (Golub and Pereyra, with the
+Jacobian of Kaufman).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from ..._checks import EPS
+
+Array = NDArray[np.float64]
+
+_WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, above which its rank is looked at
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """An experiment whose own unknowns are eliminated: `own = inverse @ (above of the output - ...)`.
+
+    `above` (k, p) are the rows that the own unknowns fit exactly, `inverse` (s, k) turns them into these unknowns,
+    `below` what is left for the other columns, the last being the outputs.
+    """
+
+    inverse: Array
+    above: Array
+    below: Array
+
+
+def eliminate(factor: Array, own: int, samples: int) -> Eliminated:
+    """Eliminate the first `own` columns of a triangular factor; directions that these do not reach stay below."""
+    if own == 0:
+        return Eliminated(np.zeros((0, 0)), factor[:0], factor)
+    corner = factor[:own, :own]
+    lengths = column_lengths(corner)
+    direct, singular = lapack.dtrtri(corner / lengths)
+    if not singular and np.abs(direct).max() < _WELL_CONDITIONED:
+        return Eliminated(direct / lengths[:, None], factor[:own, own:], factor[own:, own:])
+    U, sigma, Vt = np.linalg.svd(corner / lengths)
+    kept = sigma > tolerance(samples, own) * sigma.max(initial=0.0)
+    above = U.T @ factor[:own, own:]
+    inverse = (Vt[kept].T / sigma[kept]) / lengths[:, None]
+    return Eliminated(inverse, above[kept], np.concatenate([above[~kept], factor[own:, own:]]))
+
+
+def tolerance(samples: int, columns: int) -> float:
+    """Relative size of singular values that are rounding."""
+    return max(samples, columns) * EPS
+
+
+def column_lengths(columns: Array) -> Array:
+    """Norms of columns, 1 where there is nothing."""
+    lengths = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    return np.where(lengths > 0, lengths, 1.0)
+
+
+def orthogonal(columns: Array) -> tuple[Array, Array]:
+    """Orthonormal basis of columns (m, k), and the matrix that turns coordinates in it into coefficients."""
+    lengths = column_lengths(columns)
+    Q, R = np.linalg.qr(columns / lengths)
+    U, s, Vt = np.linalg.svd(R)
+    kept = s > tolerance(*columns.shape) * s.max(initial=0.0)
+    return Q @ U[:, : len(s)][:, kept], (Vt[: len(s)][kept].T / s[kept]) / lengths[:, None]
+
+
+def without(values: Array, basis: Array) -> Array:
+    """What of columns is perpendicular to an orthonormal basis."""
+    return np.asarray(values - basis @ (basis.T @ values))
+
+
+def inverse_gram(columns: Array) -> Array:
+    """Pseudo-inverse of `J^T J`, its columns brought to unit length first."""
+    lengths = column_lengths(columns)
+    inverse = np.linalg.pinv(np.linalg.qr(columns / lengths, mode="r"), rcond=max(columns.shape) * EPS)
+    return np.asarray((inverse @ inverse.T) / np.outer(lengths, lengths))
+
+
+class LinearProjection:
+    """The best linear unknowns at some poles, given by real numbers `x`, and what is left of the data."""
+
+    x: Array
+
+    @property
+    def sizes(self) -> Array:
+        """What a change of each number of `x` is compared with."""
+        raise NotImplementedError
+
+    @property
+    def loss(self) -> float:
+        """Sum of squared residuals."""
+        raise NotImplementedError
+
+    @property
+    def condensed(self) -> tuple[Array, Array]:
+        """Residual, and its Jacobian by `x` with everything else moving along, both in a few rows."""
+        raise NotImplementedError
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Half the gradient of the loss by `x`."""
+        residual, jacobian = self.condensed
+        return np.asarray(jacobian.T @ residual)
+
+    @cached_property
+    def gram(self) -> Array:
+        """`J^T J` of the residuals by `x`."""
+        jacobian = self.condensed[1]
+        return np.asarray(jacobian.T @ jacobian)
