@@ -1,0 +1,123 @@
+"""Several inputs and outputs with shared poles: residues and derivatives against dense matrices and differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference import EPS
+from scipy.linalg import expm
+
+from ph_control.identification.regression.free import FreeProblem, FreeProjection, PoleRegion
+from ph_control.identification.regression.time_rows import FreeRecord
+from ph_control.identification.regression.variable_projection import refine
+from ph_control.modal.discretization import Hold
+
+H, SAMPLES = 0.1, 240
+P = np.array([-0.02 + 1.1j, -0.05 + 2.4j])
+
+
+def plant(seed=0):
+    """Residues (n, outputs, inputs) and feedthrough (outputs, inputs) of two modes, three sensors, two actuators."""
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((2, 3, 2)) + 1j * rng.standard_normal((2, 3, 2)), rng.standard_normal((3, 2))
+
+
+def simulated(residues, D, u, start):
+    """Outputs under held inputs from free motions `start` (n, outputs), one real second-order block at a time."""
+    y = D @ u
+    for p, rho, motion in zip(P, residues, start, strict=True):
+        A = np.array([[p.real, -p.imag], [p.imag, p.real]])
+        for output in range(len(D)):
+            # y = 2 Re x: each output has modal states of its own
+            B = np.stack([2 * rho[output].real, 2 * rho[output].imag])
+            step = expm(H * np.block([[A, B], [np.zeros((2, 4))]]))
+            x = 2 * np.array([motion[output].real, motion[output].imag])
+            for k in range(u.shape[1]):
+                y[output, k] += x[0]
+                x = step[:2, :2] @ x + step[:2, 2:] @ u[:, k]
+    return y
+
+
+def record(noise=0.0, seed=1):
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal((2, SAMPLES))
+    start = rng.standard_normal((2, 3)) + 1j * rng.standard_normal((2, 3))
+    y = simulated(*plant(), u, start)
+    return u, y + noise * rng.standard_normal(y.shape), start
+
+
+def missing(share=0.2, seed=2):
+    """The first output was observed throughout, the second and third not, and not at the same samples."""
+    observed = np.random.default_rng(seed).random((3, SAMPLES)) > share
+    observed[0] = True
+    return observed
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_all_residues_and_motions_follow_from_one_record(gaps):
+    u, y, start = record()
+    observed = missing() if gaps else np.ones((3, SAMPLES), bool)
+    rows = FreeRecord.by_observation(u, np.where(observed, y, np.nan), observed, Hold(H))
+    assert len(rows) == (3 if gaps else 1)
+    at = FreeProjection(rows, P)
+    residues, D = plant()
+    assert np.sqrt(at.loss) <= 1e4 * EPS * np.linalg.norm(y)
+    assert np.allclose(at.residues, residues, rtol=0, atol=1e-9) and np.allclose(at.feedthrough, D, rtol=0, atol=1e-9)
+    for one, own in zip(rows, at.own, strict=True):
+        assert np.allclose(own[:2] + 1j * own[2:], start[:, one.outputs], rtol=0, atol=1e-9)
+    for one, predicted in zip(rows, at.predicted(), strict=True):
+        assert np.allclose(predicted, np.squeeze(y[one.outputs]), rtol=0, atol=1e-9)
+
+
+def test_outputs_share_no_more_than_the_poles():
+    """The loss of all outputs is the sum of those of each alone, at any poles."""
+    u, y, _ = record(noise=0.3)
+    observed, p = missing(), P * (1.01 + 0.003j)
+    together = FreeProjection(FreeRecord.by_observation(u, y, observed, Hold(H)), p)
+    alone = [FreeProjection([FreeRecord(u, y[[k]], observed[k], Hold(H))], p) for k in range(3)]
+    assert np.isclose(together.loss, sum(one.loss for one in alone), rtol=1e-12)
+    assert np.allclose(together.gradient, sum(one.gradient for one in alone), rtol=1e-9)
+    assert together.rows == observed.sum()
+
+
+def test_gradient_is_that_of_differences():
+    u, y, _ = record(noise=0.3)
+    rows, p, nudge = FreeRecord.by_observation(u, y, missing(), Hold(H, "exact", "foh")), P * 1.01, 1e-6
+
+    def loss(x):
+        return FreeProjection(rows, x[2:] + 1j * x[:2]).loss
+
+    x = np.concatenate([p.imag, p.real])
+    differences = [(loss(x + nudge * one) - loss(x - nudge * one)) / (2 * nudge) for one in np.eye(4)]
+    found = 2 * FreeProjection(rows, p).gradient
+    assert np.allclose(found, differences, rtol=1e-5, atol=1e-6 * np.abs(differences).max())
+
+
+def test_experiments_that_excite_and_measure_different_channels_are_one_problem():
+    """A hammer moves on, and so do the sensors: each record shows two outputs and drives one input."""
+    residues, D = plant()
+    rng, rows = np.random.default_rng(5), []
+    for driven, outputs in [(0, [0, 1]), (1, [0, 1]), (0, [2]), (1, [2])]:
+        u = np.zeros((2, SAMPLES))
+        u[driven] = rng.standard_normal(SAMPLES)
+        y = simulated(residues, D, u, np.zeros((2, 3)))[outputs]
+        rows.append(FreeRecord(u, y, np.ones(SAMPLES, bool), Hold(H), outputs=np.array(outputs)))
+    at = FreeProjection(rows, P)
+    assert np.allclose(at.residues, residues, rtol=0, atol=1e-9) and np.allclose(at.feedthrough, D, rtol=0, atol=1e-9)
+
+
+def test_more_outputs_make_poles_surer_and_errors_hold():
+    region, scores = PoleRegion(2 * np.pi / (SAMPLES * H), np.pi / H), []
+    for seed in range(8):
+        u, y, _ = record(noise=0.5, seed=seed)
+        rows = FreeRecord.by_observation(u, y, np.ones((3, SAMPLES), bool), Hold(H))
+        end = refine(FreeProblem(rows, region), np.concatenate([P.imag, P.real]) * 1.01, rtol=1e-12)
+        assert end.converged
+        covariance = end.projection.covariance(0.25)
+        errors = np.sqrt(np.diag(covariance)[:4])
+        scores.append((end.projection.x - np.concatenate([P.imag, P.real])) / errors)
+        first = refine(FreeProblem([FreeRecord(u, y[:1], np.ones(SAMPLES, bool), Hold(H))], region), end.projection.x,
+                       rtol=1e-12).projection  # fmt: skip
+        assert np.all(np.sqrt(np.diag(first.covariance(0.25))[:4]) > errors)
+    # 32 squares of scores, about 1 each
+    assert 0.5 < np.mean(np.square(scores)) < 1.8
