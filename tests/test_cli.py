@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import os
 import re
@@ -19,14 +20,8 @@ from shell import run, streams
 
 import ph_control as phc
 from ph_control import cli
-from ph_control.cli import demonstration as demo
+from ph_control.cli import demo, options, outcome
 from ph_control.cli import fit as fit_command
-from ph_control.cli import options, outcome
-from ph_control.identification.fit.serialization import REPRESENTATIONS
-from ph_control.identification.regression.modal_regressors import QUANTITIES
-from ph_control.identification.search.criteria import CRITERIA
-from ph_control.io.frequency_csv import FREQUENCY_UNITS
-from ph_control.modal import propagation
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
@@ -189,15 +184,15 @@ def test_columns_units_and_weights_of_a_frequency_response_can_be_said(shaker):
 
 
 def test_the_options_of_the_fit_reach_it(recording, tmp_path, monkeypatch):
-    seen = {}
+    seen, pem = {}, phc.pem
 
     def watched(data, order, **keywords):
         seen.update(keywords, order=order)
-        return phc.pem(data, 2)
+        return pem(data, 2)
 
     guess = tmp_path / "guess.json"
     phc.save(phc.modes([0.6, 1.6], [1.0, 1.0]), guess)
-    monkeypatch.setattr("ph_control.identification.fit.pem.pem", watched)
+    monkeypatch.setattr(phc, "pem", watched)
     run(
         "fit", recording, "--order", 2, "--max-order", 7, "--criterion", "aicc", "--method", "midpoint",
         "--intersample", "foh", "--initial-state", "zero", "--offset", "--quantity", "acceleration",
@@ -211,11 +206,21 @@ def test_the_options_of_the_fit_reach_it(recording, tmp_path, monkeypatch):
     }  # fmt: skip
 
 
-def test_choices_are_those_of_the_library():
-    assert options.METHODS == propagation.METHODS and options.INTERSAMPLE == propagation.INTERSAMPLE
-    assert set(options.FREQUENCY_UNITS) == set(FREQUENCY_UNITS)
-    assert set(fit_command.QUANTITIES) == set(QUANTITIES) and set(fit_command.CRITERIA) == set(CRITERIA)
-    assert fit_command.REPRESENTATIONS == REPRESENTATIONS
+CHOICES = {
+    "method": options.METHODS, "intersample": ("auto", *options.INTERSAMPLE), "quantity": fit_command.QUANTITIES,
+    "criterion": fit_command.CRITERIA, "representation": fit_command.REPRESENTATIONS,
+    "frequency_unit": options.FREQUENCY_UNITS,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("keyword", CHOICES)
+def test_choices_are_those_of_the_library(keyword):
+    with pytest.raises(phc.StructureError, match=rf"{keyword} is 'no such'; it must be one of") as caught:
+        if keyword == "frequency_unit":
+            phc.read_frequency_csv(io.StringIO("w,re,im\n1,2,3\n"), frequency_unit="no such")
+        else:
+            phc.pem((np.sin(np.arange(99.0)), np.cos(np.arange(99.0))), dt=0.1, **{keyword: "no such"})
+    assert set(re.findall(r"'([\w/]+)'", str(caught.value))) == set(CHOICES[keyword])
 
 
 def test_a_refusal_is_status_1_and_the_model_is_written_all_the_same(damped, tmp_path):
@@ -277,14 +282,16 @@ def test_existing_files_are_refused_before_the_fit_and_replaced_only_on_request(
         (["--time", "force", "--no-time"], "contradict"),
         (["--no-time"], "name it with --time, or give the time between samples with --dt"),
         (["--dt", "0.2"], "dt is 0.2, but the step .* is 0.1; leave dt out, or pass --no-time"),
+        (["--no-time", "--dt", "-1"], "dt is -1.0; it must be one positive number"),
+        (["--no-time", "--dt", "inf"], "dt is inf; it must be one positive number"),
         (["--order", "200"], "order 200 has 800 unknowns"),
         (["--order", "0"], "order is 0"),
         (["--max-order", "0"], "max_order is 0"),
         (["--workers", "0"], "workers is 0"),
         (["--plot", "{tmp}/fit.doc"], "no known picture format.*png"),
         (["--plot", "-"], "no suffix .* pass --format"),
-        (["--model", "{tmp}/nowhere/model.json"], "its folder does not exist"),
-        (["--model", "{tmp}"], "is not a regular file"),
+        (["--model", "{tmp}/nowhere/model.json"], "the folder .* does not exist"),
+        (["--model", "{tmp}"], "is a folder; pass the name of a file in it"),
         (["--model", "{tmp}/" + "a" * 300], "cannot be the name of a file: File name too long"),
         (["--model", "{tmp}/a.json", "--result", "{tmp}/a.json"], "two of the output files"),
         (["--model", "-", "--result", "-"], "more than once for standard output"),
@@ -312,7 +319,7 @@ def test_mistakes_end_in_one_line_with_a_remedy_and_write_nothing(recording, tmp
     [
         (b"", "standard input is empty; the command before the pipe"),
         (b"t,u,y\n", "standard input has a header in line 1 and no rows"),
-        (b"t,u,y\n0,1,2\n", "needs at least two samples"),
+        (b"t,u,y\n0,1,2\n", "at least two samples are needed"),
         (b"t,u,y\n0,1,2\n1,x,3\n", r"standard input, line 3, column 1 \('u'\): 'x' is not a number"),
         (b"t,u,y\n0,1,2\n1,2,3\n", "at least 5 are needed"),
         (b"a,b\n1,2\n3,4\n", "no column is the time; name it with --time"),
@@ -362,16 +369,14 @@ def test_what_is_no_regular_file_is_refused(recording, tmp_path):
         ([], "required: COMMAND; see ph-control --help"),
         (["fly"], "invalid choice: 'fly'"),
         (["fit"], "required: RECORDING; see ph-control fit --help"),
-        (["fit", "x", "--order", "many"], "'many' is neither 'auto' nor a whole number"),
-        (["fit", "x", "--order", "9" * 5000], "'99999.*...' is neither"),
+        (["fit", "x", "--order", "many"], "invalid order value: 'many'"),
+        (["fit", "x", "--order", "9" * 5000], "invalid order value: '99999.*...9"),
         (["fit", "x", "--method", "rk4"], "invalid choice: 'rk4'"),
-        (["fit", "x", "--ordr", "3"], "no option --ordr; did you mean --order?"),
-        (["fit", "x", "--order=3", "--nonsense"], "no option --nonsense;"),
-        (["fit", "x", "--dt", "-1"], "'-1' is not positive"),
-        (["fit", "x", "--dt", "inf"], "'inf' is not finite"),
-        (["fit", "x", "--dt", "abc"], "'abc' is no number"),
-        (["fit", "x", "--seed", "-1"], "'-1' is negative"),
-        (["fit", "x", "--max-order", "1.5"], "'1.5' is no whole number"),
+        (["fit", "x", "--ordr", "3"], "--ordr is no option of this command, or too much; did you mean --order?"),
+        (["fit", "x", "--order=3", "--nonsense"], "--nonsense is no option of this command"),
+        (["fit", "x", "--dt", "abc"], "argument --dt: invalid float value: 'abc'"),
+        (["fit", "x", "--seed", "-1"], "argument --seed: -1 is not between 0 and"),
+        (["fit", "x", "--max-order", "1.5"], "invalid int value: '1.5'"),
     ],
 )
 def test_wrong_usage_is_status_2_and_one_line(arguments, message):
@@ -384,7 +389,7 @@ def test_after_two_dashes_names_may_begin_with_one(recording, monkeypatch):
     monkeypatch.chdir(recording.parent)
     recording.rename("-odd.csv")
     assert run("fit", "--order", 2, "--", "-odd.csv").status == 0
-    assert "there is no option -odd.csv" in run("fit", "-odd.csv", "x.csv").error
+    assert "-odd.csv is no option" in run("fit", "-odd.csv", "x.csv").error
 
 
 def test_messages_speak_of_options_and_not_of_keywords():
@@ -449,7 +454,7 @@ def test_an_interrupt_elsewhere_writes_nothing(recording, tmp_path, monkeypatch)
     def interrupt(*arguments, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ph_control.identification.fit.pem.pem", interrupt)
+    monkeypatch.setattr(phc, "pem", interrupt)
     done = run("fit", recording, "--model", tmp_path / "model.json")
     assert (done.status, done.out) == (130, "") and "no file is written in part" in done.error
     assert not (tmp_path / "model.json").exists()
@@ -475,7 +480,7 @@ def test_an_error_of_the_program_is_one_line_and_status_3_unless_its_traceback_i
     def broken(*arguments, **keywords):
         raise TypeError("no such\nthing")
 
-    monkeypatch.setattr("ph_control.identification.fit.pem.pem", broken)
+    monkeypatch.setattr(phc, "pem", broken)
     done = run("fit", recording)
     assert done.status == 3 and "TypeError: no such thing" in done.error and done.error.count("\n") == 1
     with pytest.raises(TypeError, match="no such"):
@@ -486,8 +491,8 @@ def test_an_error_of_the_program_is_one_line_and_status_3_unless_its_traceback_i
     "error, status, message",
     [
         (MemoryError(), 2, "not enough memory"),
-        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv: permission denied; check"),
-        (OSError(5, "Input/output error"), 2, "input/output error"),
+        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv: Permission denied; check"),
+        (OSError(5, "Input/output error"), 2, "Input/output error"),
         (RecursionError("deep"), 3, "RecursionError: deep"),
     ],
 )
@@ -495,7 +500,7 @@ def test_what_goes_wrong_outside_the_program_is_said_in_one_line(recording, monk
     def failing(*arguments, **keywords):
         raise error
 
-    monkeypatch.setattr("ph_control.io.time_csv.read_csv", failing)
+    monkeypatch.setattr("ph_control.io.text_table.read_table", failing)
     done = run("fit", recording)
     assert done.status == status and message in done.error and done.error.count("\n") == 1
 

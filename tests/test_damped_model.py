@@ -10,9 +10,9 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from shell import run
 
 import ph_control as phc
-from ph_control.cli.answers import fit_of, strict
 from ph_control.identification.diagnosis.verdict import Outcome
 from ph_control.identification.search.formulation import Formulation
 
@@ -126,7 +126,7 @@ def test_it_comes_back_from_files_copies_and_answers(damped_fit, tmp_path):
         for name in ("poles", "residues", "covariance", "damped", "negative"):
             assert np.array_equal(getattr(other.damped, name), getattr(damped_fit.damped, name), equal_nan=True)
         assert np.array_equal(other.damped.predicted[0], damped_fit.damped.predicted[0])
-    answer = json.loads(strict(fit_of(damped_fit)))
+    answer = json.loads(run("info", tmp_path / "fit.json", "--json").out)
     assert answer["damped"]["damping_ratios"] == damped_fit.damped.damping_ratios.tolist()
     assert answer["damped"]["stderr"]["damping_ratios"] == damped_fit.damped.stderr["damping_ratios"].tolist()
     assert answer["tests"][0]["hypothesis"] == "lossless" and answer["tests"][0]["p"] < 1e-3

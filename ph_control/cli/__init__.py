@@ -6,7 +6,8 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+
+import ph_control as phc
 
 from .options import Parser
 from .outcome import EXIT_CODES, guarded
@@ -54,14 +55,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
-    command: str = _parser().parse_args(words[: place + 1]).command
+    command: str = _parser().parse(words[: place + 1]).command
     module = import_module(f".{command}", __name__)
     parser = Parser(
         prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}", description=module.DESCRIPTION,
         examples=module.EXAMPLES,
     )  # fmt: skip
     module.add_options(parser)
-    code: int = module.run(parser.parse_intermixed_args(_plain(words[place + 1 :])))
+    code: int = module.run(parser.parse(_plain(words[place + 1 :])))
     return code
 
 
@@ -77,17 +78,10 @@ def _parser() -> Parser:
         prog="ph-control", usage="%(prog)s [--version] [--traceback] COMMAND ...", epilog=_EPILOG, examples=_EXAMPLES,
         description="Lossless (port-Hamiltonian) models from recordings, for python-control.",
     )  # fmt: skip
-    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    version = getattr(phc, "__version__", "(not installed)")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version}")
     parser.add_argument("--traceback", action="store_true", help="show where in the program an error arose")
     group = parser.add_argument_group("commands")
-    listed = "\n".join(f"{name:9} {text}" for name, text in COMMANDS.items())
-    group.description = listed
+    group.description = "\n".join(f"{name:9} {text}" for name, text in COMMANDS.items())
     group.add_argument("command", choices=tuple(COMMANDS), metavar="COMMAND", help="one of these")
     return parser
-
-
-def _version() -> str:
-    try:
-        return version("ph_control")
-    except PackageNotFoundError:
-        return "(not installed)"

@@ -6,16 +6,13 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+import ph_control as phc
+
 from ..exceptions import StructureError
-from ..io.matlab import matlab_of
-from .answers import emit_json, strict
-from .coefficients import columns_of, rows_of
-from .matrices import arrays_of, modes_of, polynomials_of
-from .models import Model, read_models
+from .inputs import Model, read_models, system_name_of
 from .options import Parser, add_json, add_model, add_overwrite, system_name
 from .outcome import DONE, emit
-from .outputs import check_outputs, deliver, refuse_both
-from .sources import check_sources
+from .outputs import check_files, deliver, emit_json, strict
 
 USAGE = "MODEL FILE [options]"
 
@@ -64,9 +61,7 @@ def run(options: Namespace) -> int:
             ("name the model and the file to write" if wanted else "with --num and --den, name the file to write only")
             + f"; {len(options.files)} given"
         )
-    check_sources(sources)
-    check_outputs([target], sources, options.overwrite)
-    refuse_both(options.json, [target])
+    check_files(options, sources, [target])
     kind = options.format or _format_of(target)
     (model,) = read_models(sources, options)
     form = options.to or ("tf" if kind in ("txt", "csv") else None)
@@ -92,60 +87,69 @@ def _format_of(target: str) -> str:
 
 
 def _form_of(made: Any) -> str:
-    names = {"ModalForm": "modes", "ControllableHamiltonian": "ch", "ObservableHamiltonian": "oh"}
-    names |= {"TransferFunction": "tf", "AffineHamiltonian": "affine"}
-    return names.get(type(made).__name__, "ph")
+    from control import TransferFunction
+
+    forms: dict[type, str] = {
+        phc.ModalForm: "modes", phc.ControllableHamiltonian: "ch", phc.ObservableHamiltonian: "oh",
+        TransferFunction: "tf", phc.AffineHamiltonian: "affine",
+    }  # fmt: skip
+    return forms.get(type(made), "ph")
 
 
 def _converted(model: Model, form: str | None, name: str | None) -> Any:
     """Object of the wanted form, or of its own."""
-    from ..modal.modal_form import ModalForm
-    from ..systems import canonical_forms
-    from ..systems.affine import AffineHamiltonian
-    from ..systems.port_hamiltonian import modes, ph
-    from ..systems.transfer_function import tf
-
-    if isinstance(model.content, AffineHamiltonian) and form in (None, "ss"):
-        return _renamed(model.content, name)
-    found = model.lossless()
-    if isinstance(found, ModalForm) and (form not in (None, "modes") or name is not None):
+    if isinstance(model.content, phc.AffineHamiltonian) and form in (None, "ss"):
+        found: Any = model.content
+    else:
+        found = model.lossless()
+    if isinstance(found, phc.ModalForm) and (form not in (None, "modes") or name is not None):
         # modes have no name, and no matrices
-        found = ph(found, name=model.name)
-    if form == "modes" or isinstance(found, ModalForm):
-        return modes(found)
-    makers: dict[str, Any] = {"ph": ph, "ch": canonical_forms.ch, "oh": canonical_forms.oh, "tf": tf}
+        found = phc.ph(found, name=system_name_of(model.label))
+    if form == "modes" or isinstance(found, phc.ModalForm):
+        return phc.modes(found)
+    makers: dict[str | None, Any] = {"ph": phc.ph, "ch": phc.ch, "oh": phc.oh, "tf": phc.tf}
     made = makers[form](found, name=found.name) if form in makers else found
-    return _renamed(made, name)
-
-
-def _renamed(system: Any, name: str | None) -> Any:
-    return system if name is None else system.copy(name)
+    return made if name is None else made.copy(name)
 
 
 def _encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     """Content of the file."""
     from ..io.codecs import document_of
+    from ..io.matlab import matlab_of
 
     found = _form_of(made)
     if found == "tf":
-        arrays = polynomials_of(made)
+        arrays = _polynomials(made)
     elif found == "modes" and kind != "json":
-        arrays = modes_of(made)
+        if made.nports != 1 or len(made.rigid):
+            raise StructureError("d and r alone do not tell a model of several ports, or with a pole at 0; write .json")
+        arrays = {"d": made.d, "r": made.r}
     elif form == "ss" or kind != "json":
-        arrays = arrays_of(made)
+        arrays = {key: getattr(made, key) for key in "ABCD"}
     else:
         return document_of(made)
-    if kind == "mat":
-        return matlab_of(arrays)
-    return strict(arrays, indent=None) if kind == "json" else _text(arrays, kind)
+    if kind == "json":
+        return strict(arrays, indent=None)
+    return matlab_of(arrays) if kind == "mat" else _text(arrays, " " if kind == "txt" else ",")
 
 
-def _text(arrays: dict[str, Any], kind: str) -> str:
-    separator = " " if kind == "txt" else ","
-    if "num" in arrays:
-        return rows_of(arrays, separator)
-    if "d" in arrays:
-        return columns_of(arrays, separator)
-    raise StructureError(
-        "texts hold the coefficients of a transfer function (--to tf) or modes (--to modes); write a .json or .mat file"
-    )
+def _polynomials(system: Any) -> dict[str, Any]:
+    """Coefficients of a transfer function with one input and one output."""
+    if not system.issiso():
+        raise StructureError(
+            f"the system has {system.ninputs} inputs and {system.noutputs} outputs, and coefficients are those of one "
+            "of each; use --to ss"
+        )
+    return {"num": system.num_list[0][0], "den": system.den_list[0][0]}
+
+
+def _text(arrays: dict[str, Any], separator: str) -> str:
+    """Lines of coefficients, or columns of modes, each number with the shortest digits that give it again."""
+    if "A" in arrays:
+        raise StructureError(
+            "texts hold the coefficients of a transfer function (--to tf) or modes (--to modes); write a .json or .mat "
+            "file"
+        )
+    named = [[key, *(repr(float(x)) for x in values)] for key, values in arrays.items()]
+    rows = zip(*named, strict=True) if "d" in arrays else named
+    return "".join(separator.join(row) + "\n" for row in rows)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from argparse import Namespace
 from typing import Any
 
+import ph_control as phc
+
 from .._units import hertz_size, rate
-from .answers import emit_json, fit_of, modes_of
-from .models import Model, read_models
+from .inputs import Model, read_models
 from .options import Parser, add_json, add_model
 from .outcome import DONE, NO, NoError, emit, in_shell_terms
-from .sources import check_sources
+from .outputs import check_files, emit_json, fit_of, modes_of
 
 USAGE = "MODEL [MODEL ...] [options]"
 
@@ -35,11 +36,11 @@ def add_options(parser: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Describe each model."""
-    check_sources(options.models)
+    check_files(options, options.models, [])
     answers = [_answer(model) for model in read_models(options.models, options)]
     if options.json:
         fields = [fields for fields, _ in answers]
-        emit_json({"command": "info", **fields[0]} if len(fields) == 1 else {"command": "info", "models": fields})
+        emit_json({"command": "info", **(fields[0] if len(fields) == 1 else {"models": fields})})
     else:
         emit("\n\n".join(text for _, text in answers) + "\n")
     return DONE if all(fields["lossless"] for fields, _ in answers) else NO
@@ -47,78 +48,68 @@ def run(options: Namespace) -> int:
 
 def _answer(model: Model) -> tuple[dict[str, Any], str]:
     """What there is to say of a model, for machines and for people."""
+    known = {"source": model.source, "kind": type(model.content).__name__, "lossless": True}
     if model.is_result:
-        fields = {"source": model.source, "kind": "PEMResult", "lossless": True, **fit_of(model.content)}
-        return fields, in_shell_terms(model.content.summary())
-    kind = type(model.content).__name__
-    foreign = kind in ("StateSpace", "TransferFunction")
-    given = f"{model.source}: {_kind_of(model.content)}" if foreign else ""
+        return {**known, **fit_of(model.content)}, in_shell_terms(model.content.summary())
+    given = _foreign(model)
     try:
-        found = _seen(model)
+        # an affine system is what it is
+        found = model.content if isinstance(model.content, phc.AffineHamiltonian) else model.lossless()
     except NoError as error:
-        fields = {"source": model.source, "kind": kind, "lossless": False, "violations": error.violations}
-        return fields, "\n".join([f"{given}, NOT lossless", *(f"  - {line}" for line in error.violations)])
-    lines = _lines(found)
-    return {
-        "source": model.source, "kind": kind, "lossless": True, **_fields_of(found), "violations": []
-    }, "\n".join([f"{given}, lossless", *lines] if given else lines)  # fmt: skip
+        text = "\n".join([f"{given}, NOT lossless", *(f"  - {line}" for line in error.violations)])
+        return {**known, "lossless": False, "violations": error.violations}, text
+    lines = [f"{given}, lossless"] if given else []
+    return {**known, **_fields_of(found), "violations": []}, "\n".join(lines + _lines(found))
 
 
-def _kind_of(system: Any) -> str:
-    """What kind of system it is, and how large."""
-    ports = f"{_counted(system.ninputs, 'input')}, {_counted(system.noutputs, 'output')}"
-    if hasattr(system, "A"):
-        return f"state space, {_counted(system.nstates, 'state')}, {ports}"
-    return f"transfer function of degree {_degree(system)}, {ports}"
+def _foreign(model: Model) -> str:
+    """What kind of system of python-control it is, and how large; nothing for those of this package."""
+    from control import StateSpace, TransferFunction
+
+    system = model.content
+    if type(system) is StateSpace:
+        kind = f"state space, {_counted(system.nstates, 'state')}"
+    elif type(system) is TransferFunction:
+        kind = f"transfer function of degree {max(len(den) for row in system.den_list for den in row) - 1}"
+    else:
+        return ""
+    return f"{model.source}: {kind}, {_counted(system.ninputs, 'input')}, {_counted(system.noutputs, 'output')}"
 
 
-def _degree(system: Any) -> int:
-    return max(len(den) for row in system.den_list for den in row) - 1
-
-
-def _seen(model: Model) -> Any:
-    """Object with modes; an affine system is what it is."""
-    from ..systems.affine import AffineHamiltonian
-
-    return model.content if isinstance(model.content, AffineHamiltonian) else model.lossless()
+def _modes(found: Any) -> tuple[phc.ModalForm, str | None]:
+    """Modal form, and the unit of time."""
+    return found if isinstance(found, phc.ModalForm) else found.modes, getattr(found, "time_unit", None)
 
 
 def _fields_of(found: Any) -> dict[str, Any]:
-    form = getattr(found, "modes", found)
-    fields = {
-        "ports": form.nports,
-        "states": getattr(found, "nstates", 2 * form.n),
-        "degrees_of_freedom": getattr(found, "n", form.n),
-    }
-    if hasattr(found, "input_labels"):
-        fields |= {"name": found.name, "inputs": found.input_labels, "outputs": found.output_labels}
-    if hasattr(found, "is_canonical"):
+    form, unit = _modes(found)
+    fields: dict[str, Any] = {"ports": form.nports, "states": 2 * form.n, "degrees_of_freedom": form.n}
+    if found is not form:
+        fields |= {"states": found.nstates, "degrees_of_freedom": found.n, "name": found.name}
+        fields |= {"inputs": found.input_labels, "outputs": found.output_labels}
+    if isinstance(found, phc.PortHamiltonian):
         fields["canonical"] = bool(found.is_canonical)
-    unit = getattr(found, "time_unit", None)
-    fields |= {"time_unit": unit, "hertz": form.d / hertz_size(unit) if unit else None}
-    return {**fields, **modes_of(form)}
+    return {**fields, "time_unit": unit, "hertz": form.d / hertz_size(unit) if unit else None, **modes_of(form)}
 
 
 def _lines(found: Any) -> list[str]:
-    form = getattr(found, "modes", found)
-    ports = _counted(form.nports, "port")
-    lines = [f"{type(found).__name__}: {_counted(form.n, 'mode')}, {ports}"]
-    if hasattr(found, "input_labels"):
+    form, unit = _modes(found)
+    kind, ports = type(found).__name__, _counted(form.nports, "port")
+    if found is form:
+        lines = [f"{kind}: {_counted(form.n, 'mode')}, {ports}"]
+    else:
         degrees = f"{_counted(found.n, 'degree')} of freedom, {_counted(found.nstates, 'state')}"
         lines = [
-            f"{type(found).__name__} {found.name}: {degrees}, {ports}",
+            f"{kind} {found.name}: {degrees}, {ports}",
             f"  inputs {', '.join(found.input_labels)}; outputs {', '.join(found.output_labels)}",
         ]
-    if hasattr(found, "is_canonical"):
+    if isinstance(found, phc.PortHamiltonian):
         lines.append(f"  canonical (controllable and observable): {'yes' if found.is_canonical else 'no'}")
-    unit = getattr(found, "time_unit", None)
     head = f"d [{rate(unit)}]", f"f [{'Hz' if unit else '1/time'}]"
     lines.append(f"   mode   {head[0]:18}   {head[1]:15}   weight r          residue kappa")
-    for l in range(len(form.d)):
-        lines.append(
-            f"  {l + 1:5d}   {form.d[l]:<18.10g}   {form.d[l] / hertz_size(unit):<15.8g}   "
-            f"{_number(form.r[l])}   {_number(form.kappa[l])}".rstrip()
-        )
+    for l, (d, r, kappa) in enumerate(zip(form.d, form.r, form.kappa, strict=True), 1):
+        row = f"  {l:5d}   {d:<18.10g}   {d / hertz_size(unit):<15.8g}   {_number(r)}   {_number(kappa)}"
+        lines.append(row.rstrip())
     if len(form.rigid):
         lines.append(f"  pole at 0 with residue kappa_0 = {_number(form.kappa_0)}".rstrip())
     return lines

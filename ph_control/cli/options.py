@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from ..exceptions import FileFormatError
-from .coefficients import list_of_numbers
 from .outcome import BAD, complain
 
 # as the library has them; importing it would cost more than showing a help (a test holds the two together)
@@ -20,6 +19,8 @@ FREQUENCY_UNITS = ("rad/s", "Hz", "kHz", "MHz", "GHz")
 
 _WIDTH = 88  # characters of running text in a help
 _NUMBER = re.compile(r"^-\.?[0-9]")
+_SEPARATOR = re.compile(r"\s*[,;]\s*|\s+")
+_PARTS = {"real": "real part", "imag": "imaginary part"}
 
 
 class Parser(argparse.ArgumentParser):
@@ -30,32 +31,20 @@ class Parser(argparse.ArgumentParser):
         super().__init__(
             description=textwrap.fill(" ".join(description.split()), _WIDTH),
             epilog="\n\n".join([*parts, "examples:\n" + examples.strip("\n")]),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-            **settings,
-        )
+            formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings,
+        )  # fmt: skip
         # polynomials begin with negative numbers, and no option does
         self._negative_number_matcher = _NUMBER
 
-    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, with a proposal for options that are spelt wrong."""
-        found, extra = self.parse_known_args(args, namespace)
-        self._refuse(extra)
+    def parse(self, words: Sequence[str]) -> argparse.Namespace:
+        """Parse, positional arguments anywhere among the options, with a proposal for one that is spelt wrong."""
+        found, extra = self.parse_known_intermixed_args(words)
+        if extra:
+            known = [name for action in self._actions for name in action.option_strings]
+            close = difflib.get_close_matches(extra[0].split("=")[0], known, 1)
+            hint = f"; did you mean {close[0]}?" if close else ""
+            self.error(f"{extra[0]} is no option of this command, or too much{hint}")
         return found
-
-    def parse_intermixed_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, positional arguments anywhere among the options."""
-        found, extra = self.parse_known_intermixed_args(args, namespace)
-        self._refuse(extra)
-        return found
-
-    def _refuse(self, extra: Sequence[str]) -> None:
-        if not extra:
-            return
-        known = [name for action in self._actions for name in action.option_strings]
-        close = difflib.get_close_matches(extra[0].split("=")[0], known, 1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        self.error(f"there is no option {extra[0]}{hint}" if extra[0].startswith("-") else f"{extra[0]!r} is too much")
 
     def error(self, message: str) -> NoReturn:
         """One line, and where to read on."""
@@ -73,119 +62,94 @@ def column(text: str) -> str | int:
 
 def order(text: str) -> str | int:
     """Number of modes, or 'auto'."""
-    return text if text == "auto" else whole(text, "neither 'auto' nor a whole number")
+    return text if text == "auto" else int(text)
 
 
-def whole(text: str, otherwise: str = "no whole number") -> int:
-    """Whole number."""
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is {otherwise}") from None
+def within(kind: Callable[[str], float], low: float, high: float) -> Callable[[str], float]:
+    """Type of a number from `low` to `high`; of others the library says what they may be."""
 
+    def number(text: str) -> float:
+        value = kind(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is not between {low:g} and {high:g}")
+        return value
 
-def seed(text: str) -> int:
-    """Seed of random numbers."""
-    value = whole(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is negative")
-    return value
-
-
-def resolution(text: str) -> float:
-    """Dots per inch."""
-    value = number(text)
-    if not 10 <= value <= 2400:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is not between 10 and 2400")
-    return value
+    return number
 
 
 def system_name(text: str) -> str:
     """Name of a system."""
     if not text or "." in text:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is no name; it needs a letter, and must have no dots")
+        raise argparse.ArgumentTypeError(f"{text!r} is no name; it needs a letter, and must have no dots")
     return text
-
-
-def system_name_of(text: str) -> str:
-    """Name that python-control accepts, for what is called so."""
-    return re.sub(r"\W+", "_", text).strip("_") or "model"
-
-
-def number(text: str) -> float:
-    """Finite number."""
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is no number") from None
-    if value - value != 0:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is not finite")
-    return value
-
-
-def positive(text: str) -> float:
-    """Positive finite number."""
-    value = number(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is not positive")
-    return value
 
 
 def numbers(text: str) -> list[float]:
     """Numbers between commas, semicolons or spaces, in brackets or not."""
     try:
         return list_of_numbers(text)
-    except FileFormatError as error:
+    except ValueError as error:
         raise argparse.ArgumentTypeError(f"{error}; write such as 1,0,4") from None
 
 
 def pair(text: str) -> tuple[float, float]:
-    """Two positive numbers, ascending."""
+    """Two numbers."""
     found = numbers(text)
-    if len(found) != 2 or not 0 < found[0] < found[1]:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is not two positive numbers, ascending, such as 0.1,10")
+    if len(found) != 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not two numbers, such as 0.1,10")
     return found[0], found[1]
 
 
 def size(text: str) -> tuple[float, float]:
     """Width and height in inches."""
-    found = numbers(text)
-    if len(found) != 2 or not all(1 <= side <= 100 for side in found):
-        raise argparse.ArgumentTypeError(f"{_short(text)} is not width,height of 1 to 100 inches, such as 8,5")
-    return found[0], found[1]
+    sides = pair(text)
+    if not all(1 <= side <= 100 for side in sides):
+        raise argparse.ArgumentTypeError(f"{text!r} is not width,height of 1 to 100 inches, such as 8,5")
+    return sides
 
 
-def percentage(text: str) -> float:
-    """Percentage, at most 100."""
-    value = number(text)
-    if value > 100:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is more than 100")
+def list_of_numbers(text: str) -> list[float]:
+    """Finite numbers between commas, semicolons or white space, one of these throughout, in brackets or not."""
+    inside = text.strip().rstrip(";").strip().removeprefix("[").removesuffix("]").strip()
+    if not inside:
+        raise ValueError("there are no numbers")
+    signs = {found.strip() for found in _SEPARATOR.findall(inside)}
+    if len(signs) > 1:
+        # a decimal comma would make two numbers of one
+        listed = " and ".join(sorted(sign or "space" for sign in signs))
+        raise ValueError(f"{inside!r} has {listed} between its numbers; write decimal points, and one of them")
+    return [_number(word) for word in _SEPARATOR.split(inside)]
+
+
+def _number(word: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        raise ValueError(f"{word!r} is not a number") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{word!r} is not finite, or too large")
     return value
-
-
-def share(text: str) -> float:
-    """Share between 0 and 1."""
-    value = number(text)
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"{_short(text)} is not between 0 and 1, such as 0.95")
-    return value
-
-
-def _short(text: str) -> str:
-    return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 # --- groups of options -----------------------------------------------------------------------------------------------
 
 
-def add_json(parser: Parser) -> None:
+def add_json(parser: argparse._ActionsContainer) -> None:
     """How the answer is given."""
     parser.add_argument("--json", action="store_true", help="print the answer as JSON, numbers in full")
 
 
-def add_overwrite(parser: Parser) -> None:
+def add_overwrite(parser: argparse._ActionsContainer) -> None:
     """What commands that write files take."""
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+
+
+def add_labels(parser: Parser) -> None:
+    """Models, and how they are called."""
+    parser.add_argument("models", nargs="*", metavar="MODEL", help="models, as ph-control info reads them")
+    parser.add_argument(
+        "--label", action="append", metavar="NAME", help="name of a model, in order (default: the file)"
+    )
 
 
 def add_recording(parser: Parser) -> None:
@@ -198,12 +162,11 @@ def add_recording(parser: Parser) -> None:
     table.add_argument("--no-input", action="store_true", help="nothing drove the record: a free motion")
     table.add_argument("--time", type=column, metavar="COLUMN", help="column of the time")
     table.add_argument("--no-time", action="store_true", help="no column is the time; needs --dt")
-    table.add_argument("--dt", type=positive, metavar="STEP", help="time between samples, without a time column")
+    table.add_argument("--dt", type=float, metavar="STEP", help="time between samples, without a time column")
     table.add_argument(
-        "--time-unit",
-        metavar="UNIT",
+        "--time-unit", metavar="UNIT",
         help="unit of time: ns, us, ms, s, min or h (default: that in the name of its column)",
-    )
+    )  # fmt: skip
     table.add_argument("--delimiter", metavar="CHARACTER", help="what separates the columns (default: found out)")
     table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: found out)")
     table.add_argument(
@@ -213,19 +176,15 @@ def add_recording(parser: Parser) -> None:
         "frequency responses", "tables with a column of frequencies, and magnitude and phase or both parts"
     )
     for role in ("frequency", "magnitude", "phase", "real", "imag"):
-        response.add_argument(
-            f"--{role}", type=column, metavar="COLUMN", help=f"column of the {_PARTS.get(role, role)}"
-        )
+        part = _PARTS.get(role, role)
+        response.add_argument(f"--{role}", type=column, metavar="COLUMN", help=f"column of the {part}")
     response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: that in the name of the column")
     response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: that in the name, or linear")
     response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: that in the name of the column")
     response.add_argument("--weights", type=column, metavar="COLUMN", help="column of weights, as 1/variance")
 
 
-_PARTS = {"real": "real part", "imag": "imaginary part"}
-
-
-def add_meeting(parser: Parser, states: tuple[str, ...], holds: tuple[str, ...] = INTERSAMPLE) -> None:
+def add_meeting(parser: argparse._ActionsContainer, states: Sequence[str], holds: Sequence[str] = INTERSAMPLE) -> None:
     """How a model meets samples."""
     parser.add_argument(
         "--method", choices=METHODS, default="exact",

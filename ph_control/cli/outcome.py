@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
-from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError
+from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError, shortened
 
 DONE, NO, BAD, BROKEN, INTERRUPTED, UNREAD = 0, 1, 2, 3, 130, 141
 
@@ -55,61 +56,31 @@ def complain(message: str) -> None:
     """One line on standard error; where that is closed, nothing."""
     if sys.stderr is not None:
         with suppress(OSError, ValueError):
-            print("ph-control: " + " ".join(message.split()), file=sys.stderr, flush=True)
+            print("ph-control: " + shortened(" ".join(message.split())), file=sys.stderr, flush=True)
 
 
-def emit(text: str) -> None:
+def emit(content: str | bytes) -> None:
     """Write to standard output at once, so that an error of it is met here and not at the end of the process."""
     if sys.stdout is None:
         return
     try:
-        sys.stdout.write(text)
+        if isinstance(content, str):
+            sys.stdout.write(content)
+        elif sys.stdout.isatty():
+            raise PHControlError("standard output is a terminal, and this is no text: send it to a file, or name one")
+        else:
+            sys.stdout.flush()
+            sys.stdout.buffer.write(content)
         sys.stdout.flush()
     except OSError as error:
-        _silence_output()
-        raise _of_output(error) from None
-
-
-def emit_bytes(content: bytes) -> None:
-    """The same for what is no text."""
-    if sys.stdout is None:
-        return
-    if sys.stdout.isatty():
-        raise PHControlError("standard output is a terminal, and this is no text: send it to a file, or name one")
-    try:
-        sys.stdout.flush()
-        sys.stdout.buffer.write(content)
-        sys.stdout.buffer.flush()
-    except OSError as error:
-        _silence_output()
-        raise _of_output(error) from None
-
-
-def _of_output(error: OSError) -> Exception:
-    if isinstance(error, BrokenPipeError):
-        return error
-    return PHControlError(f"standard output cannot be written: {error.strerror or error}; send it elsewhere")
-
-
-def _silence_output() -> None:
-    """Let the interpreter flush what is left into nothing, as it does at its end."""
-    with suppress(OSError, ValueError, AttributeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-@contextmanager
-def _encodable_output() -> Iterator[None]:
-    """Let labels that the encoding of the terminal does not have be shown by their numbers."""
-    streams = [stream for stream in (sys.stdout, sys.stderr) if hasattr(stream, "reconfigure")]
-    before = [stream.errors for stream in streams]
-    for stream in streams:
-        stream.reconfigure(errors="backslashreplace")
-    try:
-        yield
-    finally:
-        for stream, errors in zip(streams, before, strict=True):
-            with suppress(OSError, ValueError):
-                stream.reconfigure(errors=errors)
+        # what is left goes nowhere: at its end the interpreter would try again
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise PHControlError(
+            f"standard output cannot be written: {error.strerror or error}; send it elsewhere"
+        ) from None
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -122,7 +93,11 @@ def _show_warning(message: Warning | str, category: type[Warning], *where: Any, 
 
 def guarded(run: Callable[[], int], *, traceback: bool = False) -> int:
     """Exit status of a run, whatever happens in it."""
-    with _encodable_output(), warnings.catch_warnings():
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # labels that the encoding of the terminal does not have are shown by their numbers
+            stream.reconfigure(errors="backslashreplace")
+    with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = _show_warning
         try:
@@ -131,7 +106,6 @@ def guarded(run: Callable[[], int], *, traceback: bool = False) -> int:
             emit("")
             return code
         except BrokenPipeError:
-            _silence_output()
             return UNREAD
         except KeyboardInterrupt:
             complain("interrupted; no file is written in part")
@@ -156,15 +130,11 @@ def _told(error: Exception) -> tuple[int, str]:
     """Exit status and message of an error."""
     if isinstance(error, NotLosslessError):
         error = NoError("the system", error.violations)
-    if isinstance(error, NoError):
-        return NO, str(error)
     if isinstance(error, PHControlError):
-        return BAD, in_shell_terms(str(error))
+        return NO if isinstance(error, NoError) else BAD, in_shell_terms(str(error))
     if isinstance(error, OSError):
-        reason = (error.strerror or str(error)).lower()
-        return BAD, f"{error.filename}: {reason}; check the name, the permissions and the space left" * bool(
-            error.filename
-        ) or f"{reason}; check the files and the space left"
+        place = f"{error.filename}: " if error.filename else ""
+        return BAD, f"{place}{error.strerror or error}; check the name, the permissions and the space left"
     if isinstance(error, MemoryError):
         return BAD, "not enough memory for this; use less data, or a lower order"
     return BROKEN, (

@@ -1,72 +1,136 @@
-"""What a command writes: files that appear whole or not at all, or standard output."""
+"""What commands write: answers as JSON, and files that appear whole or not at all, or standard output."""
 
 from __future__ import annotations
 
 import io
+import json
+import math
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..exceptions import FileMissingError, OutputExistsError, StructureError
-from .outcome import emit, emit_bytes
+from ..exceptions import OutputExistsError, StructureError
+from .outcome import emit
+
+# --- answers ---------------------------------------------------------------------------------------------------------
+
+_FIT = (
+    "verdict", "message", "order", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness", "active",
+    "unseen", "rank_deficiency", "success", "method", "intersample", "quantity", "representation",
+)  # fmt: skip
+_DAMPED = ("order", "fit_percent", "natural_frequencies", "damping_ratios", "residues", "feedthrough", "loss", "loglik",
+           "damped", "negative")  # fmt: skip
 
 
-def check_outputs(outputs: Sequence[str | None], sources: Sequence[str], overwrite: bool) -> None:
-    """Refuse before the work what would fail after it."""
-    named = [name for name in outputs if name is not None]
-    if named.count("-") > 1:
-        raise StructureError("- stands more than once for standard output; name a file for all but one")
-    files = [Path(name) for name in named if name != "-"]
-    for path in files:
-        _check(path, [Path(source) for source in sources if source != "-"], overwrite)
-    if len({path.resolve() for path in files}) < len(files):
-        raise StructureError("two of the output files have the same name; give each its own")
+def strict(value: Any, indent: int | None = 2) -> str:
+    """JSON of arrays, tuples and complex numbers (`[re, im]`); null where a number is not finite."""
+    from ..io.json_format import plain
+
+    return json.dumps(plain(value, lambda number: None), indent=indent, allow_nan=False) + "\n"
 
 
-def _check(path: Path, sources: list[Path], overwrite: bool) -> None:
-    try:
-        exists = path.exists()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise StructureError(f"{str(path)[:60]!r} cannot be the name of a file: {reason}; choose another") from None
-    if exists and any(source.exists() and path.samefile(source) for source in sources):
-        raise OutputExistsError(f"{path} is one of the inputs, which are never overwritten; name another file")
-    if exists and not path.is_file():
-        raise OutputExistsError(f"{path} is not a regular file; name another one")
-    if exists and not overwrite:
-        raise OutputExistsError(f"{path} exists; name another file, or pass --overwrite to replace it")
-    if exists and not path.stat().st_mode & 0o222:
-        raise OutputExistsError(f"{path} is read-only; make it writable, or name another file")
-    if not path.resolve().parent.is_dir():
-        raise FileMissingError(f"{path} cannot be written: its folder does not exist; make it first")
+def emit_json(answer: dict[str, Any]) -> None:
+    """Print an answer."""
+    emit(strict(answer))
 
 
-def refuse_both(json: bool, outputs: Sequence[str | None]) -> None:
-    """Refuse two things on one standard output."""
-    if json and "-" in outputs:
+def modes_of(form: Any) -> dict[str, Any]:
+    """Fields of a modal form."""
+    kappa_0 = form.kappa_0 if len(form.rigid) else 0.0
+    return {"d": form.d, "frequency": form.d / (2 * math.pi), "r": form.r, "kappa": form.kappa, "kappa_0": kappa_0}
+
+
+def fit_of(result: Any) -> dict[str, Any]:
+    """Fields of the result of a fit."""
+    from ..identification.fit.report import residue_errors
+
+    return {
+        **_fields(result, *_FIT),
+        "described": is_described(result),
+        "findings": [{**_fields(one, "values", "gain"), "cause": one.cause.value} for one in result.findings],
+        "hertz": None if result.time_unit is None else result.hertz,
+        **modes_of(result.modes),
+        "stderr": {**result.stderr, "kappa": residue_errors(result)},
+        "noise_std": result.noise.floor,
+        "iterations": result.n_iterations,
+        "tests": [dict(vars(one)) for one in result.tests],
+        "damped": None if result.damped is None else _damped_of(result.damped),
+        "experiments": [_experiment_of(one) for one in result.experiments],
+        "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
+    }
+
+
+def _fields(thing: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(thing, name) for name in names}
+
+
+def _damped_of(model: Any) -> dict[str, Any]:
+    return {
+        **_fields(model, *_DAMPED),
+        "hertz": None if model.time_unit is None else model.hertz,
+        "stderr": dict(model.stderr),
+        "noise_std": math.sqrt(model.noise_variance),
+    }
+
+
+def _experiment_of(one: Any) -> dict[str, Any]:
+    record = one.record
+    return {
+        "title": record.title,
+        "input": record.input_label,
+        "output": record.output_label,
+        "samples": record.samples,
+        "missing": int((~record.observed).sum()),
+        "step": getattr(record, "dt", None),
+        **_fields(one, "fit_percent", "initial_state", "offset", "drift"),
+    }
+
+
+def is_described(result: Any) -> bool:
+    """Whether the verdict leaves a model standing."""
+    return bool(result.order) and result.outcome.leaves_a_model
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def check_files(options: Namespace, sources: Sequence[str | None], outputs: Sequence[str | None]) -> None:
+    """Refuse before the work what would fail after it: files that cannot be written, and streams used twice."""
+    from ..io.files import as_path, refuse_unwritable
+
+    for names, stream in ((sources, "input, which can be read once"), (outputs, "output")):
+        if list(names).count("-") > 1:
+            raise StructureError(f"- stands more than once for standard {stream}; name a file for all but one")
+    if options.json and "-" in outputs:
         raise StructureError("--json and - both want standard output; name a file in place of -")
+    read, written = ([as_path(name) for name in names if name not in (None, "-")] for names in (sources, outputs))
+    for path in written:
+        if path.exists() and any(source.exists() and path.samefile(source) for source in read):
+            raise OutputExistsError(f"{path} is one of the inputs, which are never overwritten; name another file")
+        refuse_unwritable(path, getattr(options, "overwrite", False))
+    if len({path.resolve() for path in written}) < len(written):
+        raise StructureError("two of the output files have the same name; give each its own")
 
 
 def deliver(content: str | bytes, name: str, overwrite: bool) -> None:
     """Write a file, or standard output for `-`."""
-    if name != "-":
+    if name == "-":
+        emit(content)
+    else:
         from ..io.files import write_atomically
 
         write_atomically(Path(name), content, overwrite=overwrite)
-    elif isinstance(content, str):
-        emit(content)
-    else:
-        emit_bytes(content)
+
+
+def check_place(place: int, count: int) -> int:
+    """Index of the experiment that is asked for by its number."""
+    if not 1 <= place <= count:
+        raise StructureError(f"--experiment is {place}; there are {count}, counted from 1: name one")
+    return place - 1
 
 
 # --- pictures --------------------------------------------------------------------------------------------------------
-
-
-def check_pictures(outputs: Sequence[str | None]) -> None:
-    """Refuse names that tell no format a picture can have."""
-    for name in outputs:
-        if name is not None:
-            picture_format(name)
 
 
 def picture_format(name: str, wanted: str | None = None) -> str:
@@ -90,12 +154,11 @@ def deliver_picture(
     import matplotlib.pyplot as plt
 
     kind = picture_format(name, format)
-    stamp = {"svg": "Date", "svgz": "Date", "pdf": "CreationDate", "ps": "CreationDate", "eps": "CreationDate"}
+    # the time of drawing, which these formats tell
+    stamp = {"svg": {"Date": None}, "svgz": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     if inches is not None:
         plot.figure.set_size_inches(*inches)
     with io.BytesIO() as buffer, plt.rc_context({"svg.hashsalt": "ph_control"}):
-        plot.figure.savefig(
-            buffer, format=kind, dpi=dpi, metadata={stamp[kind]: None} if kind in ("svg", "svgz", "pdf") else None
-        )
+        plot.figure.savefig(buffer, format=kind, dpi=dpi, metadata=stamp)
         plt.close(plot.figure)
         deliver(buffer.getvalue(), name, overwrite)

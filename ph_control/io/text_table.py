@@ -177,7 +177,7 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
     _check_layout(header, delimiter, decimal)
     name = source_name(path)
-    lines = _lines(read_bytes(path), name)
+    lines = text_lines(read_bytes(path), name)
     content = _content(lines, None)
     if not content:
         found = "holds only comments" if any(line.strip() for line in lines) else "is empty"
@@ -227,7 +227,8 @@ def _content(lines: list[str], blanks: str | None) -> list[int]:
     return [k for k, line in enumerate(lines) if line.strip(blanks) and not line.lstrip().startswith(_COMMENTS)]
 
 
-def _lines(data: bytes, name: str) -> list[str]:
+def text_lines(data: bytes, name: str) -> list[str]:
+    """Lines of a text in any usual encoding."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         with suppress(UnicodeDecodeError):
             data = data.decode("utf-16").encode()

@@ -100,15 +100,12 @@ def read_csv(
     >>> data.output_labels, data.time_unit
     (['velocity [m/s]'], 's')
     """
-    step = None if dt is None else _checks.sampling_step(dt)
-    unit = checked_unit(time_unit)
-    return recording_in(read_table(path, header, delimiter, decimal), input, output, time, step, unit)
+    return recording_in(read_table(path, header, delimiter, decimal), input, output, time, dt, time_unit)
 
 
-def recording_in(
-    table: Table, input: Any, output: Any, time: Any, step: float | None, unit: str | None
-) -> TimeResponseData:
+def recording_in(table: Table, input: Any, output: Any, time: Any, dt: Any, time_unit: Any) -> TimeResponseData:
     """Recording that a table holds; the arguments are those of `read_csv`."""
+    step, unit = None if dt is None else _checks.sampling_step(dt), checked_unit(time_unit)
     clock = _time_column(table, time, step)
     inputs, outputs = _signal_columns(table, clock, input, output)
     if len(table.rows) < 2:

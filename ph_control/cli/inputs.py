@@ -1,0 +1,310 @@
+"""What commands read: measurements, and models as documents of this package, matrices or coefficients."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import ph_control as phc
+
+from ..exceptions import FileFormatError, NotLosslessError, PHControlError, StructureError
+from .options import list_of_numbers
+from .outcome import NoError, complain
+
+
+class Source(io.BytesIO):
+    """Content of a file in memory, with its name for errors and titles."""
+
+    def __init__(self, content: bytes, name: str) -> None:
+        super().__init__(content)
+        self.name = name
+
+
+def opened(name: str) -> Source:
+    """Content of a file, or of standard input for `-`."""
+    from ..io.files import read_bytes
+
+    if name != "-":
+        return Source(read_bytes(name), name)
+    if sys.stdin is None:
+        raise StructureError("standard input is closed; name a file in place of -")
+    if sys.stdin.isatty():
+        complain("reading standard input from the terminal; it ends with Ctrl-D on a line of its own")
+    content = read_bytes(getattr(sys.stdin, "buffer", sys.stdin))
+    if not content.strip():
+        raise FileFormatError("standard input is empty; the command before the pipe wrote nothing")
+    return Source(content, "standard input")
+
+
+# --- measurements ----------------------------------------------------------------------------------------------------
+
+_IN_TIME = ("input", "output", "time", "dt", "no_input", "no_time")
+_COLUMNS = ("frequency", "magnitude", "phase", "real", "imag")
+_UNITS = ("frequency_unit", "magnitude_unit", "phase_unit")
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Experiments, all in time or all in frequency; weights of the latter, if a column of them was named."""
+
+    data: list[Any]
+    weights: list[Any] | None
+    in_time: bool
+
+    @property
+    def whole(self) -> Any:
+        """Experiments as `pem` and `compare` take them."""
+        return self.data if len(self.data) > 1 or self.weights is not None else self.data[0]
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Weights as `pem` and `compare` take them."""
+        return {} if self.weights is None else {"weights": self.weights}
+
+
+def measurements(names: Sequence[str], options: Namespace) -> Measurements:
+    """Read tables; they hold frequency responses if the options or the labels say so."""
+    from ..io.frequency_csv import is_frequency_table, response_in
+    from ..io.text_table import read_table
+    from ..io.time_csv import recording_in
+
+    tables = []
+    for name in names:
+        source = opened(name)
+        if source.getvalue()[:64].lstrip()[:1] == b"{":
+            raise FileFormatError(
+                f"{source.name} holds JSON, perhaps a model, and a table of measurements is needed; ph-control info "
+                "shows models"
+            )
+        tables.append(read_table(source, options.header, options.delimiter, options.decimal))
+    columns = {role: getattr(options, role) for role in _COLUMNS}
+    units = {name: getattr(options, name) for name in _UNITS}
+    told = [name for name, value in {**columns, **units, "weights": options.weights}.items() if value is not None]
+    contrary = [name for name in _IN_TIME if getattr(options, name) not in (None, False)]
+    if told and contrary:
+        spelt = ("--" + name.replace("_", "-") for name in (told[0], contrary[0]))
+        raise StructureError("{} is for frequency responses and {} for recordings in time; give one".format(*spelt))
+    if told or (not contrary and all(map(is_frequency_table, tables))):
+        found = [response_in(table, columns, units, options.weights) for table in tables]
+        weights = None if options.weights is None else [each for _, each in found]
+        return Measurements([data for data, _ in found], weights, False)
+    for role in ("input", "time"):
+        if getattr(options, f"no_{role}") and getattr(options, role) is not None:
+            raise StructureError(f"--{role} and --no-{role} contradict one another; give one of them")
+    input, time = False if options.no_input else options.input, False if options.no_time else options.time
+    given = input, options.output, time, options.dt, options.time_unit
+    return Measurements([recording_in(table, *given) for table in tables], None, True)
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+_ADVICE = (
+    "needed are A, B, C (and D) of a state space, num and den of a transfer function, Q and B of a port-Hamiltonian "
+    "system, or d and r of modes"
+)
+_AS_TEXT = (
+    "a model as text is two lines, the numerator and the denominator, highest power first, such as 'num 1 0' and "
+    "'den 1 0 4'"
+)
+_KNOWN = ("A", "B", "C", "D", "num", "den", "Q", "d", "r", "Ts", "dt")
+_MEANING = {"num": "num", "numerator": "num", "den": "den", "denominator": "den", "d": "d", "r": "r"}
+_COMMENT = re.compile(r"[#%].*|//.*")
+_NAMED = re.compile(r"([A-Za-z]\w*)\s*[:=,;\s]\s*(.*)")
+
+
+@dataclass(frozen=True)
+class Model:
+    """What was read, and where from."""
+
+    source: str
+    label: str
+    content: Any
+
+    @property
+    def is_result(self) -> bool:
+        """Whether it is the result of a fit, data and uncertainty included."""
+        return isinstance(self.content, phc.PEMResult)
+
+    def lossless(self) -> Any:
+        """Object of this package that has the same transfer function; `NoError` if none has."""
+        from ..systems.base import LosslessSystem
+
+        if self.is_result:
+            return self.content.system
+        if isinstance(self.content, phc.AffineHamiltonian):
+            raise StructureError(
+                f"{self.source} holds an AffineHamiltonian, whose output is a displacement: it has no port-Hamiltonian "
+                "form, its derivative has; in Python: model.derivative()"
+            )
+        if isinstance(self.content, LosslessSystem | phc.ModalForm):
+            return self.content
+        try:
+            return phc.ph(self.content)
+        except NotLosslessError as error:
+            raise NoError(self.source, error.violations) from None
+
+
+def system_name_of(text: str) -> str:
+    """Name that python-control accepts, for what is called so."""
+    return re.sub(r"\W+", "_", text).strip("_") or "model"
+
+
+def read_models(names: Sequence[str], options: Namespace) -> list[Model]:
+    """Models of files, and the one of `--num` and `--den`; those of one label get their files for it."""
+    found = [read_model(name) for name in names]
+    if (options.num is None) != (options.den is None):
+        raise StructureError("--num and --den belong together: give both, such as --num 1,0 --den 1,0,4")
+    if options.num is not None:
+        system = system_of({"num": options.num, "den": options.den}, "--num/--den", "model")
+        found.append(Model("--num/--den", "tf", system))
+    if not found:
+        raise StructureError("no model given; name a file, or pass --num and --den")
+    labels = [model.label for model in found]
+    return [
+        Model(model.source, model.source if labels.count(model.label) > 1 else model.label, model.content)
+        for model in found
+    ]
+
+
+def labels_of(models: Sequence[Model], options: Namespace) -> list[str]:
+    """Labels that were given, or those of the models."""
+    labels: list[str] = options.label or [model.label for model in models]
+    if len(labels) != len(models):
+        raise StructureError(f"{len(labels)} labels for {len(models)} models; give one --label for each")
+    return labels
+
+
+def read_model(name: str) -> Model:
+    """Model of a file of any kind; its kind is told by its content."""
+    from ..io.codecs import restore
+    from ..io.matlab import is_matlab, read_matlab
+
+    source = opened(name)
+    content = source.getvalue()
+    if not content.strip():
+        raise FileFormatError(f"{source.name} is empty; a model is JSON, a .mat file or a text with coefficients")
+    label = Path(source.name).stem or source.name
+    fields: Any = None
+    if is_matlab(content, source.name):
+        fields = read_matlab(content, source.name)
+    elif content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] != b"{":
+        fields = coefficients_in(content, source.name)
+    else:
+        try:
+            fields = json.loads(content)
+        except (ValueError, RecursionError):
+            fields = None
+        if fields is None or "format" in fields or "data" in fields:
+            return Model(source.name, label, restore(content, source.name))
+    return Model(source.name, label, system_of(fields, source.name, system_name_of(label)))
+
+
+def coefficients_in(content: bytes, name: str) -> dict[str, list[float]]:
+    """Named lists of numbers in a text: a line for each, or a column for each under a header."""
+    from ..io.text_table import text_lines
+
+    numbered = [(k, _COMMENT.sub("", line).strip(" ")) for k, line in enumerate(text_lines(content, name), 1)]
+    lines = [(k, line) for k, line in numbered if line.strip()]
+    if not lines:
+        raise FileFormatError(f"{name} holds only comments; {_AS_TEXT}")
+    header = [word.strip('"') for word in re.split(r"[,;\s]+", lines[0][1].strip())]
+    if len(header) > 1 and all(word.casefold() in _MEANING for word in header):
+        # a tab at the start of a line is an empty field, and the shorter of the columns ends earlier
+        rows = [re.split(r"[,;\t]", line) if re.search(r"[,;\t]", line) else line.split() for _, line in lines[1:]]
+        columns = [",".join(column).rstrip(", \t") for column in zip_longest(*rows, fillvalue="")]
+        if len(columns) != len(header):
+            raise FileFormatError(f"{name} has {len(columns)} columns below {len(header)} names; correct it")
+        lists = [(f"column {key}", key, text) for key, text in zip(header, columns, strict=True)]
+    elif len(lines) == 2:
+        lists = []
+        for default, (k, line) in zip(("num", "den"), lines, strict=True):
+            named = _NAMED.fullmatch(line.strip())
+            lists.append((f"line {k}", named[1], named[2]) if named else (f"line {k}", default, line))
+    else:
+        recording = "; ph-control fit reads recordings" * (len(lines) > 2)
+        raise FileFormatError(f"{name} has {len(lines)} line{'s' * (len(lines) != 1)} of text; {_AS_TEXT}{recording}")
+    found: dict[str, list[float]] = {}
+    for place, key, text in lists:
+        meaning = _MEANING.get(key.casefold(), "")
+        if not meaning or meaning in found:
+            wrong = "there twice" if meaning else "not known"
+            raise FileFormatError(f"{name}, {place}: {key!r} is {wrong}; {_AS_TEXT}")
+        try:
+            found[meaning] = list_of_numbers(text)
+        except ValueError as error:
+            raise FileFormatError(f"{name}, {place}: {error}; {_AS_TEXT}") from None
+    return found
+
+
+def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
+    """System of arrays that have the usual names, in any case.
+
+    A state space, a transfer function, a port-Hamiltonian system or modes; what is sampled is refused.
+    """
+    import control as ct
+
+    from .. import _checks
+
+    # a structure such as that of struct(ss(...)) is looked into
+    inner = [value for value in fields.values() if isinstance(value, Mapping)]
+    fields = inner[0] if len(fields) == 1 and inner else fields
+    spelt = {known: key for known in _KNOWN if (key := _spelling(fields, known, source)) is not None}
+
+    def array(known: str) -> Any:
+        return _checks.real_array(f"{source}: {spelt[known]}", fields[spelt[known]])
+
+    def vector(known: str) -> Any:
+        given = array(known)
+        if given.size == 0 or given.size != max(given.shape, default=1):
+            raise FileFormatError(
+                f"{source}: {known} has shape {given.shape}; needed is one row of numbers: systems with one input and "
+                "one output"
+            )
+        return given.reshape(-1)
+
+    def port() -> Any:
+        given = array("B")
+        return given.reshape(-1, 1) if given.ndim == 1 else given
+
+    for step in {"Ts", "dt"} & set(spelt):
+        if fields[spelt[step]] is not None and array(step).any():
+            raise FileFormatError(
+                f"{source} is a sampled system ({spelt[step]} = {array(step).flat[0]:g}), and a lossless model runs in "
+                "continuous time; convert it first: in MATLAB by d2c, in Python by ph_control.ph with its method"
+            )
+    try:
+        if {"A", "B", "C"} <= set(spelt):
+            D = array("D") if "D" in spelt else 0.0
+            return ct.ss(array("A"), port(), array("C"), D, name=name, remove_useless_states=False)
+        if {"num", "den"} <= set(spelt):
+            if not vector("den").any():
+                raise FileFormatError(f"{source}: the denominator is zero; give the coefficients of a polynomial")
+            return ct.tf(vector("num"), vector("den"), name=name)
+        if {"Q", "B"} <= set(spelt):
+            return phc.PortHamiltonian(array("Q"), port(), name=name)
+        if {"d", "r"} <= set(spelt):
+            return phc.modes(vector("d"), vector("r"))
+    except PHControlError:
+        raise
+    except (ValueError, TypeError, ct.ControlDimension) as error:
+        raise FileFormatError(f"{source} holds no system: {error}; {_ADVICE}") from None
+    listed = ", ".join(map(repr, [*fields][:12])) + f" and {len(fields) - 12} more" * (len(fields) > 12)
+    raise FileFormatError(f"{source} holds {listed or 'no arrays'}; {_ADVICE}")
+
+
+def _spelling(fields: Mapping[str, Any], known: str, source: str) -> str | None:
+    """How a name is written here: exactly so, or in another case, but for d of modes, which is not D."""
+    if known in fields:
+        return known
+    same = [key for key in fields if key.casefold() == known.casefold() and known not in ("d", "r")]
+    if len(same) > 1:
+        raise FileFormatError(f"{source} has both {same[0]} and {same[1]}; keep the one that is {known}")
+    return same[0] if same else None
