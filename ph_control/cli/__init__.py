@@ -24,7 +24,10 @@ COMMANDS = {
 _EPILOG = f"""Each command has its own help, with examples: ph-control fit --help. In place of a file name, - is
 standard input or standard output. Files that exist are replaced only with --overwrite. {EXIT_CODES}"""
 
-_EXAMPLES = """
+_HELP = """Lossless (port-Hamiltonian) models from recordings, for python-control.
+
+Examples
+--------
   ph-control demo
   ph-control fit recording.csv --input force --output velocity --model fitted.json
   ph-control convert plant.mat - | ph-control info -
@@ -57,10 +60,7 @@ def _run(words: list[str]) -> int:
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     command: str = _parser().parse(words[: place + 1]).command
     module = import_module(f".{command}", __name__)
-    parser = Parser(
-        prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}", description=module.DESCRIPTION,
-        examples=module.EXAMPLES,
-    )  # fmt: skip
+    parser = Parser(module.__doc__, prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}")
     module.add_options(parser)
     code: int = module.run(parser.parse(_plain(words[place + 1 :])))
     return code
@@ -74,10 +74,8 @@ def _plain(words: list[str]) -> list[str]:
 
 
 def _parser() -> Parser:
-    parser = Parser(
-        prog="ph-control", usage="%(prog)s [--version] [--traceback] COMMAND ...", epilog=_EPILOG, examples=_EXAMPLES,
-        description="Lossless (port-Hamiltonian) models from recordings, for python-control.",
-    )  # fmt: skip
+    usage = "%(prog)s [--version] [--traceback] COMMAND ..."
+    parser = Parser(_HELP, _EPILOG, prog="ph-control", usage=usage)
     version = getattr(phc, "__version__", "(not installed)")
     parser.add_argument("--version", action="version", version=f"%(prog)s {version}")
     parser.add_argument("--traceback", action="store_true", help="show where in the program an error arose")

@@ -1,4 +1,16 @@
-"""`ph-control compare`: models held against recordings."""
+"""Hold models, fitted or not, lossless or not, against recordings or frequency responses.
+
+The answer is how many percent of what was measured each explains. A fit to the recording that a model was made from
+flatters it; use another one.
+
+Examples
+--------
+  ph-control compare fresh.csv fitted.json plant.mat
+  ph-control compare fresh.csv fitted.json --plot comparison.png
+  ph-control compare fresh.csv fitted.json --recording second.csv --json
+  ph-control compare fresh.csv fitted.json --at-least 90
+  cat fresh.csv | ph-control compare - fitted.json --label fitted
+"""
 
 from __future__ import annotations
 
@@ -7,23 +19,11 @@ from argparse import Namespace
 import ph_control as phc
 
 from .inputs import labels_of, measurements, read_models
-from .options import Parser, add_json, add_labels, add_meeting, add_model, add_overwrite, add_recording
+from .options import Parser, add_labels, add_meeting, add_model, add_recording, add_written
 from .outcome import DONE, NO, complain, emit
 from .outputs import check_files, check_place, deliver_picture, emit_json, picture_format
 
 USAGE = "RECORDING MODEL [MODEL ...] [options]"
-
-DESCRIPTION = """Hold models, fitted or not, lossless or not, against recordings or frequency responses: how many
-percent of what was measured each explains. A fit to the recording that a model was made from flatters it; use
-another one."""
-
-EXAMPLES = """
-  ph-control compare fresh.csv fitted.json plant.mat
-  ph-control compare fresh.csv fitted.json --plot comparison.png
-  ph-control compare fresh.csv fitted.json --recording second.csv --json
-  ph-control compare fresh.csv fitted.json --at-least 90
-  cat fresh.csv | ph-control compare - fitted.json --label fitted
-"""
 
 
 def add_options(parser: Parser) -> None:
@@ -37,8 +37,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
     add_recording(parser)
     add_model(parser)
-    add_overwrite(parser)
-    add_json(parser)
+    add_written(parser)
 
 
 def run(options: Namespace) -> int:

@@ -1,4 +1,18 @@
-"""`ph-control convert`: a model in another form or file format."""
+"""Turn a lossless model into another form, and into another file format, which is told by the suffix.
+
+.json, .mat (A, B, C, D; or num, den), .txt and .csv (coefficients of the transfer function, or modes). Standard output
+gets JSON. Exit status 1 if the model is not lossless.
+
+Examples
+--------
+  ph-control convert plant.mat plant.json
+  ph-control convert fitted.json fitted.mat
+  ph-control convert fitted.json coefficients.txt
+  ph-control convert fitted.json modes.csv --to modes
+  ph-control convert --num 1,0 --den 1,0,4 oscillator.json --name oscillator
+  ph-control convert fitted.json companion.mat --to ch
+  cat fitted.json | ph-control convert - - --to tf
+"""
 
 from __future__ import annotations
 
@@ -10,25 +24,11 @@ import ph_control as phc
 
 from ..exceptions import StructureError
 from .inputs import Model, read_models, system_name_of
-from .options import Parser, add_json, add_model, add_overwrite, system_name
+from .options import Parser, add_model, add_written, system_name
 from .outcome import DONE, emit
 from .outputs import check_files, deliver, emit_json, strict
 
 USAGE = "MODEL FILE [options]"
-
-DESCRIPTION = """Turn a lossless model into another form, and into another file format, which is told by the suffix:
-.json, .mat (A, B, C, D; or num, den), .txt and .csv (coefficients of the transfer function, or modes). Standard output
-gets JSON. Exit status 1 if the model is not lossless."""
-
-EXAMPLES = """
-  ph-control convert plant.mat plant.json
-  ph-control convert fitted.json fitted.mat
-  ph-control convert fitted.json coefficients.txt
-  ph-control convert fitted.json modes.csv --to modes
-  ph-control convert --num 1,0 --den 1,0,4 oscillator.json --name oscillator
-  ph-control convert fitted.json companion.mat --to ch
-  cat fitted.json | ph-control convert - - --to tf
-"""
 
 FORMS = {
     "ph": "port-Hamiltonian", "modes": "d and r", "ch": "controllable canonical", "oh": "observable canonical",
@@ -48,8 +48,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("--to", choices=tuple(FORMS), help=f"form ({listed}); default: as it is, or ph; tf for texts")
     parser.add_argument("--format", choices=FORMATS, help="format of the file (default: told by its suffix)")
     parser.add_argument("--name", type=system_name, help="name of the system that is written")
-    add_overwrite(parser)
-    add_json(parser)
+    add_written(parser)
 
 
 def run(options: Namespace) -> int:

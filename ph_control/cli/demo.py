@@ -1,4 +1,13 @@
-"""`ph-control demo`: known plants, recorded, identified and compared with the truth."""
+"""Record two known plants with noise, a circuit and a chain of masses, and identify them.
+
+The models are compared with the truth. Recordings (CSV), models (JSON) and pictures (PNG) are left in a folder.
+
+Examples
+--------
+  ph-control demo
+  ph-control demo --folder trial --seed 7
+  ph-control demo --json
+"""
 
 from __future__ import annotations
 
@@ -17,15 +26,6 @@ from .outcome import DONE, emit
 from .outputs import emit_json, fit_of, modes_of
 
 USAGE = "[options]"
-
-DESCRIPTION = """Record two known plants with noise, a circuit and a chain of masses, identify models and compare them
-with the truth. Recordings (CSV), models (JSON) and pictures (PNG) are left in a folder."""
-
-EXAMPLES = """
-  ph-control demo
-  ph-control demo --folder trial --seed 7
-  ph-control demo --json
-"""
 
 
 def add_options(parser: Parser) -> None:

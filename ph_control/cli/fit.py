@@ -1,4 +1,17 @@
-"""`ph-control fit`: a model from measurements."""
+"""Identify a lossless model from recordings, or frequency responses, of one input and one output.
+
+Several files are several experiments with one plant. Exit status 1 if no such model describes the data.
+
+Examples
+--------
+  ph-control fit recording.csv --input force --output velocity
+  ph-control fit recording.csv --order 2 --model fitted.json --plot fit.png
+  ph-control fit first.csv second.csv --offset
+  ph-control fit decay.csv --no-input --quantity displacement
+  ph-control fit shaker.csv --order 2 --model fitted.json --overwrite
+  cat recording.csv | ph-control fit - --input force --output velocity --order 2 --json
+  ph-control fit recording.csv --order 2 --model - | ph-control plot bode - --out bode.svg
+"""
 
 from __future__ import annotations
 
@@ -12,34 +25,11 @@ import ph_control as phc
 
 from ..exceptions import StructureError
 from .inputs import measurements, read_model, system_name_of
-from .options import (
-    INTERSAMPLE,
-    Parser,
-    add_json,
-    add_meeting,
-    add_overwrite,
-    add_recording,
-    order,
-    system_name,
-    within,
-)
+from .options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
 from .outcome import DONE, INTERRUPTED, NO, NoError, complain, emit, in_shell_terms
 from .outputs import check_files, check_place, deliver, deliver_picture, emit_json, fit_of, is_described, picture_format
 
 USAGE = "RECORDING [RECORDING ...] [options]"
-
-DESCRIPTION = """Identify a lossless model from recordings of one input and one output, or from frequency
-responses. Several files are several experiments with one plant. Exit status 1 if no such model describes the data."""
-
-EXAMPLES = """
-  ph-control fit recording.csv --input force --output velocity
-  ph-control fit recording.csv --order 2 --model fitted.json --plot fit.png
-  ph-control fit first.csv second.csv --offset
-  ph-control fit decay.csv --no-input --quantity displacement
-  ph-control fit shaker.csv --order 2 --model fitted.json --overwrite
-  cat recording.csv | ph-control fit - --input force --output velocity --order 2 --json
-  ph-control fit recording.csv --order 2 --model - | ph-control plot bode - --out bode.svg
-"""
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 QUANTITIES = ("velocity", "displacement", "acceleration")
@@ -79,8 +69,7 @@ def add_options(parser: Parser) -> None:
     out.add_argument("--bode", metavar="FILE", help="Bode picture of the model and the measurement (png, svg, pdf)")
     out.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
     out.add_argument("--name", type=system_name, help="name of the model (default: that of the recording)")
-    add_overwrite(out)
-    add_json(out)
+    add_written(out)
 
 
 def run(options: Namespace) -> int:

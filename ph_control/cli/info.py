@@ -1,4 +1,15 @@
-"""`ph-control info`: what a model is, and whether it is lossless."""
+"""Show what a model is: its modes, and whether it is lossless.
+
+Models are JSON files written by this package or with fields such as A, B, C, D, .mat files with such variables, and
+texts with the numerator and the denominator of a transfer function. Exit status 1 if a model is not lossless.
+
+Examples
+--------
+  ph-control info fitted.json
+  ph-control info plant.mat --json
+  ph-control info --num 1,0 --den 1,0,4
+  ph-control convert plant.mat - | ph-control info -
+"""
 
 from __future__ import annotations
 
@@ -14,17 +25,6 @@ from .outcome import DONE, NO, NoError, emit, in_shell_terms
 from .outputs import check_files, emit_json, fit_of, modes_of
 
 USAGE = "MODEL [MODEL ...] [options]"
-
-DESCRIPTION = """Show what a model is: its modes, and whether it is lossless. Models are JSON files written by this
-package or with fields such as A, B, C, D, .mat files with such variables, and texts with the numerator and the
-denominator of a transfer function. Exit status 1 if a model is not lossless."""
-
-EXAMPLES = """
-  ph-control info fitted.json
-  ph-control info plant.mat --json
-  ph-control info --num 1,0 --den 1,0,4
-  ph-control convert plant.mat - | ph-control info -
-"""
 
 
 def add_options(parser: Parser) -> None:

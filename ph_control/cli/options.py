@@ -26,11 +26,12 @@ _PARTS = {"real": "real part", "imag": "imaginary part"}
 class Parser(argparse.ArgumentParser):
     """Parser whose errors take one line, and that takes `-1,0` for a value."""
 
-    def __init__(self, *, description: str, examples: str, epilog: str = "", **settings: Any) -> None:
-        parts = [textwrap.fill(" ".join(epilog.split()), _WIDTH)] if epilog else []
+    def __init__(self, help: str | None, epilog: str = "", **settings: Any) -> None:
+        # the docstring of a command is its help; python -OO has none
+        description, _, examples = (help or "").partition("\nExamples\n--------\n")
+        parts = [textwrap.fill(" ".join(text.split()), _WIDTH) for text in (description, epilog)]
         super().__init__(
-            description=textwrap.fill(" ".join(description.split()), _WIDTH),
-            epilog="\n\n".join([*parts, "examples:\n" + examples.strip("\n")]),
+            description=parts[0], epilog=f"{parts[1]}\n\nexamples:\n{examples}".strip("\n"),
             formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings,
         )  # fmt: skip
         # polynomials begin with negative numbers, and no option does
@@ -139,9 +140,10 @@ def add_json(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--json", action="store_true", help="print the answer as JSON, numbers in full")
 
 
-def add_overwrite(parser: argparse._ActionsContainer) -> None:
-    """What commands that write files take."""
+def add_written(parser: argparse._ActionsContainer) -> None:
+    """What commands that write files take, and how they answer."""
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    add_json(parser)
 
 
 def add_labels(parser: Parser) -> None:

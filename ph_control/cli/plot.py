@@ -1,4 +1,20 @@
-"""`ph-control plot`: pictures of models."""
+"""Draw models, several in one picture.
+
+The format is told by the suffix: .png, .svg, .pdf. Bode, step, impulse and poles take systems that are not lossless
+too; fit takes the result of a fit (ph-control fit --result).
+
+Examples
+--------
+  ph-control plot bode fitted.json --out bode.png
+  ph-control plot bode fitted.json plant.mat --recording recording.csv --out both.pdf
+  ph-control plot step result.json --band 0.95 --until 40 --out step.svg
+  ph-control plot impulse --num 1,0 --den 1,0.1,4 --out impulse.png
+  ph-control plot modes result.json --out modes.png
+  ph-control plot poles fitted.json --hz --out poles.png
+  ph-control plot energy fitted.json --recording recording.csv --out energy.png
+  ph-control plot fit result.json --out fit.png
+  cat fitted.json | ph-control plot bode - --out - --format svg > piped.svg
+"""
 
 from __future__ import annotations
 
@@ -12,26 +28,11 @@ import ph_control as phc
 from .._units import unit_for, with_unit
 from ..exceptions import StructureError
 from .inputs import Model, labels_of, measurements, read_models
-from .options import Parser, add_json, add_labels, add_model, add_overwrite, add_recording, pair, size, within
+from .options import Parser, add_labels, add_model, add_recording, add_written, pair, size, within
 from .outcome import DONE, emit
 from .outputs import check_files, check_place, deliver_picture, emit_json, picture_format
 
 USAGE = "KIND MODEL [MODEL ...] --out FILE [options]"
-
-DESCRIPTION = """Draw models, several in one picture. The format is told by the suffix: .png, .svg, .pdf. Bode, step,
-impulse and poles take systems that are not lossless too; fit takes the result of a fit (ph-control fit --result)."""
-
-EXAMPLES = """
-  ph-control plot bode fitted.json --out bode.png
-  ph-control plot bode fitted.json plant.mat --recording recording.csv --out both.pdf
-  ph-control plot step result.json --band 0.95 --until 40 --out step.svg
-  ph-control plot impulse --num 1,0 --den 1,0.1,4 --out impulse.png
-  ph-control plot modes result.json --out modes.png
-  ph-control plot poles fitted.json --hz --out poles.png
-  ph-control plot energy fitted.json --recording recording.csv --out energy.png
-  ph-control plot fit result.json --out fit.png
-  cat fitted.json | ph-control plot bode - --out - --format svg > piped.svg
-"""
 
 _TITLES = {
     "bode": "Bode plot", "step": "Step response", "impulse": "Impulse response", "modes": "Modes",
@@ -66,8 +67,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("--recording", metavar="FILE", help="measurement to draw (bode), or input to use (energy)")
     add_recording(parser)
     add_model(parser)
-    add_overwrite(parser)
-    add_json(parser)
+    add_written(parser)
 
 
 def run(options: Namespace) -> int:
