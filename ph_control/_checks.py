@@ -228,8 +228,7 @@ def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
 
 def natural_frequencies(d: ArrayLike) -> Array:
     """Check a vector of natural frequencies: positive and finite."""
-    array = real_array("d", d)
-    array = array if array.ndim else array[None]
+    array = np.atleast_1d(real_array("d", d))
     if array.ndim != 1:
         raise StructureError(f"d has shape {array.shape}; it must be a vector of n natural frequencies")
     if np.count_nonzero(array > 0) < array.size:
@@ -240,8 +239,7 @@ def natural_frequencies(d: ArrayLike) -> Array:
 
 def residue_weights(r: ArrayLike, n: int) -> Array:
     """Check a vector of residue weights: n numbers, none negative."""
-    array = real_array("r", r)
-    array = array if array.ndim else array[None]
+    array = np.atleast_1d(real_array("r", r))
     if array.shape != (n,):
         raise StructureError(f"r has shape {array.shape}; with {n} natural frequencies it must be ({n},)")
     if np.count_nonzero(array < 0):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.exceptions import FileFormatError, FileMissingError, StructureError
+from ph_control import FileFormatError, FileMissingError, StructureError
 
 PART = st.floats(-1e6, 1e6).filter(lambda x: x == 0 or abs(x) > 1e-6)
 

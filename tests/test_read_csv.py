@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ph_control.exceptions import FileFormatError, PHControlError, StructureError
-from ph_control.io.time_csv import read_csv
+from ph_control import FileFormatError, PHControlError, StructureError, read_csv
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 EPS = np.finfo(float).eps

@@ -23,10 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.exceptions import FileFormatError, OutputExistsError, PHControlError, StructureError
+from ph_control import FileFormatError, OutputExistsError, PHControlError, StructureError, load, save
 from ph_control.io import codecs as files
 from ph_control.io import json_format as _documents
-from ph_control.io.codecs import load, save
 
 property_test = settings(deadline=None, max_examples=40, derandomize=True)
 
