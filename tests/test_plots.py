@@ -13,12 +13,18 @@ from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 
 import ph_control as phc
-from ph_control import StructureError, frenkel_kontorova, lc_circuit, spring_chain
-from ph_control.analysis.spectral_estimate import SpectralEstimate, spectral_estimate
-from ph_control.identification.uncertainty.draws import ModeSamples
+from ph_control import (
+    ModeSamples,
+    StructureError,
+    bode_plot,
+    fit_plot,
+    frenkel_kontorova,
+    lc_circuit,
+    spectral_estimate,
+    spring_chain,
+)
+from ph_control.analysis.spectral_estimate import SpectralEstimate
 from ph_control.plotting.bode_data import Curve, features, frequency_grid
-from ph_control.plotting.bode_plot import bode_plot
-from ph_control.plotting.fit_plot import fit_plot
 from ph_control.plotting.style import extremes
 
 EPS = np.finfo(float).eps

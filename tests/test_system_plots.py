@@ -12,20 +12,20 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 import ph_control as phc
-from ph_control import NotLosslessError, StructureError
-from ph_control.identification.uncertainty.draws import ModeSamples
-from ph_control.plotting import time_plot as transients
-from ph_control.plotting.energy_plot import energy_plot
-from ph_control.plotting.inputs import subjects_of
-from ph_control.plotting.mode_plot import (
-    PoleZeroMap,
-    kappa_intervals,
+from ph_control import (
+    ModeSamples,
+    NotLosslessError,
+    StructureError,
+    energy_plot,
+    impulse_plot,
     modes_plot,
-    pole_zero_map,
     pole_zero_plot,
-    strips,
+    step_plot,
 )
-from ph_control.plotting.time_plot import impulse_plot, response_of, step_plot, transient_data
+from ph_control.plotting import time_plot as transients
+from ph_control.plotting.inputs import subjects_of
+from ph_control.plotting.mode_plot import PoleZeroMap, kappa_intervals, pole_zero_map, strips
+from ph_control.plotting.time_plot import response_of, transient_data
 
 EPS = np.finfo(float).eps
 quick = settings(deadline=None, max_examples=20, derandomize=True)

@@ -12,16 +12,14 @@ from scipy.signal import lfilter
 from scipy.stats import binom, chi2, kstest
 
 import ph_control as phc
-from ph_control import StructureError
-from ph_control.identification.search.order_selection import order_selection
+from ph_control import StructureError, compare, order_selection, residual_analysis
+from ph_control._display import p_value
 from ph_control.identification.uncertainty.residual_tests import (
     ResidualData,
     autocorrelation,
     cross_correlation,
     influence,
 )
-from ph_control.identification.validation.comparison import compare
-from ph_control.identification.validation.residual_analysis import p_value, residual_analysis
 
 EPS = np.finfo(float).eps
 STEP = 0.1
