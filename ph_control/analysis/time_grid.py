@@ -46,7 +46,7 @@ def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
             f"the default time vector ({len(t)} samples to t = {t[-1]:.4g}) is {' and '.join(parts)}; "
             "pass the instants you need as timepts",
             ResolutionWarning,
-            stacklevel=6,
+            stacklevel=7,
         )
 
 

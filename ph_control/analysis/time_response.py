@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from functools import wraps
+from inspect import signature
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from control import TimeResponseData
@@ -23,6 +25,33 @@ ComplexArray = NDArray[np.complex128]
 _MOST = 10**9  # instants, 8 GB of them
 
 
+_ALIASES = {
+    "T": "timepts", "U": "inputs", "X0": "initial_state", "return_x": "return_states", "T_num": "timepts_num",
+    "input": "input_indices", "output": "output_indices",
+}  # fmt: skip
+
+Response = TypeVar("Response", bound=Callable[..., Any])
+
+
+def _with_aliases(response: Response) -> Response:
+    """Let a function take the short names that python-control has for its arguments."""
+    names = [name for name in signature(response).parameters if name != "aliases"]
+
+    @wraps(response)
+    def call(*args: Any, **options: Any) -> Any:
+        for short in [key for key in options if key not in names]:
+            name = _ALIASES.get(short)
+            if name not in names:
+                raise TypeError(f"unrecognized keyword: {short!r}")
+            if name in options or name in names[: len(args)]:
+                raise TypeError(f"multiple values for {name!r}: also given as {short!r}")
+            options[name] = options.pop(short)
+        return response(*args, **options)
+
+    return cast(Response, call)
+
+
+@_with_aliases
 def forced_response(
     sysdata: Any,
     timepts: ArrayLike | None = None,
@@ -89,24 +118,22 @@ def forced_response(
     >>> phc.forced_response(sys, t, 1.0).outputs.round(12) + 0.0
     array([ 0.,  1.,  0., -1.,  0.])
     """
-    named: dict[str, Any] = {
-        "timepts": timepts,
-        "inputs": inputs,
-        "initial_state": initial_state,
-        "return_states": return_states,
-    }
-    _resolve_aliases(named, aliases)
-    keep = named["return_states"]
-    return _each(
-        sysdata,
-        lambda sys, t: _forced(
-            sys, t, named["inputs"], named["initial_state"], method, intersample, keep, transpose, squeeze
-        ),
-        named["timepts"],
-        None,
-    )
+
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+        u = _input_signal(inputs, sys.ninputs, t.size, transpose)
+        problem = _Problem(sys, t, u, initial_state, method, intersample)
+        u.flags.writeable = return_states is not None  # states that are still to come are made of it
+        return _Response(
+            None if return_states is False else problem.states, sys, t, problem.rule, problem.outputs(), inputs=u,
+            issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
+            title="Forced response for " + sys.name, transpose=transpose, return_x=bool(return_states),
+            squeeze=squeeze, sysname=sys.name, trace_types=["forced"], plot_inputs=True,
+        )  # fmt: skip
+
+    return _each(sysdata, run, timepts, None)
 
 
+@_with_aliases
 def step_response(
     sysdata: Any,
     timepts: ArrayLike | None = None,
@@ -166,21 +193,18 @@ def step_response(
     >>> bool(np.allclose(response.outputs, np.sin(2 * response.time)))
     True
     """
-    named: dict[str, Any] = {
-        "timepts": timepts, "initial_state": initial_state, "input_indices": input_indices,
-        "output_indices": output_indices, "timepts_num": timepts_num, "return_states": return_states,
-    }  # fmt: skip
-    _resolve_aliases(named, aliases)
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
-            return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), named["initial_state"]
+            return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
-        return _traces(sys, t, one, "Step", named, method, intersample, transpose, squeeze)
+        shown = input_indices, output_indices
+        return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
 
-    return _each(sysdata, run, named["timepts"], named["timepts_num"])
+    return _each(sysdata, run, timepts, timepts_num)
 
 
+@_with_aliases
 def impulse_response(
     sysdata: Any,
     timepts: ArrayLike | None = None,
@@ -222,21 +246,18 @@ def impulse_response(
     >>> bool(np.allclose(response.outputs, 2 * np.cos(2 * response.time)))
     True
     """
-    named: dict[str, Any] = {
-        "timepts": timepts, "input_indices": input_indices, "output_indices": output_indices,
-        "timepts_num": timepts_num, "return_states": return_states,
-    }  # fmt: skip
-    _resolve_aliases(named, aliases)
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         def one(port: int) -> tuple[Array, Any]:
             return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
-        return _traces(sys, t, one, "Impulse", named, method, "zoh", transpose, squeeze)
+        shown = input_indices, output_indices
+        return _traces(sys, t, one, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
 
-    return _each(sysdata, run, named["timepts"], named["timepts_num"])
+    return _each(sysdata, run, timepts, timepts_num)
 
 
+@_with_aliases
 def initial_response(
     sysdata: Any,
     timepts: ArrayLike | None = None,
@@ -278,41 +299,18 @@ def initial_response(
     >>> bool(np.allclose(response.outputs, np.cos(2 * response.time)))
     True
     """
-    named: dict[str, Any] = {
-        "timepts": timepts, "initial_state": initial_state, "output_indices": output_indices,
-        "timepts_num": timepts_num, "return_states": return_states,
-    }  # fmt: skip
-    _resolve_aliases(named, aliases)
 
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        picked, one = _selected("output", named, sys.noutputs)
-        problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), named["initial_state"], method, "zoh")
+        picked, one = _selected("output", output_indices, sys.noutputs)
+        problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), initial_state, method, "zoh")
         return _Response(
             problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
             output_labels=sys.output_labels[picked],
             title="Initial response for " + sys.name, transpose=transpose,
-            return_x=bool(named["return_states"]), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
+            return_x=bool(return_states), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
         )  # fmt: skip
 
-    return _each(sysdata, run, named["timepts"], named["timepts_num"])
-
-
-_ALIASES = {
-    "T": "timepts", "U": "inputs", "X0": "initial_state", "return_x": "return_states", "T_num": "timepts_num",
-    "input": "input_indices", "output": "output_indices",
-}  # fmt: skip
-
-
-def _resolve_aliases(named: dict[str, Any], aliases: dict[str, Any]) -> None:
-    for short, value in aliases.items():
-        name = _ALIASES.get(short)
-        if name not in named:
-            raise TypeError(f"unrecognized keyword: {short!r}")
-        default = {"inputs": 0.0, "initial_state": 0.0, "return_states": False}.get(name)
-        given = named[name]
-        if isinstance(given, list | tuple) or not (given is None or (np.ndim(given) == 0 and given == default)):
-            raise TypeError(f"multiple values for {name!r}: also given as {short!r}")
-        named[name] = value
+    return _each(sysdata, run, timepts, timepts_num)
 
 
 def _each(
@@ -347,28 +345,13 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 
 
-def _forced(
-    sys: LosslessSystem, t: Array, inputs: Any, initial_state: Any, method: str, intersample: str,
-    keep: bool | None, transpose: bool, squeeze: bool | None,
-) -> TimeResponseData:  # fmt: skip
-    u = _input_signal(inputs, sys.ninputs, t.size, transpose)
-    problem = _Problem(sys, t, u, initial_state, method, intersample)
-    u.flags.writeable = keep is not None  # states that are still to come are made of it
-    return _Response(
-        None if keep is False else problem.states, sys, t, problem.rule, problem.outputs(), inputs=u,
-        issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
-        title="Forced response for " + sys.name, transpose=transpose, return_x=bool(keep), squeeze=squeeze,
-        sysname=sys.name, trace_types=["forced"], plot_inputs=True,
-    )  # fmt: skip
-
-
 def _traces(
-    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, named: dict[str, Any],
-    method: str, intersample: str, transpose: bool, squeeze: bool | None,
+    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
+    method: str, intersample: str, transpose: bool, squeeze: bool | None, return_states: bool,
 ) -> TimeResponseData:  # fmt: skip
     """Responses to one input at a time, as python-control lays them out."""
-    rows, one_output = _selected("output", named, sys.noutputs)
-    shown, one_input = _selected("input", named, sys.ninputs)
+    rows, one_output = _selected("output", indices[1], sys.noutputs)
+    shown, one_input = _selected("input", indices[0], sys.ninputs)
     ports = range(sys.ninputs)[shown]
     problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
     y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
@@ -377,15 +360,14 @@ def _traces(
         lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, problems[0].rule, y,
         inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
         output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
-        title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(named["return_states"]),
+        title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(return_states),
         squeeze=squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
         trace_types=[kind.lower()] * len(ports), plot_inputs=False,
     )  # fmt: skip
 
 
-def _selected(kind: str, named: dict[str, Any], count: int) -> tuple[slice, bool]:
+def _selected(kind: str, index: Any, count: int) -> tuple[slice, bool]:
     """Which inputs or outputs to show, and whether one was chosen: a number, or a list of one as python-control."""
-    index = named[f"{kind}_indices"]
     if index is None:
         return slice(None), False
     chosen = index[0] if isinstance(index, list | tuple) and len(index) == 1 else index

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,19 +101,11 @@ def _input_integrals(u: Array, rule: Hold) -> tuple[Array, Array]:
 # --- canonical forms ---------------------------------------------------------------------------------------------
 
 
-class _Poles(NamedTuple):
-    """Pole `-i d` and residue of each mode of a canonical form, those at 0 first."""
-
-    d: Array
-    kappa: Array
-
-
-def _poles(sys: Any) -> _Poles:
+def _poles(sys: LosslessSystem) -> tuple[Array, Array]:
+    """`d` and residue `kappa` of each mode of a canonical form, poles `-i d`, those at 0 first."""
     modes = sys.modes
-    return _Poles(
-        np.concatenate([np.zeros(len(modes.rigid)), modes.d]),
-        np.concatenate([modes.rigid[:, 0] ** 2, modes.kappa]),
-    )
+    d, at_zero = np.concatenate([np.zeros(len(modes.rigid)), modes.d]), modes.rigid[:, 0] ** 2
+    return d, np.concatenate([at_zero, modes.kappa])
 
 
 def companion_step(sys: Any, rule: Hold) -> CompanionStep:

@@ -70,9 +70,11 @@ class Cluster:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModalForm(ShownModes):
-    """A lossless system in modal (Foster) coordinates; made by `modes`.
+    """A system in modal coordinates; made by `modes`.
 
-    For one port its transfer function is `sum_l kappa_l s / (s^2 + d_l^2) + kappa_0 / s`, `kappa_l = r_l d_l`.
+    A lossless one has these attributes; for one port its transfer function is
+    `sum_l kappa_l s / (s^2 + d_l^2) + kappa_0 / s`, `kappa_l = r_l d_l` (Foster).  Any other has poles, shapes and
+    participation, and refuses what only lossless ones have; see `modes`.
 
     Attributes
     ----------
