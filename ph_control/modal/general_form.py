@@ -205,12 +205,15 @@ class GeneralModalForm(ModalForm):
         step = max(1, (1 << 20) // max(1, len(poles)))
         for start in range(0, points.size, step):
             part = slice(start, start + step)
-            gap = points[part, None] - poles
-            at_pole = gap == 0
             with np.errstate(all="ignore"):
-                out[part] = np.where(at_pole | ~np.isfinite(gap), 0.0, 1.0 / gap) @ residues
-            if at_pole.any():
-                out[part][at_pole @ (residues != 0)] = np.inf
+                gap = points[part, None] - poles
+                inverse = 1.0 / gap
+                beyond = ~np.isfinite(inverse)
+                if beyond.any():  # at a pole, or at infinity
+                    inverse[beyond] = 0.0
+                out[part] = inverse @ residues
+            if beyond.any():
+                out[part][(beyond & np.isfinite(gap)) @ (residues != 0)] = np.inf
         out = out.T.reshape(self.noutputs, self.ninputs, -1) + self.feedthrough[:, :, None]
         with np.errstate(all="ignore"):
             for block in self.clusters:
