@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from reference import EPS
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
-from ph_control.identification.regression.free import FreeProblem, FreeProjection, PoleRegion
+from ph_control.identification.regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.regression.variable_projection import refine
+from ph_control.identification.search.free_search import Channels
 from ph_control.modal.discretization import Hold
 
 H, SAMPLES = 0.1, 240
@@ -121,3 +123,29 @@ def test_more_outputs_make_poles_surer_and_errors_hold():
         assert np.all(np.sqrt(np.diag(first.covariance(0.25))[:4]) > errors)
     # 32 squares of scores, about 1 each
     assert 0.5 < np.mean(np.square(scores)) < 1.8
+
+
+def test_all_channels_together_find_the_poles_from_nothing():
+    """Five modes at 20 dB, two inputs, four outputs: each joins where it explains most of all outputs together."""
+    rng, samples = np.random.default_rng(3), 1500
+    truth = np.array([0.4, 0.9, 1.0, 1.9, 2.6]) * (1j - np.array([0.02, 0.005, 0.01, 0.01, 0.02]))
+    shapes = rng.standard_normal((2, 5, 4, 2))
+    u, y = rng.standard_normal((2, samples)), np.zeros((4, samples))
+    for p, rho in zip(truth, shapes[0] + 1j * shapes[1], strict=True):
+        for driven in range(2):
+            multiplier, (now, _) = Hold(1.0).multiplier(p), Hold(1.0).weights(np.array([p]))
+            state = lfilter([0.0, now[0]], [1.0, -multiplier], u[driven].astype(complex))
+            y += 2 * (rho[:, driven, None] * state).real
+    y += 0.1 * np.std(y, axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    rows = FreeRecord.by_observation(u, y, np.ones(y.shape, bool), Hold(1.0), through=False)
+    channels = Channels(np.fft.rfft(u), samples, Hold(1.0), np.pi)
+    left, found = np.fft.rfft(y), np.zeros(0, complex)
+    for _ in range(5):
+        candidates, gains = channels.modes(left)
+        start = np.append(found, candidates[np.argmax(gains)])
+        at = refine_free(lambda _: rows, start, PoleRegion(2 * np.pi / samples, np.pi))
+        found, left = at.p, np.fft.rfft(y - at.predicted()[0])
+    rank = np.argsort(found.imag)
+    errors = np.sqrt(np.diag(at.covariance(at.loss / at.rows)))
+    assert np.all(np.abs(found.imag[rank] - truth.imag) < 5 * errors[:5][rank])
+    assert np.all(np.abs(found.real[rank] - truth.real) < 5 * errors[5:10][rank])

@@ -25,7 +25,7 @@ from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import SURE, Finding, noise_size
 from ..search.criteria import criteria, free_preference, preference
 from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
-from ..search.free_search import FreeSearch, Records, free_data, local_modes
+from ..search.free_search import Channels, FreeSearch, Records, free_data
 from ..search.steps import Step, crowds, mode_energies, more_than_noise
 from .damped_model import DampedModel, HypothesisTest
 
@@ -346,5 +346,5 @@ def _decays(problem: Problem, at: FreeProjection) -> bool:
 def _is_broad(record: Experiment, d: float) -> bool:
     """Whether the strongest peak near a frequency is broader than that of a mode without damping."""
     spectrum = Spectrum.of(record)
-    p, gain = local_modes(spectrum, spectrum.Y, around=float(spectrum.place(np.array([d]))[0]))
+    p, gain = Channels.of(spectrum).modes(spectrum.Y[None], around=float(spectrum.place(np.array([d]))[0]))
     return len(p) > 0 and bool(-p[int(np.argmax(gain))].real > _BROAD * record.bin)

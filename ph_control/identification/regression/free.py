@@ -35,7 +35,7 @@ _WIDTHS = (0.03, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # decay rates tried where no
 
 
 @dataclass(frozen=True)
-class _Columns:
+class _ExperimentColumns:
     """What a factor tells of an experiment once its own unknowns are eliminated, in its rows or above them.
 
     Columns of the shared unknowns, their derivatives by the poles, and the outputs.
@@ -46,7 +46,7 @@ class _Columns:
     outputs: Array
 
     @classmethod
-    def of(cls, rows: FreeRows, columns: Array, n: int, shared: int) -> _Columns:
+    def of(cls, rows: FreeRows, columns: Array, n: int, shared: int) -> _ExperimentColumns:
         """Columns in the order of `FreeRows`; `shared` are those that any experiment has."""
         own, last = rows.inputs * (2 * n + rows.through), columns.shape[1] - len(rows.outputs)
         padded = np.zeros((len(columns), shared))
@@ -107,12 +107,14 @@ class FreeProjection(LinearProjection):
         return self.inputs * (2 * len(self.p) + self.has_feedthrough)
 
     @cached_property
-    def _parts(self) -> list[tuple[Array, _Columns, _Columns]]:
+    def _parts(self) -> list[tuple[Array, _ExperimentColumns, _ExperimentColumns]]:
         """What turns the rows above into own unknowns, these rows, and those below, of each experiment."""
         n, found = len(self.p), []
         for rows in self.experiments:
             part = eliminate(rows.at(self.p).factor(rows.samples), rows.own_unknowns(n), rows.samples)
-            above, below = (_Columns.of(rows, one, n, self._shared_unknowns) for one in (part.above, part.below))
+            above, below = (
+                _ExperimentColumns.of(rows, one, n, self._shared_unknowns) for one in (part.above, part.below)
+            )
             found.append((part.inverse, above, below))
         return found
 
@@ -233,7 +235,7 @@ def first_step(
         block = np.concatenate(list(rows.at(p).blocks()), axis=1).T
         own = rows.own_unknowns(n)
         columns = block[:, :own]
-        rest = _Columns.of(rows, block[:, own:], n, len(shared))
+        rest = _ExperimentColumns.of(rows, block[:, own:], n, len(shared))
         left = rest.outputs[:, 0] - rest.shared @ shared
         basis, solve = orthogonal(columns)
         residues = (shared[:n] + 1j * shared[n : 2 * n]) if len(shared) else np.zeros(n, complex)

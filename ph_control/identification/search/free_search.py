@@ -8,11 +8,13 @@ peaks may be much wider than a bin, it is solved over windows of several widths.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modal.discretization import Hold
 from ..regression.free import FreeProjection, PoleRegion, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.modal_regressors import SampledModes
@@ -99,7 +101,7 @@ class Records:
 
     def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
-        found = [local_modes(spectrum, one) for spectrum, one in zip(self.spectra, left, strict=True)]
+        found = [Channels.of(spectrum).modes(one[None]) for spectrum, one in zip(self.spectra, left, strict=True)]
         p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
         width = min(one.bin for one in self.experiments)
         chosen: list[int] = []
@@ -112,40 +114,83 @@ class Records:
         return p[chosen], gain[chosen]
 
 
-def local_modes(
-    spectrum: Spectrum, left: ComplexArray, around: float | None = None
-) -> tuple[ComplexArray, Array]:  # fmt: skip
-    """Poles of modes that explain something of a transform, each within a window, and how much; O(T).
+@dataclass(frozen=True)
+class Channels:
+    """Transforms of the inputs (m, K) of a record of some length, and where modes are looked for in its outputs."""
 
-    In windows everywhere, or `around` one place (in bins).
-    """
-    last = spectrum.last
-    found = []
-    for half in _HALF_WIDTHS:
-        if 4 * half > last and half > _HALF_WIDTHS[0]:
-            break
-        half = min(half, (last - 1) // 2)
-        if half < 3:
-            break
-        step = max(1, half // 6)
-        centres = np.arange(half + 1, last - half + 1, step)
-        if around is not None:
-            centres = np.clip(np.array([int(np.rint(around))]), half + 1, last - half)
-        elif last > _EVERYWHERE:
-            centres = _peaking(left, half, centres)
-        size = max(1, _PIECE // (2 * half + 1))
-        for first in range(0, len(centres), size):
-            found.append(_local(spectrum, left, half, centres[first : first + size]))
-    if not found:
-        return np.zeros(0, complex), np.zeros(0)
-    p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return p, gain
+    U: ComplexArray
+    length: int
+    hold: Hold
+    ceiling: float
+
+    @classmethod
+    def of(cls, spectrum: Spectrum) -> Channels:
+        """Those of a record of one input."""
+        one = spectrum.experiment
+        return cls(spectrum.U[None][: int(one.driven)], spectrum.length, one.hold, one.ceiling)
+
+    def modes(self, left: ComplexArray, around: float | None = None) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
+
+        Each within a window, in windows everywhere, or `around` one place (in bins).
+        """
+        last = (self.length - 1) // 2
+        found = [(np.zeros(0, complex), np.zeros(0))]
+        for half in _HALF_WIDTHS:
+            if 4 * half > last and half > _HALF_WIDTHS[0]:
+                break
+            half = min(half, (last - 1) // 2)
+            if half < 3:
+                break
+            step = max(1, half // 6)
+            centres = np.arange(half + 1, last - half + 1, step)
+            if around is not None:
+                centres = np.clip(np.array([int(np.rint(around))]), half + 1, last - half)
+            elif last > _EVERYWHERE:
+                centres = _peaking(left, half, centres)
+            size = max(1, _PIECE // (len(left) * (2 * half + 1)))
+            found += [self._local(left, half, centres[k : k + size]) for k in range(0, len(centres), size)]
+        p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return p, gain
+
+    def _local(self, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array]:
+        """One mode in each window, frequencies in bins from its centre: `(s - pole) E = sum beta U + gamma z`.
+
+        The pole is that of all outputs: what inputs and ends explain of `E` and of `s E` is taken out of both.
+        """
+        T = self.length
+        turn = np.expm1(2j * np.pi / T * np.arange(-half, half + 1))
+        s = turn * (T / (2 * np.pi))
+        place = centres[:, None] + np.arange(-half, half + 1)
+        E, U = (np.ascontiguousarray(np.moveaxis(rows[:, place], 0, 1)) for rows in (left, self.U))
+        # a smooth input is told from the ends by what it is beside a constant
+        size = np.linalg.norm(U, axis=2, keepdims=True)
+        ends = np.broadcast_to(1.0 + turn, (len(place), 1, len(s)))
+        inputs = np.concatenate([ends, U / np.where(size > 0, size, 1.0)], axis=1)
+        weight = np.ones((len(place), 1, len(s)), complex)
+        for _ in range(_ROUNDS):
+            shown = E * weight
+            power = np.sum(np.abs(shown) ** 2, axis=1)
+            energy, cross = power.sum(axis=1), power @ s
+            products, solved = _least_squares(inputs * weight, np.concatenate([shown, s * shown], axis=1))
+            taken = products[:, :, : len(left)].conj()
+            energy = energy - np.sum(taken * solved[:, :, : len(left)], axis=(1, 2)).real
+            cross = cross - np.sum(taken * solved[:, :, len(left) :], axis=(1, 2))
+            pole = cross / np.where(energy > 0, energy, 1.0)
+            width = np.clip(np.abs(pole.real), _NARROWEST, 2.0 * half)
+            pole = -width + 1j * np.clip(pole.imag, -half, half)
+            weight = 1.0 / (s - pole[:, None, None])
+        products, solved = _least_squares(inputs * weight, E)
+        gain = np.sum(products.conj() * solved, axis=(1, 2)).real
+        p = self.hold.pole(np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T)))
+        kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < self.ceiling)
+        return p[kept], gain[kept] * (2.0 / T)
 
 
 def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:
     """Centres about which most is left."""
     width = max(1, half // 3)
-    total = np.concatenate([[0.0], np.cumsum(np.abs(left) ** 2)])
+    total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(left) ** 2, axis=0))])
     power = total[centres + width] - total[centres - width]
     padded = np.concatenate([[-np.inf], power, [-np.inf]])
     peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
@@ -154,42 +199,14 @@ def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:
     return centres[about]
 
 
-def _local(spectrum: Spectrum, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array]:
-    """One mode in each window, frequencies in bins from its centre: `(s - pole) E = beta U + gamma z`."""
-    T, hold = spectrum.length, spectrum.experiment.hold
-    turn = np.expm1(2j * np.pi / T * np.arange(-half, half + 1))
-    s = turn * (T / (2 * np.pi))
-    place = centres[:, None] + np.arange(-half, half + 1)
-    E = left[place]
-    inputs = [np.broadcast_to(1.0 + turn, E.shape)]
-    if spectrum.experiment.driven:
-        U = spectrum.U[place]
-        # a smooth input is told from the ends by what it is beside a constant
-        size = np.linalg.norm(U, axis=1, keepdims=True)
-        inputs.append(U / np.where(size > 0, size, 1.0))
-    weight = np.ones_like(E)
-    for _ in range(_ROUNDS):
-        columns = np.stack([one * weight for one in (E, *inputs)], axis=2)
-        pole = _solved(columns, s * E * weight)[:, 0]
-        width = np.clip(np.abs(pole.real), _NARROWEST, 2.0 * half)
-        pole = -width + 1j * np.clip(pole.imag, -half, half)
-        weight = 1.0 / (s - pole[:, None])
-    columns = np.stack([one * weight for one in inputs], axis=2)
-    explained = np.einsum("cmk,ck->cm", columns, _solved(columns, E))
-    gain = np.sum(np.abs(E) ** 2, axis=1) - np.sum(np.abs(E - explained) ** 2, axis=1)
-    multiplier = np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T))
-    p = hold.pole(multiplier)
-    kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < spectrum.experiment.ceiling)
-    return p[kept], gain[kept] * (2.0 / T)
-
-
-def _solved(columns: ComplexArray, target: ComplexArray) -> ComplexArray:
-    """Least squares of each of many small problems (count, rows, k)."""
-    transposed = columns.conj().transpose(0, 2, 1)
-    gram = transposed @ columns
+def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Products of columns (windows, k, rows) with targets (windows, q, rows), and coefficients, (windows, k, q)."""
+    conjugate = columns.conj()
+    gram = conjugate @ columns.transpose(0, 2, 1)
     ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2).real
-    gram = gram + np.where(ridge > 0, ridge, 1.0)[:, None, None] * np.eye(columns.shape[2])
-    return np.asarray(np.linalg.solve(gram, transposed @ target[:, :, None])[:, :, 0])
+    gram += np.where(ridge > 0, ridge, 1.0)[:, None, None] * np.eye(columns.shape[1])
+    products = conjugate @ targets.transpose(0, 2, 1)
+    return products, np.linalg.solve(gram, products)
 
 
 class Responses:

@@ -29,7 +29,7 @@ _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
 @dataclass(frozen=True)
-class _Columns:
+class _CandidateColumns:
     """Real columns of candidates over some bins, `kappa` first, shape (candidates, rows, 3), and their Gram matrices.
 
     All is scaled so that squares add up to squares in time.
@@ -59,7 +59,7 @@ class Screen:
         self.spectra, self.signed = spectra, signed
         self._finest = min(spectra, key=lambda one: one.experiment.bin)
         self._everywhere = self._finest.length <= _EVERYWHERE
-        self._kept: dict[tuple[int, int], _Columns] = {}
+        self._kept: dict[tuple[int, int], _CandidateColumns] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """What is kept to save work does not travel to other processes."""
@@ -126,7 +126,7 @@ class Screen:
             parts.append((_columns(spectrum, d, bins), residual[bins]))
         return self._explained(parts)
 
-    def _explained(self, parts: list[tuple[_Columns, ComplexArray]]) -> Array:
+    def _explained(self, parts: list[tuple[_CandidateColumns, ComplexArray]]) -> Array:
         """Energy that least squares explain for each candidate, `kappa >= 0` being shared by the experiments."""
         total, pull, stiffness = 0.0, 0.0, 0.0
         for columns, residual in parts:
@@ -158,11 +158,11 @@ def _window(spectrum: Spectrum, d: Array) -> Bins:
     return np.asarray(first[:, None] + np.arange(width + 1))
 
 
-def _about(spectrum: Spectrum, d: Array) -> _Columns:
+def _about(spectrum: Spectrum, d: Array) -> _CandidateColumns:
     return _columns(spectrum, d, _window(spectrum, d))
 
 
-def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _Columns:
+def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _CandidateColumns:
     """Columns of the residue and of the ends of modes; of those on a bin, where the pole of one is, a little off it."""
     modes, one, place = spectrum.lossless(d), spectrum.experiment, spectrum.place(d)
     offset = place - np.rint(place)
@@ -175,4 +175,4 @@ def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _Columns:
     forced *= spectrum.U[bins] if one.driven else 0.0
     columns = np.stack([forced, z * (near + far), 1j * z * (near - far)], axis=2)
     scale = float(np.sqrt(2.0 / spectrum.length))
-    return _Columns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)
+    return _CandidateColumns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)
