@@ -7,6 +7,8 @@ from .analysis.energy import EnergyBalance as EnergyBalance
 from .analysis.energy import energy_balance as energy_balance
 from .analysis.margins import margin as margin
 from .analysis.margins import stability_margins as stability_margins
+from .analysis.passivity import PassivityReport as PassivityReport
+from .analysis.passivity import passivity as passivity
 from .analysis.sampling import sample as sample
 from .analysis.spectral_estimate import spectral_estimate as spectral_estimate
 from .analysis.time_response import forced_response as forced_response
@@ -71,6 +73,7 @@ from .plotting.energy_plot import energy_plot as energy_plot
 from .plotting.fit_plot import fit_plot as fit_plot
 from .plotting.mode_plot import modes_plot as modes_plot
 from .plotting.mode_plot import pole_zero_plot as pole_zero_plot
+from .plotting.passivity_plot import passivity_plot as passivity_plot
 from .plotting.time_plot import impulse_plot as impulse_plot
 from .plotting.time_plot import step_plot as step_plot
 from .symplectic.darboux_and_casimirs import CasimirSplit as CasimirSplit
@@ -91,6 +94,8 @@ from .systems.canonical_forms import ControllableHamiltonian as ControllableHami
 from .systems.canonical_forms import ObservableHamiltonian as ObservableHamiltonian
 from .systems.canonical_forms import ch as ch
 from .systems.canonical_forms import oh as oh
+from .systems.dissipative import DissipativePortHamiltonian as DissipativePortHamiltonian
+from .systems.dissipative import interconnect as interconnect
 from .systems.lifting import lift as lift
 from .systems.models import frenkel_kontorova as frenkel_kontorova
 from .systems.models import from_second_order as from_second_order

@@ -62,7 +62,7 @@ CONNECTIONS = [
     ("negative feedback", lambda sys: ct.feedback(sys, controller()), SS, lambda G, K: G / (1 + G * K)),
     ("positive feedback", lambda sys: ct.feedback(sys, controller(), sign=1), SS, lambda G, K: G / (1 - G * K)),
     ("feedback around a controller", lambda sys: ct.feedback(controller(), sys), SS, lambda G, K: K / (1 + G * K)),
-    ("unit feedback", lambda sys: ct.feedback(sys), SS, lambda G, K: G / (1 + G)),
+    ("unit feedback", lambda sys: ct.feedback(sys), phc.DissipativePortHamiltonian, lambda G, K: G / (1 + G)),
     ("negate", ct.negate, SS, lambda G, K: -G),
     ("tf", ct.tf, TF, lambda G, K: G),
     ("ss", ct.ss, SS, lambda G, K: G),
@@ -421,8 +421,8 @@ def test_what_comes_back_from_python_control_can_be_made_port_hamiltonian_again(
 def test_feedback_of_two_lossless_systems_is_lossless_again():
     """The negative feedback of passive systems without loss has none."""
     closed = ct.feedback(chain(), 0.7 * chain())
-    assert type(closed) is SS
-    sys = phc.ph(closed)
+    assert type(closed) is PH
+    sys = phc.ph(ct.ss(closed))
     assert type(sys) is PH
     for s in POINTS:
         assert close(sys(s), transfer(closed, s)[0, 0], 1e6)

@@ -16,6 +16,7 @@ from .._units import common_unit
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..symplectic.forms_and_williamson import apply_form
+from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergyBalance(Report):
-    """Stored and supplied energy along a response.
+    """Stored, supplied and dissipated energy along a response.
 
     Attributes
     ----------
@@ -34,7 +35,9 @@ class EnergyBalance(Report):
     supplied : ndarray, shape (T,)
         Energy that went in through the ports since the first instant.
     defect : ndarray, shape (T,)
-        What was stored since the first instant less what was supplied: 0 where nothing is lost or made.
+        What was stored and dissipated since the first instant less what was supplied: 0 of an exact computation.
+    dissipated : ndarray, shape (T,)
+        Energy lost since the first instant; 0 of a lossless system.
     time_unit : str or None
         Unit of time that the response tells; None where it tells none.
 
@@ -52,16 +55,18 @@ class EnergyBalance(Report):
     stored: Array
     supplied: Array
     defect: Array
+    dissipated: Array
     time_unit: str | None = None
 
     def __str__(self) -> str:
-        """Say over what time, and how much was stored, supplied and found or lost."""
+        """Say over what time, how much was stored, supplied and dissipated, and what is left of the balance."""
         stored, supplied, defect = (
             float(np.max(np.abs(e), initial=0.0)) for e in (self.stored, self.supplied, self.defect)
         )
+        lost = f"{self.dissipated[-1]:.4g} dissipated, " if self.dissipated.any() else ""
         return (
             f"{len(self.time)} instants from {self.time[0]:.6g} to {self.time[-1]:.6g}, at most {stored:.4g} stored, "
-            f"{supplied:.4g} supplied, {defect:.2g} between them"
+            f"{supplied:.4g} supplied, {lost}{defect:.2g} between them"
         )
 
     def plot(self, **kwargs: Any) -> ct.ControlPlot:
@@ -103,7 +108,7 @@ def energy_balance(
     Returns
     -------
     EnergyBalance
-        Stored and supplied energy, and their difference.
+        Stored, supplied and dissipated energy, and what is left of their balance.
 
     Raises
     ------
@@ -116,7 +121,8 @@ def energy_balance(
     The supplied energy is the work of the input along the motion between samples, in closed form: `integral y^T u dt`
     of the exact solution for 'exact', and `h u_mid^T y_mid` a step for 'midpoint', whose balance is exact as well
     (discrete Lagrange-d'Alembert principle).  For 'euler' it is `h u_k^T y_k`, and the defect is what Euler's rule
-    makes from nothing.  O(T n^2).
+    makes from nothing.  With losses both flows are integrals of quadratic forms of state and input, exact for inputs
+    that are held or interpolated, and taken at the middle of a step for 'midpoint'.  O(T n^2).
 
     Examples
     --------
@@ -139,10 +145,51 @@ def energy_balance(
     u = _trace(response.u, "inputs", sys.ninputs, len(t))
     stored = np.asarray(sys.hamiltonian(z))
     with np.errstate(over="ignore", invalid="ignore"):
-        supplied = np.concatenate([[0.0], np.cumsum(_work(sys, z, u, h, method, intersample))])
-        defect = stored - stored[0] - supplied
-    _checks.representable("the energies supplied", supplied, defect)
-    return EnergyBalance(t.copy(), stored, supplied, defect, common_unit(response))
+        if isinstance(sys, DissipativePortHamiltonian):
+            steps = _flows(sys, z, u, h, method, intersample)
+        else:
+            steps = _work(sys, z, u, h, method, intersample), np.zeros(len(t) - 1)
+        supplied, dissipated = (np.concatenate([[0.0], np.cumsum(step)]) for step in steps)
+        defect = stored - stored[0] + dissipated - supplied
+    _checks.representable("the energies supplied", supplied, dissipated, defect)
+    return EnergyBalance(t.copy(), stored, supplied, defect, dissipated, common_unit(response))
+
+
+def _flows(
+    sys: DissipativePortHamiltonian, z: Array, u: Array, h: float, method: str, intersample: str
+) -> tuple[Array, Array]:
+    """Energy that is supplied and dissipated in each step: integrals of two quadratic forms of state and input."""
+    n, m = sys.G.shape
+    Q, G, P = sys.Q, sys.G, sys.P
+    to_efforts = np.block([[Q, np.zeros((n, m))], [np.zeros((m, n)), np.eye(m)]])
+    loss = to_efforts.T @ np.block([[sys.R, P], [P.T, sys.S]]) @ to_efforts
+    work = np.block([[np.zeros((n, n)), 0.5 * Q @ (G + P)], [0.5 * (G + P).T @ Q, sys.S]])
+    now, then = u[:, :-1], u[:, 1:]
+    if method == "exact":
+        slope = (then - now) / h if intersample == "foh" else 0.0 * now
+        points = np.concatenate([z[:, :-1], now, slope])
+        M = np.zeros((n + 2 * m, n + 2 * m))
+        M[:n, :n], M[:n, n : n + m], M[n : n + m, n + m :] = sys.A, sys.B, np.eye(m)
+        forms = (_integral_along(M, np.pad(form, (0, m)), h) for form in (work, loss))
+        supplied, lost = (np.sum(points * (form @ points), axis=0) for form in forms)
+        return supplied, lost
+    held = now if intersample == "zoh" or method == "euler" else 0.5 * (now + then)
+    points = np.concatenate([z[:, :-1] if method == "euler" else 0.5 * (z[:, :-1] + z[:, 1:]), held])
+    supplied, lost = (h * np.sum(points * (form @ points), axis=0) for form in (work, loss))
+    return supplied, lost
+
+
+def _integral_along(M: Array, form: Array, h: float) -> Array:
+    """`integral_0^h exp(M^T t) form exp(M t) dt`, of a short step by Van Loan's block exponential, then doubled."""
+    doublings = max(0, int(np.ceil(np.log2(max(2.0 * h * float(np.linalg.norm(M, 1)), 1.0)))))
+    k, step = len(M), h / 2**doublings
+    E = expm(step * np.block([[-M.T, form], [np.zeros((k, k)), M]]))
+    F = E[k:, k:]
+    total = F.T @ E[:k, k:]
+    for _ in range(doublings):
+        total = total + F.T @ total @ F
+        F = F @ F
+    return 0.5 * (total + total.T)
 
 
 def _trace(value: Any, what: str, rows: int, samples: int) -> Array:

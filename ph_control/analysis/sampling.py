@@ -86,7 +86,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
         _checks.choice("intersample", intersample, INTERSAMPLE),
     )
     if rule.method == "exact":
-        _warn_of_aliases(sys.modes.d, rule.h)
+        _warn_of_aliases(sys.modes.natural_frequencies, rule.h)
     _checks.signal_names(names, inputs=sys.ninputs, outputs=sys.noutputs, states=sys.nstates)
     matrices = _companion if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian) else _matrices
     with np.errstate(over="ignore", invalid="ignore"):
@@ -112,7 +112,7 @@ def _matrices(sys: LosslessSystem, rule: Hold) -> tuple[Array, Array, Array]:
         np.array([_one_step(sys, _pulse(ports, port, k), rest, rule) for port in range(ports)]).T.reshape(size, ports)
         for k in (0, 1)
     )
-    return F, now + F @ then, sys.C @ then
+    return F, now + F @ then, sys.C @ then + sys.D
 
 
 def _warn_of_aliases(d: Array, h: float) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
-from ..systems.base import LosslessSystem
+from ..systems.base import LosslessSystem, in_normal_form
 from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
 
@@ -332,6 +332,13 @@ def _each(
     return TimeResponseList(responses) if several else responses[0]
 
 
+def _visible(sys: LosslessSystem) -> Array:
+    """Frequencies that show in a response."""
+    if in_normal_form(sys):
+        return sys.modes.d[sys.modes.nu.any(axis=1)]
+    return sys.natural_frequencies[sys.natural_frequencies > 0]
+
+
 def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:
     if isinstance(timepts, list | tuple) or np.ndim(timepts) > 0:
         return _checks.real_array("the time vector", timepts, 1)
@@ -341,7 +348,7 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
             f"timepts_num is {_checks.shown(samples)}; it must be a whole number of at least 2 instants, and no more "
             f"than {_MOST:.0e}"
         )
-    visible = [sys.modes.d[sys.modes.nu.any(axis=1)] for sys in systems]
+    visible = [_visible(sys) for sys in systems]
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 
 
@@ -425,7 +432,7 @@ class _Problem:
     def _solved(self, states: bool) -> tuple[Array, Array | None]:
         with np.errstate(over="ignore", invalid="ignore"):
             y, z = trajectory(self.sys, self.u, self.z0, self.rule, states=states)
-        growth = float(np.hypot(1.0, self.rule.h * self.sys.modes.d.max(initial=0.0)))
+        growth = float(np.hypot(1.0, self.rule.h * self.sys.modes.natural_frequencies.max(initial=0.0)))
         check_finite(y, z, growth if self.rule.method == "euler" else 1.0, self.rule)
         return y, z
 

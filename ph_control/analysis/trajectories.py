@@ -18,12 +18,13 @@ from .. import _checks
 from ..exceptions import StructureError
 from ..modal.discretization import Hold
 from ..modal.modal_form import imaginary
-from ..modal.propagation import discretize, simulate
+from ..modal.propagation import discretize, simulate, step_through
 from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import apply_form, symplectic_inverse
 from ..systems.affine import AffineHamiltonian
 from ..systems.base import LosslessSystem
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
+from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .companion_step import CompanionStep
 
@@ -35,6 +36,8 @@ _DIGITS = 10.0  # of the largest value of a state that modes must leave, so that
 
 def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Hold, *, states: bool) -> tuple[Array, Array | None]:
     """Outputs (m, T) and, on request, states (2n, T) of a system for input samples (m, T) and an initial state."""
+    if isinstance(sys, DissipativePortHamiltonian):
+        return _dissipative(sys, u, z0, rule, states)
     if isinstance(sys, PortHamiltonian):
         return _port_hamiltonian(sys, u, z0, rule, states)
     if isinstance(sys, AffineHamiltonian):
@@ -46,6 +49,31 @@ def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Hold, *, states: 
         return _controllable(sys, u, z0, rule, states)
     assert isinstance(sys, ObservableHamiltonian)
     return _observable(sys, u, z0, rule, states)
+
+
+# --- with losses -------------------------------------------------------------------------------------------------
+
+
+def _dissipative(
+    sys: DissipativePortHamiltonian, u: Array, z0: Array, rule: Hold, states: bool
+) -> tuple[Array, Array | None]:
+    """Outputs and states by the modes; poles that are not parted are stepped as matrices."""
+    form, m, p = sys._split, sys.ninputs, sys.noutputs
+    rows = slice(None) if states else slice(p)
+    poles, b, c = form.equations
+    y = simulate(rule.step(poles, b[:, :m], c[rows]), u, b[:, m:] @ z0)[0]
+    for block in form.clusters:
+        F, now, then = rule.step_of_matrices(block.A, block.B[:, :m])
+        x = step_through(F, now, then, u)
+        free = (block.B[:, m:] @ z0)[:, None]
+        while free.shape[1] < u.shape[1]:
+            free = np.hstack([free, np.linalg.matrix_power(F, free.shape[1]) @ free])
+        y += block.C[rows] @ (x + free[:, : u.shape[1]])
+    if not states:
+        return y + sys.D @ u, None
+    z = y[p:].copy()
+    z[:, 0] = z0
+    return sys.C @ z + sys.D @ u, z
 
 
 # --- port-Hamiltonian --------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from .. import _checks
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from ..symplectic.forms_and_williamson import apply_form
+from ..systems.base import refuse_losses
 from ..systems.port_hamiltonian import PortHamiltonian
 from .isomorphism import are_isomorphic
 from .relations import reduced_residuals, star_equivalent
@@ -430,6 +431,7 @@ class ReducedGroupoid:
 
 def _one_port(system: PortHamiltonian) -> None:
     """Refuse what is no object of the groupoid."""
+    refuse_losses(system, "groupoids")
     if not isinstance(system, PortHamiltonian):
         raise StructureError(
             f"an object of the groupoid is a PortHamiltonian, not a {type(system).__name__}; use ph(Q, B)"

@@ -20,6 +20,7 @@ from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
+from ..systems.base import refuse_losses
 from ..systems.lifting import lifted_size
 from ..systems.port_hamiltonian import PortHamiltonian
 from .unique_coordinates import norm_of, power_of_two, resonances
@@ -469,6 +470,7 @@ def comparable(sys1: ct.StateSpace, sys2: ct.StateSpace) -> None:
 
 def _port_hamiltonian(sys: PortHamiltonian) -> None:
     """Refuse what has no phase-space coordinates."""
+    refuse_losses(sys, "morphisms")
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(
             f"sys is of type {type(sys).__name__}, needed a PortHamiltonian, whose states the morphism starts from; "

@@ -19,7 +19,7 @@ from ..modal.error_bounds import ModalErrors, Separation, separate
 from ..modal.foster_test import Judged, hamiltonian_form, lossless_modes_with_errors
 from ..modal.modal_form import ModalForm
 from ..symplectic.forms_and_williamson import apply_form
-from ..systems.base import LosslessSystem
+from ..systems.base import in_normal_form
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import full_port_hamiltonian
 from .filters import filter_mismatch, separation_of
@@ -91,7 +91,7 @@ def _separated(sys: Any) -> Separation:
     if isinstance(sys, ModalForm | ControllableHamiltonian | ObservableHamiltonian):
         return separation_of(sys)
     normal = isinstance(sys, ct.StateSpace) and sys.isctime() and hamiltonian_form(sys) is not None
-    if normal or isinstance(sys, LosslessSystem):
+    if normal or in_normal_form(sys):
         return separation_of(full_port_hamiltonian(sys))
     return _with_judged_errors(lossless_modes_with_errors(sys))
 

@@ -17,6 +17,7 @@ from ..exceptions import FileFormatError, StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.affine import AffineHamiltonian
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
+from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .files import as_path, read_bytes, source_name, write_atomically
 from .json_format import Fields, compose, decompose, plain
@@ -97,9 +98,28 @@ def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
     return AffineHamiltonian(*matrices, **_names_from_dict(fields))
 
 
+def _dissipative_to_dict(system: DissipativePortHamiltonian) -> dict[str, Any]:
+    parts = {name: getattr(system, name) for name in "QGJRPSN"}
+    rows, through = system.sensors
+    sensors = {"sensor_rows": rows, "sensor_feedthrough": through} if rows.size else {}
+    return system._names() | parts | sensors | ({"time_unit": system.time_unit} if system.time_unit else {})
+
+
+def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
+    Q, G, J, R, P, S, N = (fields.array(key, (None, None)) for key in "QGJRPSN")
+    sensors = None
+    if "sensor_rows" in fields:
+        sensors = fields.array("sensor_rows", (None, None)), fields.array("sensor_feedthrough", (None, None))
+    unit = checked_unit(fields.text("time_unit")) if "time_unit" in fields else None
+    system = DissipativePortHamiltonian(Q, G, R=R, P=P, S=S, N=N, J=J, sensors=sensors, **_names_from_dict(fields))
+    system.time_unit = unit
+    return system
+
+
 # how each kind is written, or the module above this one that tells it, imported when the kind is first met
 _CODECS: dict[str, Codec | str] = {
     "PortHamiltonian": Codec(PortHamiltonian, system_to_dict, system_from_dict),
+    "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, _dissipative_to_dict, _dissipative_from_dict),
     "ModalForm": Codec(ModalForm, _modes_to_dict, _modes_from_dict),
     "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
     "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),

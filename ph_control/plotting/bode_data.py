@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import _checks
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
-from ..systems.base import LosslessSystem
+from ..systems.base import in_normal_form
 from .inputs import FitResult, Subject, models_around, subjects_of, title_of
 
 Array = NDArray[np.float64]
@@ -364,7 +364,7 @@ def features(sys: Any) -> tuple[Array, Array]:
     if sys.isdtime(strict=True):
         points = np.log(points[points != 0]) / _timebase(sys)
     points = points[np.isfinite(points)]
-    if isinstance(sys, LosslessSystem) and sys.issiso():
+    if in_normal_form(sys) and sys.issiso():
         on_axis = np.unique(points.imag[points.imag > 0])
         return on_axis, on_axis
     size = np.abs(points)

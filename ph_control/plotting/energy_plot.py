@@ -47,7 +47,8 @@ def energy_plot(
     -------
     control.ControlPlot
         `lines` and `axes` of shape (2, 1), `figure`, `legend`.  Above, for each balance the stored and the supplied
-        energy; below what was stored since the first instant less what was supplied.
+        energy, and the dissipated one of a system with losses; below what was stored and lost since the first instant
+        less what was supplied.
 
     Raises
     ------
@@ -84,9 +85,12 @@ def energy_plot(
         for k, (one, name) in enumerate(zip(balances, names, strict=True)):
             stored, supplied = {"color": f"C{2 * k}"}, {"color": f"C{2 * k + 1}", "linestyle": "--"}
             prefix = f"{name}: " if name else ""
+            lost = {"color": f"C{2 * k + 1}", "linestyle": ":", "linewidth": 1.4}
+            losses = [(above, one.dissipated, f"{prefix}dissipated since the start", lost)] * bool(one.dissipated.any())
             for axis, energy, text, line in (
                 (above, one.stored, f"{prefix}stored", {**stored, "linewidth": 1.4}),
                 (above, one.supplied, f"{prefix}supplied since the start", {**supplied, "linewidth": 1.4}),
+                *losses,
                 (below, one.defect, name, {**stored, "linewidth": 1.0}),
             ):
                 found = axis.plot(*extremes(one.time, energy), label=plain(text), **{**line, **look.line})
@@ -96,6 +100,8 @@ def energy_plot(
             axis.set_xlim(min(one.time[0] for one in balances), max(one.time[-1] for one in balances))
             look.lattice(axis)
         above.set_ylabel(labelled("Energy", energy_unit))
+        lossy = any(one.dissipated.any() for one in balances)
         time = labelled("Time", unit_for(time_unit, balances))
-        below.set(xlabel=time, ylabel=labelled("Stored less\nsupplied", energy_unit))
+        rest = "Stored + lost\nless supplied" if lossy else "Stored less\nsupplied"
+        below.set(xlabel=time, ylabel=labelled(rest, energy_unit))
         return drawn.finished("Energy balance")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .. import _checks
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
-from ..systems.base import LosslessSystem
+from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 _DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
@@ -51,7 +51,7 @@ class Subject:
     @property
     def lossless(self) -> bool:
         """Whether poles and zeros are known to be on the imaginary axis."""
-        return isinstance(self.system, LosslessSystem)
+        return in_normal_form(self.system)
 
 
 def as_list(given: Any) -> list[Any]:

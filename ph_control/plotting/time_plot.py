@@ -21,6 +21,7 @@ from .._units import unit_for
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
+from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 from .inputs import Subject, models_around, subjects_of, title_of
 from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
@@ -298,7 +299,8 @@ def _modes(subject: Subject) -> ModalForm | None:
     if sys.isdtime(strict=True) or sys.noutputs != sys.ninputs:
         return None
     try:
-        return ph(sys).modes
+        found = ph(sys)
+        return found.modes if in_normal_form(found) else None
     except PHControlError:
         return None
 

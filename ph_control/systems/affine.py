@@ -20,7 +20,7 @@ from ..modal.modal_form import ModalForm
 from ..numerics import definiteness as _definite
 from ..numerics.pole_residue import Resolvent
 from ..symplectic.forms_and_williamson import apply_form
-from .base import LosslessSystem, View, inherited_names
+from .base import LosslessSystem, View, in_normal_form, inherited_names, refuse_losses
 from .port_hamiltonian import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
@@ -232,6 +232,7 @@ def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonia
     if isinstance(Q, AffineHamiltonian):
         names = inherited_names(Q, names, "inputs", "outputs", "states")
         return AffineHamiltonian(Q.Q, Q._interaction, **names)
+    refuse_losses(Q, "affine Hamiltonian systems")
     if isinstance(Q, PortHamiltonian):
         raise StructureError(
             "the transfer function of a port-Hamiltonian system is odd, that of an affine one even; if the time "
@@ -396,7 +397,7 @@ def _poles_and_values(
     With the values comes the relative error that rounding of the data of the system makes in them, to first order with
     some room.
     """
-    if isinstance(sys, LosslessSystem):
+    if in_normal_form(sys):
         return sys.poles(), sys.nstates, lambda s: (sys.horner(s), 1e4 * _checks.EPS)
     if isinstance(sys, ct.StateSpace):
         A, B, C, D = (_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD")

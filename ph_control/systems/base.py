@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
-from ..exceptions import StructureError
+from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm, imaginary
 
 Array = NDArray[np.float64]
@@ -54,6 +54,7 @@ class LosslessSystem(ct.StateSpace):
     """
 
     _factory: str
+    _in_normal_form = True  # whether it has frequencies d and weights r
     _integrated = False  # whether the transfer function is that of the modes, or that divided by s
     _views: dict[str, Any]
     params: dict[str, Any]
@@ -110,6 +111,26 @@ class LosslessSystem(ct.StateSpace):
     def modes(self) -> ModalForm:
         """Modal form: the truth behind the matrices."""
         raise NotImplementedError
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether nothing is lost: always, but for port-Hamiltonian systems with losses."""
+        return True
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """Natural frequencies `|p|` of the modes, rad per unit time; those of lossless systems are `d`."""
+        return self.modes.natural_frequencies
+
+    @property
+    def damping_ratios(self) -> Array:
+        """Damping ratios `-Re p / |p|` of the modes, in the order of `natural_frequencies`."""
+        return self.modes.damping_ratios
+
+    @property
+    def hertz(self) -> Array:
+        """Natural frequencies in cycles per unit time."""
+        return self.natural_frequencies / (2 * np.pi)
 
     @property
     def n(self) -> int:
@@ -219,6 +240,20 @@ class LosslessSystem(ct.StateSpace):
         text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
         labels = self._label_repr()
         return text + (f",\n{labels})" if labels else ")")
+
+
+def in_normal_form(sys: Any) -> bool:
+    """Whether a system is one of the lossless classes, with frequencies `d` and weights `r`."""
+    return isinstance(sys, LosslessSystem) and sys._in_normal_form
+
+
+def refuse_losses(sys: Any, what: str) -> None:
+    """Refuse a system with losses where only lossless ones are defined."""
+    if isinstance(sys, LosslessSystem) and not sys._in_normal_form:
+        raise NotLosslessError([
+            f"{what} are defined for lossless systems in the coordinates (q, p), and {sys.name!r} is more general; "
+            "lossless_part() is the system of the same Q and B without R, P, S, N and sensors"
+        ])  # fmt: skip
 
 
 def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:

@@ -306,6 +306,8 @@ class PortHamiltonian(LosslessSystem):
 
     def __add__(self, other: Any) -> Any:
         """Parallel connection; PH with a PH system of the same number of ports, or with the number 0."""
+        if isinstance(other, PortHamiltonian) and not other._in_normal_form:
+            return other._parallel(self, other)
         if isinstance(other, PortHamiltonian) and other.ninputs == self.ninputs:
             return PortHamiltonian._from_matrices(*direct_sum((self.Q, self.B), (other.Q, other.B)))
         if _is_number(other) and other == 0:
@@ -329,6 +331,32 @@ class PortHamiltonian(LosslessSystem):
             return self._scaled(float(other))
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
+
+    def feedback(self, other: Any = 1, sign: int = -1) -> Any:
+        """Feedback loop, PH for negative feedback through a PH system or a matrix that only takes energy.
+
+        Parameters
+        ----------
+        other : PortHamiltonian, control.StateSpace, number or matrix
+            The system in the feedback path; a matrix `K` needs `K + K^T >= 0`.
+        sign : {-1, 1}
+            Sign of the feedback.
+
+        Returns
+        -------
+        DissipativePortHamiltonian or control.StateSpace
+
+        Examples
+        --------
+        >>> import control as ct, ph_control as phc
+        >>> closed = ct.feedback(phc.frenkel_kontorova(2), 0.1)
+        >>> type(closed).__name__, bool(closed.poles().real.max() < 0)
+        ('DissipativePortHamiltonian', True)
+        """
+        from .dissipative import feedback
+
+        closed = feedback(self, other) if sign == -1 else None
+        return super().feedback(other, sign) if closed is None else closed
 
     def _scaled(self, factor: float) -> PortHamiltonian:
         root = np.sqrt(factor)
@@ -440,7 +468,12 @@ def ph(
     Q: Any,
     B: ArrayLike | None = None,
     *,
+    R: ArrayLike | None = None,
+    P: ArrayLike | None = None,
+    S: ArrayLike | None = None,
+    N: ArrayLike | None = None,
     J: ArrayLike | None = None,
+    sensors: Any = None,
     method: str | None = None,
     intersample: str = "zoh",
     **names: Any,
@@ -454,8 +487,16 @@ def ph(
         continuous-time `control.StateSpace` or `control.TransferFunction`, or one of `scipy.signal`.
     B : array_like, shape (2n,) or (2n, m), optional
         Input matrix.
+    R : array_like, shape (2n, 2n), optional
+        Dissipation matrix, symmetric positive semidefinite.
+    P, S, N : array_like, shapes (2n, m), (m, m), (m, m), optional
+        Dissipation between states and ports, and the symmetric and the skew part of the feedthrough of the equations
+        `z' = (J - R) Q z + (B - P) u`, `y = (B + P)^T Q z + (S + N) u`; `[[R, P], [P^T, S]] >= 0`.
     J : array_like, shape (2n, 2n), optional
-        Any invertible skew matrix, of the equations `z' = J Q z + B u`; default the canonical one.
+        Any skew matrix; default the canonical one.  Without losses and sensors it must be invertible, and the states
+        become `darboux(J) z`; beside them it stays as it is, and may be of odd size.
+    sensors : array_like, shape (k, 2n), or (array_like, array_like), shapes (k, 2n) and (k, m), optional
+        Rows of outputs that are no port variables, `y_s = C_s z + D_s u`; they come after those of the ports.
     method : {'exact', 'midpoint', 'euler'}, optional
         How a discrete-time system was sampled; needed for such a system, and for no other.
     intersample : {'zoh', 'foh'}
@@ -467,8 +508,8 @@ def ph(
     -------
     PortHamiltonian
         A state-space system that already is in PH normal form keeps its coordinates; any other arrives in
-        Williamson coordinates, minimal.  With `J` the states are `darboux(J) z`.  Of an `AffineHamiltonian` it is the
-        derivative.
+        Williamson coordinates, minimal.  Of an `AffineHamiltonian` it is the derivative.  With losses, feedthrough or
+        sensors a `DissipativePortHamiltonian`.
 
     Raises
     ------
@@ -496,6 +537,13 @@ def ph(
             f"method={_checks.shown(method)} and intersample={_checks.shown(intersample)} say how a discrete-time "
             "system was sampled; this one is not sampled"
         )
+    losses = {"R": R, "P": P, "S": S, "N": N}
+    if B is not None and (sensors is not None or any(value is not None and np.any(value) for value in losses.values())):
+        from .dissipative import DissipativePortHamiltonian
+
+        return DissipativePortHamiltonian(Q, B, **losses, J=J, sensors=sensors, **names)
+    if B is None and not all(value is None for value in (*losses.values(), sensors)):
+        raise StructureError("R, P, S, N and sensors belong to the matrices Q and B, and B is not given")
     if B is not None:
         if J is not None:
             Q, B = normal_form(Q, B, J)
@@ -507,6 +555,8 @@ def ph(
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, GeneralModalForm):
         source = source.state_space()
+    if isinstance(source, PortHamiltonian) and not source._in_normal_form:
+        return source._named(inherited_names(source, names, *_SIGNALS))
     if isinstance(source, PortHamiltonian):
         names = inherited_names(source, names, *_SIGNALS)
         twin = _restore(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))

@@ -21,7 +21,7 @@ from ..exceptions import StructureError
 from ..modal.error_bounds import Group, Separation, as_decided
 from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
-from .base import LosslessSystem
+from .base import in_normal_form
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 Array = NDArray[np.float64]
@@ -325,7 +325,7 @@ def _with_hidden_modes(sys: Any, limit: str) -> PortHamiltonian:
     system = full_port_hamiltonian(sys)
     if system.ninputs != 1:
         raise StructureError(f"the system has {system.ninputs} ports; {limit}: choose one by its column of B")
-    if not isinstance(sys, ct.StateSpace) or isinstance(sys, LosslessSystem) or sys.nstates == system.nstates:
+    if not isinstance(sys, ct.StateSpace) or in_normal_form(sys) or sys.nstates == system.nstates:
         return system
     visible = 2 * len(system.d) + len(system.modes.rigid)
     if visible < sys.nstates:

@@ -17,7 +17,7 @@ from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...systems.affine import AffineHamiltonian
-from ...systems.base import LosslessSystem
+from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
 from ..data.frequency_record import FrequencyRecord
@@ -110,7 +110,7 @@ def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: 
             "none: use 'estimate' or 'zero'"
         )
     system, hold = _one_port(model, label, "record"), rules.hold(record.dt)
-    if isinstance(system, LosslessSystem):
+    if in_normal_form(system):
         return _completed(_lossless_motions(system, record, hold), label, record, rules)
     return _completed(_linear_motions(system, label, record, hold), label, record, rules)
 

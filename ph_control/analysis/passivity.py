@@ -1,0 +1,283 @@
+"""Whether a system takes in energy at all frequencies, and where it does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, matrix_balance, schur, solve_sylvester
+
+from .. import _checks
+from .._checks import EPS
+from .._display import Report
+from ..exceptions import StructureError
+from ..modal.positive_real import Band, Passivity
+from ..systems.base import in_normal_form
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+KINDS = ("immittance", "scattering")
+
+_AXIS = 16  # times the rounding of an eigenvalue: a real part that is taken for 0
+_RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermitian positive semidefinite matrix
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PassivityReport(Report):
+    """Where a system gives energy.
+
+    Attributes
+    ----------
+    kind : {"immittance", "scattering"}
+        What was asked: `G + G^H >= 0`, or `S^H S <= I`.
+    bands : list of (float, float)
+        Frequencies between which the system is active, `(low, high)` in rad per unit time, ascending; `high` may be
+        infinite, and both are the same at a pole on the imaginary axis whose residue is not positive semidefinite.
+    frequencies : ndarray, shape (number of bands,)
+        Worst frequency of each band.
+    sizes : ndarray, shape (number of bands,)
+        Size of the violation there: minus the smallest eigenvalue of `(G + G^H) / 2`, or the largest singular value of
+        `S` less 1; infinite at a pole on the axis.
+    margin : float
+        Infimum over all frequencies of the smallest eigenvalue of `(G + G^H) / 2`, or of 1 less the largest singular
+        value; 0 for what touches the bound, as every mechanical mobility does at 0 and at infinity.  Minus infinity for
+        unstable systems and for poles on the axis that are not passive.
+    unstable : ndarray of complex, shape (k,)
+        Poles in the right half plane that ports reach and see.
+
+    Examples
+    --------
+    >>> import control as ct, ph_control as phc
+    >>> report = phc.passivity(ct.tf([1.0, 1.0], [1.0, 0.2, 1.0]))
+    >>> report.is_passive, [(low, high) for low, high in report.bands]
+    (False, [(1.11803398874989..., inf)])
+    """
+
+    kind: str
+    bands: list[tuple[float, float]]
+    frequencies: Array
+    sizes: Array
+    margin: float
+    unstable: ComplexArray
+    _tested: Passivity | None = None
+
+    def curve(self, reach: float = 30.0) -> tuple[Array, Array]:
+        """Smallest eigenvalue of `(G + G^H) / 2`, or largest singular value of `S`, over frequency.
+
+        Parameters
+        ----------
+        reach : float, optional
+            How far to go beyond the lowest and the highest frequency at which something happens, as a factor.
+
+        Returns
+        -------
+        omega, values : ndarray, shape (N,)
+            Frequencies, dense at resonances; without the part of poles on the axis.
+
+        Raises
+        ------
+        StructureError
+            If the system is unstable.
+
+        Examples
+        --------
+        >>> import control as ct, ph_control as phc
+        >>> omega, values = phc.passivity(ct.tf([1.0, 1.0], [1.0, 0.2, 1.0])).curve()
+        >>> bool(values.min() < -0.66), omega.shape == values.shape
+        (True, True)
+        """
+        if self._tested is None:
+            raise StructureError(
+                f"the system is unstable, with the pole {self.unstable[0]:.4g}: there is no curve to draw"
+            )
+        omega = self._tested.dense_grid(reach)
+        values = self._tested.smallest(omega)[0]
+        return omega, np.sqrt(1 - values) if self.kind == "scattering" else 0.5 * values
+
+    def plot(self, **kwargs: Any) -> ct.ControlPlot:
+        """Picture of `curve` with the bands shaded.
+
+        Parameters
+        ----------
+        **kwargs
+            Keywords of `passivity_plot`.
+
+        Returns
+        -------
+        control.ControlPlot
+
+        Examples
+        --------
+        See `passivity_plot`.
+        """
+        from ..plotting.passivity_plot import passivity_plot
+
+        return passivity_plot(self, **kwargs)
+
+    @property
+    def is_passive(self) -> bool:
+        """Whether the system is stable and takes in energy at all frequencies."""
+        return not self.bands and not len(self.unstable)
+
+    @property
+    def worst(self) -> tuple[float, float] | None:
+        """Frequency and size of the largest violation; None of a passive system."""
+        if not self.bands:
+            return None
+        k = int(np.argmax(self.sizes))
+        return float(self.frequencies[k]), float(self.sizes[k])
+
+    def __str__(self) -> str:
+        """Say whether, with what margin, and where not."""
+        if self.is_passive:
+            return f"passive ({self.kind}), margin {self.margin:.4g}"
+        text = f"not passive ({self.kind})"
+        if len(self.unstable):
+            text += f": {len(self.unstable)} poles in the right half plane, the first at {self.unstable[0]:.4g}"
+        rows = zip(self.bands, self.frequencies, self.sizes, strict=True)
+        return "\n".join(
+            [text] + [f"  {low:.6g} to {high:.6g} rad/time: {size:.4g} at {w:.6g}" for (low, high), w, size in rows]
+        )
+
+
+def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
+    """Find all frequencies at which a system gives energy.
+
+    Parameters
+    ----------
+    sys : control.StateSpace, control.TransferFunction or what they can be made of
+        Continuous-time system with as many outputs as inputs, output k being the port variable of input k.
+    kind : {"immittance", "scattering"}
+        An impedance, admittance or mobility, passive if it is stable and `G(jw) + G(jw)^H >= 0` for all `w`; or a
+        scattering matrix, passive if it is stable and `S(jw)^H S(jw) <= I`.
+
+    Returns
+    -------
+    PassivityReport
+        Bands, their worst frequencies and sizes, and the margin.
+
+    Raises
+    ------
+    StructureError
+        If the system is in discrete time, or has not as many outputs as inputs.
+
+    Notes
+    -----
+    No grid of frequencies: `G + G^H` is singular at eigenvalues of a pencil of order `2n + m` on the axis, which part
+    it into pieces of one sign; O((2n + m)^3).  What ports do not reach or do not see is left out, and poles on the
+    imaginary axis are judged by their residues.  Rounding of all terms is allowed for, so that a bound that is touched
+    is not crossed.
+
+    Examples
+    --------
+    >>> import numpy as np, control as ct, ph_control as phc
+    >>> report = phc.passivity(ct.ss([[-1.0, 2.0], [-2.0, -1.0]], [[1.0], [0.0]], [[1.0, 0.0]], 0.0))
+    >>> report.is_passive, report.margin
+    (True, 0.0)
+    """
+    _checks.choice("kind", kind, KINDS)
+    if in_normal_form(sys) and not sys._integrated and kind == "immittance":
+        # all its poles are on the axis, and beside them it neither takes nor gives energy
+        m, none = sys.ninputs, np.zeros
+        beside = Passivity(none((0, 0)), none((0, m)), none((m, 0)), none((m, m)), scattering=False)
+        return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
+    A, B, C, D = _minimal(_state_space(sys))
+    axis, rest, unstable = _split(A, B, C)
+    wrong = np.array([] if kind == "scattering" else [w for w, K in axis if not _is_positive(K)])
+    if kind == "scattering" and axis:
+        wrong = np.array([w for w, _ in axis])
+    tested = None if len(unstable) else Passivity(*rest, D, scattering=kind == "scattering")
+    found: list[Band] = [Band(w, w, w, np.inf) for w in wrong]
+    found += [] if tested is None else tested.bands()
+    margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf
+    if tested is not None and not found:
+        margin = tested.margin()
+    found.sort(key=lambda band: band.low)
+    return PassivityReport(
+        kind, [(band.low, band.high) for band in found], np.array([band.worst for band in found]),
+        np.array([band.excess for band in found]), float(margin), unstable, tested,
+    )  # fmt: skip
+
+
+def _state_space(sys: Any) -> ct.StateSpace:
+    if isinstance(sys, ct.TransferFunction):
+        sys = ct.ss(sys)
+    if not isinstance(sys, ct.StateSpace):
+        raise StructureError(f"this is a {type(sys).__name__}; pass a StateSpace or a TransferFunction")
+    if sys.isdtime(strict=True):
+        raise StructureError(f"the system is in discrete time, dt = {sys.dt}; passivity is tested in continuous time")
+    if sys.ninputs != sys.noutputs or not sys.ninputs:
+        raise StructureError(
+            f"the system has {sys.ninputs} inputs and {sys.noutputs} outputs; pairs of port variables need as many of "
+            "both: select them with sys[outputs, inputs]"
+        )
+    for name in "ABCD":
+        _checks.finite(name, np.asarray(getattr(sys, name)))
+    return sys
+
+
+def _minimal(sys: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
+    """Matrices of what ports reach and see."""
+    A, B, C, D = (np.array(getattr(sys, name), float) for name in "ABCD")
+    if not len(A):
+        return A, B, C, D
+    # of its own tolerance: that of a staircase form whose inputs and outputs are of the size of A
+    size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
+    reduced = ct.ss(A, B * (size / b), C * (size / c), D).minreal()
+    return reduced.A, reduced.B * (b / size), reduced.C * (c / size), D
+
+
+def _split(
+    A: Array, B: Array, C: Array
+) -> tuple[list[tuple[float, ComplexArray]], tuple[Array, Array, Array], ComplexArray]:
+    """Frequencies and residues on the imaginary axis, the rest of the system, and the poles to the right."""
+    n = len(A)
+    if not n:
+        return [], (A, B, C), np.zeros(0, complex)
+    balance = matrix_balance(A, separate=True, permute=False)[1][0]
+    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
+    poles, left, right = eig(A, left=True)
+    condition = 1 / np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), EPS)
+    tolerance = _AXIS * n * EPS * np.linalg.norm(A, 2) * condition
+    on_axis = np.abs(poles.real) <= tolerance
+    unstable = poles[(poles.real > 0) & ~on_axis]
+    if not on_axis.any():
+        return [], (A, B, C), unstable
+    widest = float(np.max(tolerance[on_axis]))
+    T, Z, count = schur(A, output="real", sort=lambda x, y=0.0: abs(np.real(x)) <= widest)
+    B, C = Z.T @ B, C @ Z
+    X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
+    rest = T[count:, count:], B[count:], C[:, count:] + C[:, :count] @ X
+    return _residues(T[:count, :count], B[:count] - X @ B[count:], C[:, :count], widest), rest, unstable
+
+
+def _residues(A: Array, B: Array, C: Array, tolerance: float) -> list[tuple[float, ComplexArray]]:
+    """Residue matrix of each frequency of a block with poles on the axis; not finite where a pole is not simple."""
+    poles = np.linalg.eigvals(A)
+    found: list[tuple[float, ComplexArray]] = []
+    left = np.flatnonzero(poles.imag >= -tolerance)
+    while len(left):
+        first = poles[left[0]].imag
+        reach = 2 * tolerance + EPS * abs(first)
+        T, Z, count = schur(A, output="complex", sort=lambda x, w=first, reach=reach: abs(x.imag - w) <= reach)
+        B1, C1 = Z.conj().T @ B, C @ Z
+        X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
+        b, c = B1[:count] - X @ B1[count:], C1[:, :count]
+        center = np.mean(np.diag(T[:count, :count]))
+        again = c @ (T[:count, :count] - center * np.eye(count)) @ b  # over (s - p)^2
+        simple = np.linalg.norm(again) <= _RESIDUE * np.linalg.norm(A) * np.linalg.norm(c) * np.linalg.norm(b)
+        found.append((max(float(center.imag), 0.0), c @ b if simple else np.full((len(C), B.shape[1]), np.nan)))
+        left = left[np.abs(poles[left].imag - first) > reach]
+    return found
+
+
+def _is_positive(K: ComplexArray) -> bool:
+    if not np.isfinite(K).all():
+        return False
+    size = float(np.linalg.norm(K, 2))
+    least = float(np.linalg.eigvalsh(0.5 * (K + K.conj().T))[0])
+    return bool(np.linalg.norm(K - K.conj().T, 2) <= _RESIDUE * size and least >= -_RESIDUE * size)

@@ -1,0 +1,242 @@
+"""Where a transfer function takes in energy and where it gives energy: the exact bands, without a grid of frequencies.
+
+`G` is passive as an immittance if it is stable and `Phi(w) = G(jw) + G(jw)^H >= 0` at all frequencies, as a scattering
+matrix if `Phi(w) = I - G(jw)^H G(jw) >= 0`.  The smallest eigenvalue of `Phi` changes its sign only where `Phi` is
+singular: at eigenvalues of a pencil of the state-space matrices that lie on the imaginary axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, eigvals, schur, solve_triangular
+from scipy.optimize import brentq, minimize_scalar
+
+from .._checks import EPS
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Matrices = tuple[Array, Array, Array, Array]
+
+_SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0
+_NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative between the points looked at
+_PIECES = 8  # of the way between two of these: for the worst frequency of a band, which has several minima
+_FINE = 1e-7  # of it: to what the least value is sought
+_LEVELS = 20  # steps down to it, at most; three are usual
+_WIDTHS = (0.25, 1.0, 4.0)  # of a resonance, beside it: points looked at
+
+
+@dataclass(frozen=True)
+class Band:
+    """Frequencies `low` to `high` at which `Phi` is indefinite, and the worst of them.
+
+    `excess` is the size of the violation at `worst`: minus the smallest eigenvalue of `(G + G^H) / 2`, of a scattering
+    matrix the largest singular value less 1.
+    """
+
+    low: float
+    high: float
+    worst: float
+    excess: float
+
+
+class Response:
+    """Frequency response of matrices `A, B, C, D` on the imaginary axis, with the size of what it sums.
+
+    Partial fractions where the eigenvectors are well conditioned, else the Schur form.
+    """
+
+    def __init__(self, A: Array, B: Array, C: Array, D: Array) -> None:
+        self.D = D
+        self.poles: ComplexArray = np.zeros(0, complex)
+        V = np.zeros((0, 0), complex)
+        if len(A):
+            self.poles, V = eig(A)
+            V = V / np.linalg.norm(V, axis=0)
+        self._schur = None
+        with np.errstate(all="ignore"):
+            if len(A) and not np.linalg.cond(V) < 1 / np.sqrt(EPS):
+                T, Z = schur(A, output="complex")
+                self._schur, self._b, self._c = T, Z.conj().T @ B, C @ Z
+                return
+        self._b, self._c = (np.linalg.solve(V, B) if len(A) else np.zeros((0, D.shape[1]))), C @ V
+
+    def __call__(self, omega: Array) -> tuple[ComplexArray, Array]:
+        """`G(j omega)`, shape (N, p, m), and a bound of the magnitudes that were summed, shape (N,)."""
+        if self._schur is not None:
+            return self._by_schur(omega)
+        parts = 1 / (1j * omega[:, None] - self.poles)
+        G = np.einsum("il,nl,lj->nij", self._c, parts, self._b) + self.D
+        sizes = np.linalg.norm(self._c, axis=0) * np.linalg.norm(self._b, axis=1)
+        return np.asarray(G, complex), np.asarray(np.abs(parts) @ sizes + np.linalg.norm(self.D), float)
+
+    def _by_schur(self, omega: Array) -> tuple[ComplexArray, Array]:
+        eye = np.eye(len(self.poles))
+        assert self._schur is not None
+        x = [solve_triangular(1j * w * eye - self._schur, self._b) for w in omega]
+        G = np.array([self._c @ one for one in x]) + self.D
+        sizes = np.array([np.linalg.norm(one) for one in x]) * np.linalg.norm(self._c) + np.linalg.norm(self.D)
+        return np.asarray(G, complex), np.asarray(sizes, float)
+
+
+class Passivity:
+    """The smallest eigenvalue of `Phi` of a stable system, and the bands in which it is negative."""
+
+    def __init__(self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool) -> None:
+        self.matrices, self.scattering = (A, B, C, D), scattering
+        self.response = Response(A, B, C, D)
+
+    def smallest(self, omega: Any) -> tuple[Array, Array]:
+        """Smallest eigenvalue of `Phi` at each frequency, and what rounding leaves of it."""
+        G, size = self.response(np.atleast_1d(np.asarray(omega, float)))
+        adjoint = G.conj().transpose(0, 2, 1)
+        if self.scattering:
+            Phi, size = np.eye(G.shape[2]) - adjoint @ G, 1 + size**2
+        else:
+            Phi = G + adjoint
+        slack = _SLACK * max(G.shape[1:]) * size
+        return np.linalg.eigvalsh(Phi)[:, 0], slack
+
+    def at_infinity(self) -> float:
+        """Smallest eigenvalue of `Phi` at infinite frequency."""
+        D = self.matrices[3]
+        Phi = np.eye(D.shape[1]) - D.T @ D if self.scattering else D + D.T
+        return float(np.linalg.eigvalsh(Phi)[0])
+
+    def singular_frequencies(self, level: float = 0.0) -> Array:
+        """Imaginary parts of all points of the plane at which `Phi` has the eigenvalue `level`.
+
+        Of two points that lie on the axis close together rounding may make a pair beside it, whose projection lies
+        between the two.
+        """
+        A, B, C, D = self.matrices
+        n, m = B.shape
+        R = D + D.T - level * np.eye(m)
+        if not self.scattering:
+            A, B, C, R = balanced(A, B, C, R)
+        M, E = np.zeros((2 * n + m, 2 * n + m)), np.zeros((2 * n + m, 2 * n + m))
+        M[:n, n : 2 * n], M[:n, 2 * n :] = A, B
+        M[n : 2 * n, :n], M[2 * n :, :n] = A.T, B.T
+        if self.scattering:
+            M[n : 2 * n, n : 2 * n], M[n : 2 * n, 2 * n :] = -C.T @ C, -C.T @ D
+            M[2 * n :, n : 2 * n], M[2 * n :, 2 * n :] = -D.T @ C, (1 - level) * np.eye(m) - D.T @ D
+        else:
+            M[n : 2 * n, 2 * n :], M[2 * n :, n : 2 * n], M[2 * n :, 2 * n :] = C.T, C, R
+        E[:n, n : 2 * n], E[n : 2 * n, :n] = np.eye(n), -np.eye(n)
+        with np.errstate(all="ignore"):
+            alpha, beta = eigvals(M, E, homogeneous_eigvals=True)
+            found = np.abs((alpha / beta).imag)
+        return np.asarray(found[np.isfinite(found)], float)
+
+    def in_units(self, smallest: float) -> float:
+        """Smallest eigenvalue of `(G + G^H) / 2`, or 1 less the largest singular value, from that of `Phi`."""
+        return smallest / (1 + np.sqrt(1 - smallest)) if self.scattering else 0.5 * smallest
+
+    def dense_grid(self, reach: float) -> Array:
+        """Frequencies for a picture: spaced evenly in the logarithm, dense at resonances and at what is singular."""
+        poles = self.response.poles
+        marks = np.concatenate([np.abs(poles), self.singular_frequencies(), [0.0]])
+        marks = marks[(marks > 0) & (marks > 1e-6 * marks.max())] if marks.any() else np.ones(1)
+        even = np.geomspace(marks.min() / reach, marks.max() * reach, 2001)
+        near = np.abs(poles.imag[:, None] + poles.real[:, None] * np.sinh(np.linspace(-6.0, 6.0, 121))).ravel()
+        return np.unique(np.concatenate([even, near[(near > even[0]) & (near < even[-1])]]))
+
+    def _grid(self) -> Array:
+        """Frequencies that part the axis into pieces on which `Phi` keeps its sign, and some between them."""
+        poles = self.response.poles
+        marks = [np.zeros(1), np.abs(poles.imag), np.abs(poles), self.singular_frequencies()]
+        marks += [np.abs(poles.imag) + width * sign * poles.real for width in _WIDTHS for sign in (-1, 1)]
+        points = np.unique(np.concatenate(marks))
+        points = points[points >= 0]
+        between = points[:-1, None] + np.diff(points)[:, None] * np.linspace(0.0, 1.0, _PIECES, endpoint=False)
+        means = np.sqrt(points[1:] * points[:-1])
+        return np.unique(np.concatenate([between.ravel(), means, points[-1:], [2 * points[-1] or 1.0]]))
+
+    def bands(self) -> list[Band]:
+        """Bands in which the smallest eigenvalue of `Phi` is negative by more than rounding, ascending."""
+        grid, values, slack = self._looked_at
+        negative = values < -slack
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], negative, [False]]).astype(int)))
+        return [self._band(grid, values, first, last) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+
+    def margin(self) -> float:
+        """Infimum over all frequencies of a system without bands, in units of `excess`; 0 where rounding hides it."""
+        grid, values, slack = self._looked_at
+        _, least = self._infimum(grid, values, 0.0, np.inf)
+        least = min(least, self.at_infinity())
+        return 0.0 if least <= slack[np.argmin(values)] else self.in_units(least)
+
+    @cached_property
+    def _looked_at(self) -> tuple[Array, Array, Array]:
+        """Frequencies that show every change of sign, the smallest eigenvalue of `Phi` there, and its rounding."""
+        grid = self._with_minima(self._grid())
+        return grid, *self.smallest(grid)
+
+    def _with_minima(self, grid: Array) -> Array:
+        """The grid and, where the smallest eigenvalue is small between three of its points, its minimum there."""
+        values, slack = self.smallest(grid)
+        inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
+        low = [k for k in inner if values[k] < _NEAR / _SLACK * slack[k]]
+        minima = [_minimum(self._value, grid[k - 1], grid[k + 1]) for k in low]
+        return np.unique(np.concatenate([grid, minima]))
+
+    def _value(self, omega: float) -> float:
+        return float(self.smallest(omega)[0][0])
+
+    def _band(self, grid: Array, values: Array, first: int, last: int) -> Band:
+        low = self._crossing(grid[first - 1], grid[first]) if first else 0.0
+        high = self._crossing(grid[last - 1], grid[last]) if last < len(grid) else np.inf
+        worst, least = self._infimum(grid[first:last], values[first:last], low, high)
+        if high == np.inf and self.at_infinity() < least:
+            worst, least = np.inf, self.at_infinity()
+        return Band(float(low), float(high), worst, -self.in_units(least))
+
+    def _infimum(self, grid: Array, values: Array, low: float, high: float) -> tuple[float, float]:
+        """Frequency of the least value of the smallest eigenvalue of `Phi` between two others, and the value.
+
+        From the best point downhill; then where else `Phi` takes that value, there may be less between.
+        """
+        k = int(np.argmin(values))
+        worst, least = float(grid[k]), float(values[k])
+        for _ in range(_LEVELS):
+            level = least - _FINE * abs(least)
+            points = self.singular_frequencies(level)
+            points = np.unique(np.concatenate([points[(points > low) & (points < high)], [low, worst], grid[-1:]]))
+            middles = np.unique(np.append(0.5 * (points[1:] + points[:-1]), worst))
+            k = int(np.argmin(self.smallest(middles)[0]))
+            before = int(np.searchsorted(points, middles[k])) - 1
+            after = int(np.searchsorted(points, middles[k], side="right"))
+            best = _minimum(self._value, points[max(before, 0)], points[min(after, len(points) - 1)])
+            value = self._value(best)
+            if not value < level:
+                return (best, value) if value < least else (worst, least)
+            worst, least = best, value
+        return worst, least
+
+    def _crossing(self, a: float, b: float) -> float:
+        fa, fb = self._value(a), self._value(b)
+        if fa == 0 or fb == 0 or (fa > 0) == (fb > 0):
+            return a if abs(fa) <= abs(fb) else b
+        return float(brentq(self._value, a, b, xtol=4 * EPS * max(b, np.finfo(float).tiny), rtol=4 * EPS, maxiter=500))
+
+
+def _minimum(f: Callable[[float], float], low: float, high: float) -> float:
+    found = minimize_scalar(f, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * (high - low)})
+    return float(found.x)
+
+
+def balanced(A: Array, B: Array, C: Array, D: Array) -> Matrices:
+    """The same `Phi` up to a positive factor, with inputs and outputs of one size.
+
+    `B` is scaled against `C`, which keeps `C (s - A)^-1 B`, and both so that the product is of the size of `A`.
+    """
+    size, b, c = (float(np.linalg.norm(M)) for M in (A, B, C))
+    if not (size and b and c):
+        return A, B, C, D
+    root = np.sqrt(size)
+    return A, B * (root / b), C * (root / c), D * (size / (b * c))

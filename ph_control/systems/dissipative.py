@@ -1,0 +1,502 @@
+"""Port-Hamiltonian systems that lose energy, with feedthrough, other structure matrices and sensors anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import control as ct
+import numpy as np
+from control.nlsys import NonlinearIOSystem
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag, eigh
+
+from .. import _checks
+from .._checks import EPS
+from .._display import html_heading, latex_matrix
+from ..exceptions import StructureError
+from ..modal.general_form import GeneralModalForm, from_state_space
+from ..modal.modal_form import Cluster, ModalForm
+from ..symplectic.darboux_and_casimirs import normal_form
+from ..symplectic.forms_and_williamson import symplectic_form
+from .base import LosslessSystem, View, refuse_losses
+from .port_hamiltonian import PortHamiltonian
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
+_PARTS = ("Q", "G", "J", "R", "P", "S", "N", "sensor_rows", "sensor_feedthrough")
+
+
+def _lossless_only(name: str, what: str) -> Any:
+    def refuse(self: DissipativePortHamiltonian, *args: Any, **kwargs: Any) -> NoReturn:
+        refuse_losses(self, what)
+        raise AssertionError
+
+    refuse.__name__, refuse.__doc__ = name, getattr(PortHamiltonian, name).__doc__
+    return refuse
+
+
+class DissipativePortHamiltonian(PortHamiltonian):
+    """Port-Hamiltonian system with losses: `x' = (J - R) Q x + (G - P) u`, `y = (G + P)^T Q x + (S + N) u`.
+
+    Made by `ph` with any of `R`, `P`, `S`, `N`, `J`, `sensors`.  A `PortHamiltonian` and a `control.StateSpace`: its
+    `B` and `C` are those of the state space, `G` is the `B` that `ph` was given.
+
+    Parameters
+    ----------
+    Q : array_like, shape (n, n)
+        Hamiltonian matrix, symmetric positive semidefinite: the stored energy is `x^T Q x / 2`.
+    B : array_like, shape (n,) or (n, m)
+        Port matrix; the attribute `G`.
+    R : array_like, shape (n, n), optional
+        Symmetric dissipation matrix.
+    P : array_like, shape (n, m), optional
+        Dissipation between states and ports.
+    S, N : array_like, shape (m, m), optional
+        Symmetric and skew part of the feedthrough of the ports.
+    J : array_like, shape (n, n), optional
+        Skew structure matrix; default the canonical one.
+    sensors : array_like, shape (k, n), or (array_like, array_like), shapes (k, n) and (k, m), optional
+        State and input rows of outputs that are no port variables; they come after those of the ports.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Raises
+    ------
+    StructureError
+        If `Q` or `[[R, P], [P^T, S]]` has a negative eigenvalue, `J` or `N` is not skew, or sizes do not fit.
+
+    Notes
+    -----
+    `dH/dt = u^T y - [e; u]^T W [e; u]` with `e = Q x` and `W = [[R, P], [P^T, S]] >= 0`.  Matrices are locked.
+    Frequency responses, poles and simulations run on the modal form, O(n) a point; what takes O(n^3) is computed on
+    first access and kept.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> damped = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.4]))
+    >>> damped.natural_frequencies, damped.damping_ratios
+    (array([2.]), array([0.1]))
+    >>> damped.is_lossless, phc.passivity(damped).is_passive
+    (False, True)
+    """
+
+    _factory = "ph(Q, B, R=R)"
+    _in_normal_form = False
+
+    def __init__(
+        self, Q: ArrayLike, B: ArrayLike, *, R: ArrayLike | None = None, P: ArrayLike | None = None,
+        S: ArrayLike | None = None, N: ArrayLike | None = None, J: ArrayLike | None = None, sensors: Any = None,
+        **names: Any,
+    ) -> None:  # fmt: skip
+        Q = _checks.symmetric_matrix(Q, even=J is None)
+        n = len(Q)
+        _refuse_negative("Q", Q, {"Q": slice(0, n)})
+        B = _checks.port_matrix(B, n)
+        m = B.shape[1]
+        parts = {
+            "Q": Q, "G": B,
+            "J": symplectic_form(n // 2) if J is None else _skew("J", J, n),
+            "R": _symmetric("R", R, n), "P": _shaped("P", P, (n, m)), "S": _symmetric("S", S, m),
+            "N": _skew("N", N, m),
+        }  # fmt: skip
+        W = np.block([[parts["R"], parts["P"]], [parts["P"].T, parts["S"]]])
+        _refuse_negative("W = [[R, P], [P^T, S]]", W, {"R": slice(0, n), "S": slice(n, n + m)})
+        rows, through = sensors if isinstance(sensors, tuple) else (sensors, None)
+        parts["sensor_rows"] = _rows("the sensors", rows, n)
+        parts["sensor_feedthrough"] = _shaped("the feedthrough of the sensors", through, (len(parts["sensor_rows"]), m))
+        self._take(parts, names)
+
+    def _take(self, parts: dict[str, Array], names: dict[str, Any]) -> None:
+        self._parts = {name: _checks.readonly(parts[name]) for name in _PARTS}
+        self._given, self._modes = None, None
+        n, m = self._parts["G"].shape
+        if "dt" in names:
+            raise StructureError("dt cannot be given: a port-Hamiltonian system is continuous-time; use sample()")
+        self._views = {}
+        sizes = {"inputs": m, "outputs": m + len(self._parts["sensor_rows"]), "states": n}
+        if names:
+            _checks.signal_names(names, **sizes)
+        missing = {kind: count for kind, count in sizes.items() if names.get(kind, names.get(kind[:-1])) is None}
+        NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **(names | missing))
+        del self.updfcn, self.outfcn
+
+    # --- matrices ------------------------------------------------------------------------------------------------
+
+    Q = property(lambda self: self._parts["Q"], doc="Hamiltonian matrix, shape (n, n), read-only.")
+    G = property(lambda self: self._parts["G"], doc="Port matrix, shape (n, m), read-only: the `B` that `ph` takes.")
+    J = property(lambda self: self._parts["J"], doc="Skew structure matrix, shape (n, n), read-only.")
+    R = property(lambda self: self._parts["R"], doc="Dissipation matrix, shape (n, n), read-only.")
+    P = property(lambda self: self._parts["P"], doc="Dissipation between states and ports, shape (n, m), read-only.")
+    S = property(lambda self: self._parts["S"], doc="Symmetric part of the feedthrough, shape (m, m), read-only.")
+    N = property(lambda self: self._parts["N"], doc="Skew part of the feedthrough, shape (m, m), read-only.")
+
+    @property
+    def sensors(self) -> tuple[Array, Array]:
+        """State rows (k, n) and input rows (k, m) of the outputs after those of the ports."""
+        return self._parts["sensor_rows"], self._parts["sensor_feedthrough"]
+
+    @View
+    def A(self) -> Array:
+        """Dynamics matrix `(J - R) Q`, shape (n, n), read-only."""
+        return (self.J - self.R) @ self.Q
+
+    @View
+    def B(self) -> Array:
+        """Input matrix `G - P` of the state space, shape (n, m), read-only."""
+        return self.G - self.P
+
+    @View
+    def C(self) -> Array:
+        """Output matrix, `(G + P)^T Q` above the rows of the sensors, shape (m + k, n), read-only."""
+        return np.vstack([(self.G + self.P).T @ self.Q, self.sensors[0]])
+
+    @View
+    def D(self) -> Array:
+        """Feedthrough, `S + N` above that of the sensors, shape (m + k, m), read-only."""
+        return np.vstack([self.S + self.N, self.sensors[1]])
+
+    # --- modal coordinates -----------------------------------------------------------------------------------------
+
+    @View
+    def _split(self) -> GeneralModalForm:
+        """Modes with all states for inputs and outputs beside those of the system."""
+        n = len(self.Q)
+        rows = np.vstack([self.C, np.eye(n)])
+        return from_state_space(
+            ct.ss(self.A, np.hstack([self.B, np.eye(n)]), rows, np.zeros((len(rows), n + self.ninputs)))
+        )
+
+    @property
+    def modes(self) -> ModalForm:
+        """Modal form, O(n^3) once."""
+        return self._of_split
+
+    @View
+    def _of_split(self) -> GeneralModalForm:
+        form, p, m = self._split, self.noutputs, self.ninputs
+        blocks = [Cluster(block.A, block.B[:, :m].copy(), block.C[:p].copy()) for block in form.clusters]
+        return GeneralModalForm(
+            form._poles.copy(), form._shapes[:, :p].copy(), form._participation[:, :m].copy(), self.D.copy(), blocks
+        )
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether `R = P = S = 0`: nothing is lost whatever the input."""
+        return not (self.R.any() or self.P.any() or self.S.any())
+
+    def lossless_part(self) -> PortHamiltonian:
+        """Port-Hamiltonian system of the same `Q`, `B` and `J` without losses, feedthrough and sensors.
+
+        Returns
+        -------
+        PortHamiltonian
+            In the coordinates `(q, p)`; with another `J` in Darboux coordinates.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.4])).lossless_part().d
+        array([2.])
+        """
+        from .port_hamiltonian import ph
+
+        canonical = len(self.J) % 2 == 0 and np.array_equal(self.J, symplectic_form(len(self.J) // 2))
+        return ph(self.Q, self.G) if canonical else ph(self.Q, self.G, J=self.J)
+
+    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
+        """Transfer function at complex points, shape (p, m, N); `inf` at a pole, never NaN.  O(n) a point."""
+        return self.modes.evaluate(_checks.complex_points("the points", x))
+
+    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
+        """Frequency response as data, from the modes."""
+        return ct.StateSpace.frequency_response(self, omega, squeeze)
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues of A, shape (n,)."""
+        return self.modes.poles
+
+    def zeros(self) -> ComplexArray:
+        """Invariant zeros."""
+        return self.modes.zeros.copy()
+
+    def hamiltonian(self, z: ArrayLike) -> Any:
+        """Stored energy `z^T Q z / 2`, as for every `PortHamiltonian`."""
+        states = _checks.real_array("z", z)
+        if states.ndim not in (1, 2) or states.shape[0] != self.nstates:
+            raise StructureError(f"z has shape {states.shape}; it must be ({self.nstates},) or ({self.nstates}, T)")
+        with np.errstate(over="ignore", invalid="ignore"):
+            energy = 0.5 * np.sum((self._root @ states) ** 2, axis=0)
+        _checks.representable("the energies", energy)
+        return float(energy) if states.ndim == 1 else energy
+
+    @View
+    def _root(self) -> Array:
+        k, U = eigh(self.Q)
+        return np.sqrt(np.maximum(k, 0.0))[:, None] * U.T
+
+    d = property(_lossless_only("d", "the frequencies d and weights r"))
+    r = property(_lossless_only("r", "the frequencies d and weights r"))
+    v = property(_lossless_only("v", "Williamson coordinates"))
+    is_canonical = property(_lossless_only("is_canonical", "canonical systems"))
+    _energy = property(_lossless_only("_energy", "Williamson coordinates"))
+    _reduction = property(_lossless_only("_reduction", "lossless minimal realisations"))
+    _separation = _lossless_only("_separation", "lossless minimal realisations")
+
+    def _named(self, names: dict[str, Any]) -> DissipativePortHamiltonian:
+        """Return the same system with other names."""
+        return _restored(self._parts, names, self.time_unit)
+
+    def _converted(self, **names: Any) -> Any:
+        return self
+
+    # --- what python-control asks a system ------------------------------------------------------------------------
+
+    def _parallel(self, first: PortHamiltonian, second: PortHamiltonian) -> Any:
+        """Parallel connection of two systems, PH where both have the same ports and no sensors."""
+        if first.ninputs != second.ninputs or first.noutputs != first.ninputs or second.noutputs != second.ninputs:
+            return _plain(first) + _plain(second)
+        join = np.vstack([np.eye(first.ninputs)] * 2)
+        return _connected([first, second], np.zeros((2 * first.ninputs,) * 2), join)
+
+    def __add__(self, other: Any) -> Any:
+        """Parallel connection; PH with a PH system of the same ports, or with the number 0."""
+        if isinstance(other, PortHamiltonian):
+            return self._parallel(self, other)
+        return self if _is_number(other) and other == 0 else _plain(self) + other
+
+    def __radd__(self, other: Any) -> Any:
+        """Parallel connection; `0 + sys` is `sys`."""
+        return NotImplemented if isinstance(other, ct.StateSpace) else self + other
+
+    def __mul__(self, other: Any) -> Any:
+        """Series connection; PH if `other` is a positive number: ports are scaled by its square root."""
+        if not (_is_number(other) and 0 < other < np.inf):
+            return _plain(self) * other
+        root = np.sqrt(float(other))
+        scale = {"G": root, "P": root, "S": other, "N": other, "sensor_rows": root, "sensor_feedthrough": other}
+        parts = {name: scale.get(name, 1.0) * part for name, part in self._parts.items()}
+        # R stays, and P P^T / S with it
+        return _restored(parts, {}, self.time_unit)
+
+    def __rmul__(self, other: Any) -> Any:
+        """Series connection; PH if `other` is a positive number."""
+        if _is_number(other):
+            return self * other
+        return NotImplemented if isinstance(other, ct.StateSpace) else other * _plain(self)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (dict(self._parts), self._names(), self.time_unit)
+
+    def _repr_eval_(self) -> str:
+        given = [f"{name}={np.array2string(self._parts[name], separator=', ')}" for name in "RPSNJ"]
+        return f"ph(\n{self.Q!r},\n{self.G!r},\n" + ",\n".join(given) + ")"
+
+    def _equations(self) -> str:
+        A, B, C = (latex_matrix(matrix) for matrix in (self.A, self.B, self.C))
+        return rf"\dot x = (J - R) Q x + (B - P) u, \quad A = {A}, \quad B = {B}, \quad C = {C}"
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks: names, and the modes of a system of moderate size."""
+        return html_heading(self._repr_info_()) + (self.modes._repr_html_() if self.nstates <= 200 else "")
+
+    def __str__(self) -> str:
+        if self.nstates <= 200:
+            return str(super(LosslessSystem, self).__str__())
+        return (
+            f"<{type(self).__name__}>: {self.name}\nInputs ({self.ninputs}): {self.input_labels}\n"
+            f"Outputs ({self.noutputs}): {self.output_labels}\nStates ({self.nstates})"
+        )
+
+
+def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike) -> PortHamiltonian:
+    """Connect port-Hamiltonian systems through their ports, `u = F y + w`.
+
+    Parameters
+    ----------
+    systems : sequence of PortHamiltonian
+        Their ports one after another make `u` and `y`.  Sensors stay, after all ports.
+    F : array_like, shape (m, m)
+        Connection of all m ports; it must not make energy: `F + F^T <= 0`.  A skew `F` conserves power.
+
+    Returns
+    -------
+    PortHamiltonian
+        With the ports `w` and `y`, and the sum of the energies, `Q = diag(Q_1, Q_2, ..)`.  With losses a
+        `DissipativePortHamiltonian`; without any a lossless system, in Darboux coordinates of the new structure matrix.
+
+    Raises
+    ------
+    StructureError
+        If `F` makes energy, or the loop of feedthroughs is singular.
+
+    Notes
+    -----
+    With `M = S + N` and `L = (I - F M)^{-1}`: `J - R` grows by `(B - P) L F (B + P)^T`, inputs become `(B - P) L`,
+    outputs `(I + M L F) (B + P)^T`, and the feedthrough `M L`.
+
+    Examples
+    --------
+    A mass on a spring with an absorber at its port, that is, negative feedback:
+
+    >>> import numpy as np, control as ct, ph_control as phc
+    >>> plant = phc.ph(np.diag([1.0, 1.0]), [0.0, 1.0])
+    >>> absorber = phc.ph(np.diag([0.2, 5.0]), [1.0, 0.0], R=np.diag([0.3, 0.0]))
+    >>> closed = phc.interconnect([plant, absorber], [[0.0, -1.0], [1.0, 0.0]])
+    >>> bool(closed.poles().real.max() < 0), phc.passivity(closed).is_passive
+    (True, True)
+    >>> loop = ct.feedback(plant, absorber)
+    >>> type(loop).__name__, bool(np.allclose(loop(1j), closed[0, 0](1j)))
+    ('DissipativePortHamiltonian', True)
+    """
+    members = list(systems)
+    for one in members:
+        if not isinstance(one, PortHamiltonian):
+            raise StructureError(f"this is a {type(one).__name__}; pass PortHamiltonian systems, made by ph")
+    ports = sum(one.ninputs for one in members)
+    matrix = _shaped("F", F, (ports, ports))
+    if not members:
+        raise StructureError("the list of systems is empty; give at least one")
+    sym = 0.5 * (matrix + matrix.T)
+    largest = float(np.linalg.eigvalsh(sym)[-1])
+    if largest > _ROUNDING * ports * EPS * float(np.linalg.norm(matrix)):
+        raise StructureError(
+            f"F makes energy: F + F^T has the eigenvalue {2 * largest:.3g}, allowed are none above 0; power-conserving "
+            "connections are skew"
+        )
+    return _connected(members, matrix, np.eye(ports))
+
+
+def feedback(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
+    """Negative feedback of a PH system through another, or through a matrix `K + K^T >= 0`; None where it is not PH."""
+    m = first.ninputs
+    square = first.noutputs == m
+    if isinstance(other, PortHamiltonian):
+        if not square or other.ninputs != m or other.noutputs != m:
+            return None
+        F = np.block([[np.zeros((m, m)), -np.eye(m)], [np.eye(m), np.zeros((m, m))]])
+        return _connected([first, other], F, np.eye(2 * m)[:, :m])
+    if not square or not isinstance(other, int | float | np.number | np.ndarray):
+        return None
+    K = np.asarray(other, float) * (np.eye(m) if np.ndim(other) == 0 else 1.0)
+    if K.shape != (m, m) or np.linalg.eigvalsh(K + K.T)[0] < 0:
+        return None
+    return _connected([first], -K, np.eye(m))
+
+
+def _connected(members: Sequence[PortHamiltonian], F: Array, inputs: Array) -> PortHamiltonian:
+    """Systems with `u = F y + E w`, `y_w = E^T y`; with a feedthrough only where the pair stays a pair of ports."""
+    parts = [_parts_of(one) for one in members]
+    whole = {name: block_diag(*(part[name] for part in parts)) for name in _PARTS}
+    sizes = {name: tuple(sum(part[name].shape[k] for part in parts) for k in (0, 1)) for name in _PARTS}
+    whole = {name: matrix.reshape(sizes[name]) for name, matrix in whole.items()}
+    G, P, M = whole["G"], whole["P"], whole["S"] + whole["N"]
+    loop = np.eye(len(F)) - F @ M
+    if not np.linalg.cond(loop) < 1 / np.sqrt(EPS):
+        raise StructureError("the loop of feedthroughs is singular: I - F (S + N) cannot be inverted")
+    L = np.linalg.inv(loop)
+    forward = (G - P) @ L
+    K = whole["J"] - whole["R"] + forward @ F @ (G + P).T
+    into = forward @ inputs
+    out = inputs.T @ (np.eye(len(F)) + M @ L @ F) @ (G + P).T
+    through = inputs.T @ M @ L @ inputs
+    rows, row_through = whole["sensor_rows"], whole["sensor_feedthrough"]
+    J, R = 0.5 * (K - K.T), -0.5 * (K + K.T)
+    lossless = not (R.any() or P.any() or M.any() or len(whole["sensor_rows"]))
+    if lossless and len(J) % 2 == 0 and np.linalg.cond(J) < 1 / np.sqrt(EPS):
+        return PortHamiltonian(*normal_form(whole["Q"], into, J)[:2])
+    return _restored(
+        {
+            "Q": whole["Q"], "J": J, "R": R, "G": 0.5 * (out.T + into),
+            "P": 0.5 * (out.T - into), "S": 0.5 * (through + through.T), "N": 0.5 * (through - through.T),
+            "sensor_rows": rows + row_through @ L @ F @ (G + P).T @ whole["Q"],
+            "sensor_feedthrough": row_through @ L @ inputs,
+        },
+        {}, None,
+    )  # fmt: skip
+
+
+def _parts_of(sys: PortHamiltonian) -> dict[str, Array]:
+    if isinstance(sys, DissipativePortHamiltonian):
+        return sys._parts
+    (n, m), none = sys.B.shape, np.zeros
+    return {
+        "Q": sys.Q, "G": sys.B, "J": symplectic_form(n // 2), "R": none((n, n)), "P": none((n, m)), "S": none((m, m)),
+        "N": none((m, m)), "sensor_rows": none((0, n)), "sensor_feedthrough": none((0, m)),
+    }  # fmt: skip
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _plain(sys: PortHamiltonian) -> ct.StateSpace:
+    return ct.ss(np.array(sys.A), np.array(sys.B), np.array(sys.C), np.array(sys.D), name=sys.name)
+
+
+def _restored(parts: dict[str, Array], names: dict[str, Any], time_unit: str | None) -> DissipativePortHamiltonian:
+    system = DissipativePortHamiltonian.__new__(DissipativePortHamiltonian)
+    system._take(parts, names)
+    system.time_unit = time_unit
+    return system
+
+
+# --- checks ------------------------------------------------------------------------------------------------------
+
+
+def _shaped(name: str, value: ArrayLike | None, shape: tuple[int, int]) -> Array:
+    if value is None:
+        return np.zeros(shape)
+    array = _checks.real_array(name, value)
+    if array.ndim < 2 and array.size == shape[0] * shape[1]:
+        array = array.reshape(shape)
+    if array.shape != shape:
+        raise StructureError(f"{name} has shape {np.shape(value)}; it must be {shape}")
+    return array
+
+
+def _rows(name: str, value: ArrayLike | None, columns: int) -> Array:
+    if value is None:
+        return np.zeros((0, columns))
+    array = np.atleast_2d(_checks.real_array(name, value))
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise StructureError(f"{name} have shape {np.shape(value)}; they must be (k, {columns}), one row an output")
+    return array
+
+
+def _symmetric(name: str, value: ArrayLike | None, size: int) -> Array:
+    array = _shaped(name, value, (size, size))
+    return array if value is None else 0.5 * array + 0.5 * _checks.symmetric_matrix(array, name=name, even=False).T
+
+
+def _skew(name: str, value: ArrayLike | None, size: int) -> Array:
+    array = _shaped(name, value, (size, size))
+    largest, even = float(np.abs(array).max(initial=0.0)), float(np.abs(array + array.T).max(initial=0.0))
+    if even > 1000 * size * EPS * largest:
+        raise StructureError(
+            f"{name} is not skew: max |{name} + {name}.T| / max |{name}| = {even / largest:.1e}, allowed "
+            f"{1000 * size * EPS:.1e}; pass ({name} - {name}.T)/2 if that is meant"
+        )
+    return 0.5 * array - 0.5 * array.T
+
+
+def _refuse_negative(name: str, matrix: Array, blocks: dict[str, slice]) -> None:
+    """Refuse a symmetric matrix with a negative eigenvalue, and say in which block its eigenvector lies."""
+    if not matrix.any():
+        return
+    # scaled to a unit diagonal, so that small blocks count as much as large ones
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, np.abs(matrix).max()))
+    k, U = eigh(matrix / scale[:, None] / scale, subset_by_index=(0, 0))
+    if k[0] >= -_ROUNDING * len(matrix) * EPS * np.abs(matrix / scale[:, None] / scale).max():
+        return
+    shares = {block: float(np.sum(U[rows, 0] ** 2)) for block, rows in blocks.items()}
+    block = max(shares, key=lambda one: shares[one])
+    where = f", with {100 * shares[block]:.0f} % of its eigenvector in the rows of {block}" if len(blocks) > 1 else ""
+    raise StructureError(
+        f"{name} has a negative eigenvalue: {k[0]:.3g} after scaling to unit diagonal{where}; it must be positive "
+        "semidefinite, or the system makes energy"
+    )

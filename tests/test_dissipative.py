@@ -1,0 +1,278 @@
+"""Port-Hamiltonian systems with losses against dense matrices, python-control and 50 digits."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import control as ct
+import matplotlib.pyplot as plt
+import mpmath as mp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+import ph_control as phc
+
+EPS = np.finfo(float).eps
+
+
+def drawn(seed, sensors=True):
+    """Random system, any ports, feedthrough of any rank, sensors; and the same as plain matrices."""
+    rng = np.random.default_rng(seed)
+    n, m, k = 2 * int(rng.integers(1, 6)), int(rng.integers(1, 4)), int(rng.integers(0, 3)) if sensors else 0
+    root = rng.normal(size=(n, n))
+    Q = root @ root.T + 0.1 * np.eye(n)
+    loss = rng.normal(size=(n + m, int(rng.integers(1, n + m + 1)))) * 10 ** rng.uniform(-2, 0)
+    loss[n:] *= rng.integers(0, 2)
+    W = loss @ loss.T
+    skew = rng.normal(size=(m, m))
+    B = rng.normal(size=(n, m))
+    parts = {"R": W[:n, :n], "P": W[:n, n:], "S": W[n:, n:], "N": skew - skew.T}
+    rows, through = rng.normal(size=(k, n)), rng.normal(size=(k, m))
+    system = phc.ph(Q, B, **parts, sensors=(rows, through) if k else None)
+    J = np.kron([[0, 1], [-1, 0]], np.eye(n // 2))
+    A = (J - parts["R"]) @ Q
+    C = np.vstack([(B + parts["P"]).T @ Q, rows])
+    return system, ct.ss(A, B - parts["P"], C, np.vstack([parts["S"] + parts["N"], through])), rng
+
+
+SEEDS = given(seed=st.integers(0, 2**31))
+
+
+@settings(max_examples=30, deadline=None)
+@SEEDS
+def test_matrices_responses_and_simulations_are_those_of_the_equations(seed):
+    system, dense, rng = drawn(seed)
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(system, name), getattr(dense, name), rtol=1e-12, atol=1e-13)
+    omega = np.abs(np.concatenate([dense.poles().imag, rng.uniform(0, 10, 5)]))
+    wanted = dense(1j * omega, squeeze=False)
+    resolvent = np.array([np.linalg.norm(np.linalg.inv(1j * w * np.eye(dense.nstates) - dense.A), 2) for w in omega])
+    # rounding of A moves a response by the square of the resolvent
+    size = resolvent * np.linalg.norm(dense.B) * np.linalg.norm(dense.C) * (1 + resolvent * np.linalg.norm(dense.A))
+    error = np.abs(system(1j * omega, squeeze=False) - wanted).max(axis=(0, 1))
+    assert np.all(error <= 1e-13 * (size + np.linalg.norm(dense.D)))
+    t = np.linspace(0.0, 3.0, 61)
+    u, x0 = rng.normal(size=(system.ninputs, 61)), rng.normal(size=system.nstates)
+    got, peer = phc.forced_response(system, t, u, x0), ct.forced_response(dense, t, u, x0)
+    for a, b in ((got.outputs, peer.outputs), (got.states, peer.states)):
+        assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+    h = 1.0 / np.abs(dense.poles()).max()
+    sampled = phc.sample(system, h)
+    np.testing.assert_allclose(sampled.A, expm(h * dense.A), atol=1e-10 * np.abs(sampled.A).max())
+
+
+@pytest.mark.parametrize("rule", [("exact", "foh"), ("exact", "zoh"), ("midpoint", "foh"), ("midpoint", "zoh")])
+@settings(max_examples=15, deadline=None)
+@SEEDS
+def test_what_is_supplied_is_stored_or_dissipated(rule, seed):
+    system, _, rng = drawn(seed)
+    t = np.linspace(0.0, 5.0, 101)
+    u, x0 = rng.normal(size=(system.ninputs, 101)), rng.normal(size=system.nstates)
+    response = phc.forced_response(system, t, u, x0, method=rule[0], intersample=rule[1])
+    balance = phc.energy_balance(response, system)
+    flow = max(np.abs(e).max() for e in (balance.stored, balance.supplied, balance.dissipated))
+    assert np.abs(balance.defect).max() <= 1e-10 * flow
+    assert np.all(np.diff(balance.dissipated) >= -1e-12 * flow) and balance.dissipated[-1] > 0
+
+
+def test_the_energy_lost_by_a_dashpot_is_that_of_the_integral():
+    """Free decay of a mass on a spring: in the end all that was stored is lost."""
+    system = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.8]))
+    response = phc.initial_response(system, np.linspace(0.0, 60.0, 601), [1.0, 0.0], return_states=True)
+    forced = phc.forced_response(system, np.linspace(0.0, 60.0, 601), 0.0, [1.0, 0.0])
+    balance = phc.energy_balance(forced, system)
+    np.testing.assert_allclose(balance.dissipated[-1], 2.0, rtol=1e-12)
+    np.testing.assert_allclose(response.outputs, forced.outputs, atol=1e-13)
+    plot = balance.plot()
+    assert [text.get_text() for text in plot.axes[0, 0].get_legend().get_texts()] == [
+        "stored", "supplied since the start", "dissipated since the start"
+    ]  # fmt: skip
+    plt.close(plot.figure)
+
+
+def in_50_digits(Q, B, R, t, x0):
+    """State of `x' = (J - R) Q x` at one instant, from numbers as they are."""
+    n = len(Q)
+    with mp.workdps(50):
+        J = mp.matrix(np.kron([[0, 1], [-1, 0]], np.eye(n // 2)).tolist())
+        A = (J - mp.matrix(R.tolist())) * mp.matrix(Q.tolist())
+        return np.array([float(x) for x in mp.expm(A * t) * mp.matrix(x0.tolist())])
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-8, 1e-4, 1e-1])
+def test_critical_damping_keeps_its_digits(n, distance):
+    """All modes at and beside the point where two poles of each meet, which is one for all of them."""
+    Q, zeta = np.eye(2 * n), 1.0 + distance * np.arange(1, n + 1)
+    R = np.diag(np.concatenate([np.zeros(n), 2.0 * zeta]))
+    B = np.concatenate([np.zeros(n), np.arange(1.0, n + 1)])
+    system = phc.ph(Q, B, R=R)
+    x0 = np.arange(1.0, 2 * n + 1)
+    t = np.linspace(0.0, 6.0, 13)
+    got = phc.forced_response(system, t, 0.0, x0).states
+    for k in (1, 5, 12):
+        assert np.abs(got[:, k] - in_50_digits(Q, B, R, t[k], x0)).max() <= 1e-12 * x0.max()
+    with mp.workdps(50):
+        for w in (0.1, 1.0, 3.0):
+            s = mp.mpc(0, w)
+            exact = sum(mp.mpf(b) ** 2 * s / (s**2 + 2 * mp.mpf(z) * s + 1) for b, z in zip(B[n:], zeta, strict=True))
+            assert abs(system(1j * w) - complex(exact)) <= 1e-12 * np.sum(B**2)
+
+
+def test_poles_on_the_axis_give_infinity_and_never_nan():
+    system = phc.ph(np.diag([1.0, 4.0, 1.0, 1.0]), [0.0, 0.0, 1.0, 1.0], R=np.diag([0.0, 0.0, 0.0, 0.1]))
+    assert np.isinf(system(1j)) and np.isfinite(system(2j)) and not np.isnan(system(1j))
+
+
+@settings(max_examples=20, deadline=None)
+@SEEDS
+def test_the_ports_of_any_such_system_are_passive(seed):
+    system, dense, _ = drawn(seed)
+    assert phc.passivity(dense[: system.ninputs, :]).is_passive
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s)), phc.ph])
+def test_copies_are_the_same_and_locked(duplicate):
+    system = phc.ph(drawn(5)[0], name="plant")
+    system.time_unit = "ms"
+    twin = duplicate(system)
+    assert type(twin) is type(system) and twin.name == system.name and twin.time_unit == "ms"
+    for name in "ABCDQGJRPSN":
+        assert np.array_equal(getattr(twin, name), getattr(system, name))
+        assert not getattr(twin, name).flags.writeable
+    with pytest.raises((AttributeError, ValueError)):
+        system.Q[0, 0] = 2.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_file_gives_the_same_system_back(tmp_path, seed):
+    system = drawn(seed)[0]
+    phc.save(system, tmp_path / "plant.json")
+    twin = phc.load(tmp_path / "plant.json")
+    for name in "ABCDQGJRPSN":
+        assert np.array_equal(getattr(twin, name), getattr(system, name))
+    assert twin.state_labels == system.state_labels and twin.name == system.name
+
+
+def test_the_names_of_a_system_survive_and_unknown_ones_are_refused():
+    Q, R = np.diag([4.0, 1.0]), np.diag([0.0, 0.1])
+    system = phc.ph(Q, [0.0, 1.0], R=R, sensors=[1.0, 0.0], name="plant", outputs=["velocity", "position"])
+    assert system.output_labels == ["velocity", "position"] and phc.ph(system, name="other").name == "other"
+    with pytest.raises((TypeError, phc.StructureError)):
+        phc.ph(Q, [0.0, 1.0], R=R, nonsense=1)
+
+
+def test_without_losses_and_sensors_it_is_the_lossless_system():
+    Q, zero = np.diag([4.0, 1.0]), np.zeros((2, 2))
+    assert type(phc.ph(Q, [0.0, 1.0], R=zero, P=np.zeros(2), S=0.0, N=[[0.0]])) is phc.PortHamiltonian
+    with_sensor = phc.ph(Q, [0.0, 1.0], sensors=[[1.0, 0.0]])
+    assert with_sensor.is_lossless and with_sensor.noutputs == 2 and isinstance(with_sensor, phc.PortHamiltonian)
+    np.testing.assert_allclose(with_sensor.lossless_part().d, [2.0])
+
+
+def test_an_odd_number_of_states_needs_a_structure_matrix():
+    J = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    system = phc.ph(np.diag([1.0, 2.0, 3.0]), [1.0, 0.0, 0.0], J=J, R=np.diag([0.1, 0.0, 0.0]))
+    assert system.nstates == 3 and phc.passivity(system).is_passive
+    with pytest.raises(phc.StructureError, match="odd size 3"):
+        phc.ph(np.diag([1.0, 2.0, 3.0]), [1.0, 0.0, 0.0], R=np.diag([0.1, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"R": np.diag([0.0, -0.1])}, "rows of R"),
+        ({"S": [[-1.0]]}, "rows of S"),
+        ({"R": np.diag([0.0, 0.1]), "P": [0.0, 1.0]}, "negative eigenvalue"),
+        ({"R": [[0.0, 1.0], [0.0, 0.0]]}, "not symmetric"),
+        ({"R": np.eye(3)}, "shape"),
+        ({"R": np.eye(2), "N": [[1.0]]}, "N is not skew"),
+        ({"R": np.eye(2), "J": np.eye(2)}, "J is not skew"),
+        ({"sensors": [[1.0, 0.0, 0.0]]}, "sensors"),
+        ({"R": np.full((2, 2), np.nan)}, "R"),
+    ],
+)
+def test_what_makes_energy_or_does_not_fit_is_refused(parts, message):
+    with pytest.raises(phc.StructureError, match=message):
+        phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], **parts)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s: s.d, lambda s: s.r, lambda s: s.v, lambda s: s.is_canonical, lambda s: s.controllable_form(),
+        lambda s: s.observable_form(), phc.ch, phc.oh, phc.affine, lambda s: phc.lift(s, 3), phc.minreal,
+        phc.kalman_decomposition, lambda s: phc.same_filter(s, s), lambda s: phc.are_isomorphic(s, s),
+        lambda s: phc.PortHamiltonianGroupoid(np.eye(2), s),
+    ],
+)  # fmt: skip
+def test_what_is_defined_without_losses_only_says_so(call):
+    system = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.1]))
+    with pytest.raises((phc.NotLosslessError, AttributeError)):
+        call(system)
+
+
+@settings(max_examples=20, deadline=None)
+@SEEDS
+def test_connections_are_port_hamiltonian_and_those_of_python_control(seed):
+    one, dense, rng = drawn(seed, sensors=False)
+    m = one.ninputs
+    W = rng.normal(size=(2 * 2, 3))
+    W = W @ W.T
+    other = phc.ph(np.diag(rng.uniform(0.5, 2, 2)), rng.normal(size=(2, m)), R=W[:2, :2])
+    plain = ct.ss(*(np.array(getattr(other, name)) for name in "ABCD"))
+    s = 1j * rng.uniform(0.1, 5.0, 4)
+    K = rng.normal(size=(m, m))
+    K = K - K.T + np.eye(m)
+    for got, wanted in (
+        (ct.feedback(one, other), ct.feedback(dense, plain)),
+        (ct.feedback(one, K), ct.feedback(dense, ct.ss([], [], [], K))),
+        (one + other, dense + plain),
+        (other + one, plain + dense),
+        (3.0 * one, 3.0 * dense),
+        (one * 0.5, 0.5 * dense),
+    ):
+        assert isinstance(got, phc.PortHamiltonian)
+        np.testing.assert_allclose(got(s, squeeze=False), wanted(s, squeeze=False), rtol=1e-8, atol=1e-9)
+        W = np.block([[got.R, got.P], [got.P.T, got.S]])
+        assert np.linalg.eigvalsh(W)[0] >= -1e-12 * np.linalg.norm(W)
+        assert np.array_equal(got.J, -got.J.T)
+    assert isinstance(0 + one, phc.PortHamiltonian)
+    assert not isinstance(ct.feedback(one, other, sign=1), phc.PortHamiltonian)
+
+
+@settings(max_examples=20, deadline=None)
+@SEEDS
+def test_the_energy_of_a_loop_with_an_absorber_never_rises_without_input(seed):
+    rng = np.random.default_rng(seed)
+    plant = phc.spring_chain(rng.uniform(0.5, 2.0, 3), 4.0, ground=1.0)
+    absorber = phc.ph(np.diag(rng.uniform(0.1, 5, 2)), [0.0, 1.0], R=np.diag([0.0, 10 ** rng.uniform(-2, 1)]))
+    loop = ct.feedback(plant, absorber)
+    x0 = rng.normal(size=loop.nstates)
+    motion = phc.forced_response(loop, np.linspace(0.0, 20.0, 201), 0.0, x0)
+    energy = loop.hamiltonian(motion.states)
+    assert np.all(np.diff(energy) <= 1e-12 * energy[0])
+
+
+def test_a_connection_that_makes_energy_is_refused():
+    one = phc.frenkel_kontorova(2)
+    with pytest.raises(phc.StructureError, match="F makes energy"):
+        phc.interconnect([one], [[0.5]])
+    with pytest.raises(phc.StructureError, match="empty"):
+        phc.interconnect([], np.zeros((0, 0)))
+    with pytest.raises(phc.StructureError, match="StateSpace"):
+        phc.interconnect([ct.ss(-1, 1, 1, 0)], [[0.0]])
+
+
+def test_python_control_and_the_pictures_take_it():
+    system = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.1]), name="plant")
+    for draw in (phc.bode_plot, phc.pole_zero_plot, phc.step_plot, ct.bode_plot, ct.nyquist_plot, ct.pole_zero_plot):
+        draw(system)
+        plt.close("all")
+    response = ct.step_response(system)
+    np.testing.assert_allclose(response.outputs, phc.step_response(system, response.time).outputs, atol=1e-10)
+    assert "plant" in str(system) and "plant" in system._repr_html_()
