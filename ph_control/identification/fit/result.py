@@ -261,6 +261,13 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
 
     # --- uncertainty -----------------------------------------------------------------------------------------------
 
+    @property
+    def _spare(self) -> int:
+        """Real residuals less what was estimated."""
+        parts = sum(int(one.record.observed.sum()) * (2 - isinstance(one.record, Record)) for one in self.experiments)
+        estimated = sum(int(np.isfinite(part).sum()) for part in (np.diag(self.covariance), self.offset_stderr))
+        return max(1, parts - estimated)
+
     def confidence_interval(self, level: float = 0.95) -> Mapping[str, Array]:
         """Confidence intervals of the parameters.
 
@@ -281,8 +288,9 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
 
         Notes
         -----
-        From the normal distribution; weights and frequencies are cut off at 0.  Frequencies are right to the square of
-        their error over the Fourier spacing, weights to that over their size.
+        From Student's t distribution, as the noise variance is estimated as well; weights and frequencies are cut off
+        at 0.  Frequencies are right to the square of their error over the Fourier spacing, weights to that over their
+        size.
 
         Examples
         --------
@@ -299,7 +307,8 @@ class PEMResult(FitReport, Resampled, InCoordinates, Frozen):
         values = {"d": self.d, "r": self.r, "initial_state": states, "offset": self.offsets}
         lower = {"d": 0.0, "r": 0.0, "initial_state": -np.inf, "offset": -np.inf}
         found = {
-            name: normal_interval(value, self.stderr[name], level, lower=lower[name]) for name, value in values.items()
+            name: normal_interval(value, self.stderr[name], level, lower=lower[name], dof=self._spare)
+            for name, value in values.items()
         }
         return ReadOnlyMapping(found)
 

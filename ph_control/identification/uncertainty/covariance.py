@@ -38,6 +38,8 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     variance = at.loss / degrees
     covariance = np.full((len(known), len(known)), np.nan)
     covariance[np.ix_(known, known)] = variance * _inverse_gram(J[:, known])
+    # no frequency is known to more digits than it has
+    np.fill_diagonal(covariance[:n, :n], np.maximum(np.diag(covariance)[:n], (EPS * at.d) ** 2))
     counts = [len(own) for own in at.own]
     starts = 2 * n + np.concatenate([[0], np.cumsum(counts)]).astype(int)
     # (d, kappa, alpha and beta of each record), sorted; NaN where a record starts at rest
@@ -57,9 +59,9 @@ def _inverse_gram(columns: Array) -> Array:
     """Pseudo-inverse of `J^T J`, its columns brought to unit length first."""
     lengths = np.linalg.norm(columns, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
-    scaled = columns / lengths
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=max(1, columns.shape[1]) * EPS, hermitian=True)
-    return np.asarray(inverse / np.outer(lengths, lengths))
+    # from the triangular factor: a product of columns would square their condition
+    inverse = np.linalg.pinv(np.linalg.qr(columns / lengths, mode="r"), rcond=max(1, *columns.shape) * EPS)
+    return np.asarray((inverse @ inverse.T) / np.outer(lengths, lengths))
 
 
 def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int, quantity: str) -> Array:
