@@ -17,7 +17,7 @@ from scipy.special import fdtrc
 from scipy.stats import norm
 
 from ..regression.free import FreeProjection, first_step
-from ..regression.frequency_rows import FrequencyRows
+from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
 from ..regression.spectral_rows import FreeWindow, Spectrum
 from ..regression.time_rows import Experiment, FreeRecord, FreeRows
@@ -87,18 +87,21 @@ def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None
     """A lossless fit against decay of either sign and residues of any phase, by the best first step towards these.
 
     The law is that of Fisher, for noise that is white, or as found; where it is stronger about the modes than
-    elsewhere, it counts as it is there.  None for frequency responses, where there is no mode, and where there are too
-    few samples.
+    elsewhere, it counts as it is there.  None where there is no mode, and where there are too few samples.
     """
-    n, records = len(at.d), [one for one in problem.experiments if isinstance(one, Experiment)]
+    n, quantity = len(at.d), _quantity(problem)
     spare = problem.samples - free_unknowns(problem, n)
-    if not n or spare < 1 or at.loss <= 0 or len(records) < len(problem.experiments) or _is_of_euler(problem):
+    if not n or spare < 1 or at.loss <= 0 or _is_of_euler(problem):
         return None
     p = (1j * at.d).astype(complex)
-    shared, directions = _lossless_directions(at, records[0].quantity)
-    through = records[0].quantity == "acceleration"
+    shared, directions = _lossless_directions(at, quantity)
+    through = quantity == "acceleration"
     rows: list[FreeRows] = []
-    for one in records:
+    for one in problem.experiments:
+        if isinstance(one, FrequencyRows):
+            rows.append(FreeResponse(one))
+        if not isinstance(one, Experiment):
+            continue
         if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
             about = FreeWindow.about(Spectrum.of(one), p, through)
             rows.append(replace(about, counts=noise_size(noise, one, at, about.bins) ** -0.5))
