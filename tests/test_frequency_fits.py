@@ -288,6 +288,49 @@ def test_damped_response_is_told_with_its_damping():
     assert "negative" not in result.message and "intersample" not in result.message
 
 
+@pytest.mark.parametrize("weighted", [True, False])
+def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weighted):
+    d, r = PLANTS[3]
+    omega = np.linspace(0.05, 3.2, 80)
+    p = []
+    for ratio in (0.0, 1e-3):
+        for seed in range(5):
+            exact = response(d, r, omega, ratio=ratio)
+            size = 0.01 * (np.abs(exact) if weighted else np.median(np.abs(exact)))
+            data = ct.frd(exact + noise(size * np.ones(80), seed), omega, smooth=False)
+            result = phc.pem(data, 3, weights=1 / size**2 if weighted else None)
+            (test,) = result.tests
+            assert test.hypothesis == "lossless" and test.dof == 6
+            p.append(test.p)
+            if ratio:
+                error = result.damped.damping_ratios - ratio
+                assert np.all(np.abs(error) < 4 * result.damped.stderr["damping_ratios"])
+    assert min(p[:5]) > 1e-3 and max(p[:5]) > 0.3 and max(p[5:]) < 1e-3
+
+
+@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize("relative, floor", [(0.02, 0.0), (0.0, 0.02), (0.02, 0.02)])
+def test_intervals_of_responses_without_weights_hold_what_they_should(n, relative, floor):
+    inside = []
+    for seed in range(8 // n):
+        d, r, _, data = plant_with_noise(n, seed, relative=relative, floor=floor)
+        result = phc.pem(data, n)
+        assert (result.noise.kind == "gain") == (relative > 0) and result.verdict.startswith("consistent")
+        for name, true in (("d", d), ("r", r)):
+            low, high = result.confidence_interval()[name].T
+            inside.append((low <= true) & (true <= high))
+    assert np.mean(inside) >= 0.8
+
+
+def test_no_frequency_has_a_smaller_error_than_its_last_digit():
+    omega = np.linspace(0.05, 3.2, 60)
+    d = omega[20] * (1 + 8 * EPS)
+    exact = response([d], [1.0], omega)
+    data = ct.frd(exact + noise(1e-3 * np.abs(exact), 0), omega, smooth=False)
+    result = phc.pem(data, 1, weights=1 / np.abs(exact) ** 2)
+    assert abs(result.d[0] - d) <= 8 * EPS and EPS * d <= result.stderr["d"][0] < 1e-9
+
+
 # --- recordings ----------------------------------------------------------------------------------------------------
 
 
@@ -331,7 +374,7 @@ def test_all_six_modes_of_the_free_beam_are_found(order):
     peaks = np.flatnonzero(inside & (size[1:-1] > 10 * np.median(size))) + 1
     result = phc.pem(ct.frd(measured, 2 * np.pi * frequency), order, quantity="acceleration")
     assert result.order == 6 and np.allclose(
-        result.d / (2 * np.pi), [51.5, 142.2, 278.7, 460.4, 687.2, 958.5], rtol=0.03
+        result.d / (2 * np.pi), [51.5, 142.2, 278.7, 460.4, 687.2, 958.5], rtol=0.001
     )
     # the frequencies of the plant are those of the damped model; the lossless minimum is near
     found = result.damped.natural_frequencies / (2 * np.pi)

@@ -1,7 +1,7 @@
 """The noise of frequency responses: the same at all points, or growing with the gain.
 
-Analysers give no variances, and their noise often is in proportion to what they measure.  From the residuals of damped
-modes of either sign, which fit lossless plants and others, the law `a + b |G|^2` is estimated, by a likelihood with
+Analysers give no variances, and their noise often is in proportion to what they measure.  From the residuals of
+lossless modes, or of damped ones where these are better, the law `a + b |G|^2` is estimated, by a likelihood with
 heavy tails that single points do not sway; if a constant is refused, the fit is repeated with the weights of the law.
 """
 
@@ -21,13 +21,13 @@ from ..data.frequency_record import FrequencyRecord
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.variable_projection import Problem, refine
 from .formulation import Formulation
-from .free_path import FreeStep
+from .free_path import criterion, free_criterion
 from .response_search import ResponseSearch
 
 Array = NDArray[np.float64]
 
 _BY_CHANCE = 1e-2  # probability with which constant noise is refused wrongly
-_TAILS = 5.0  # degrees of freedom of the t distribution
+_TAILS = 10.0  # degrees of freedom of the t distribution
 _ROUNDS = 8  # of fit and law in turn
 _SETTLED = 1e-3  # relative change of the weights
 _RATIOS = 49  # of a to b that are tried first
@@ -82,7 +82,7 @@ def reweighted(
     # that tells of their noise; nor would weak modes stand out of noise as large as theirs
     problem, d = posed.weighted(_balanced(posed.problem)).problem, found.all_d
     for place in range(_ROUNDS):
-        law, gains, step = estimated_law(problem, d)
+        law, gains, damped = estimated_law(problem, d)
         if law.kind is NoiseKind.CONSTANT or found.interrupted:
             return first
         variances = law.floor**2 + (law.share * np.concatenate(gains)) ** 2
@@ -90,7 +90,7 @@ def reweighted(
             break
         before = variances
         posed = posed.weighted([1.0 / (law.floor**2 + (law.share * gain) ** 2) for gain in gains])
-        if not place and _is_misfit(posed.problem, step.at.d):
+        if not place and _is_misfit(posed.problem, damped):
             return first
         found = again(posed, None if place < 2 else found.d)
         problem, d = posed.problem, found.d
@@ -109,22 +109,31 @@ def _is_misfit(problem: Problem, d: Array) -> bool:
     return refine(problem, d, rtol=_ROUGH).projection.loss - search.damped(d).loss > _MUCH * search.power
 
 
-def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], FreeStep]:
-    """Law of the noise about damped modes near these frequencies, their gain at all points, and these modes."""
+def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Array]:
+    """Law of the noise about modes near these frequencies, their gain at all points, and damped frequencies.
+
+    The modes are damped, unless lossless ones are as good: these leave more of the noise at the points of largest gain.
+    """
     search = ResponseSearch(problem)
     step = search.damped(d)
+    lossless = refine(problem, step.at.d, rtol=_ROUGH).projection
+    simpler = criterion(problem, lossless.loss, problem.unknowns(len(d))) <= free_criterion(problem, step)
     squares, shares, gains = [], [], []
-    for rows, left in zip(search.data.all_rows(True), step.left, strict=True):
+    for rows, left, predicted in zip(search.data.all_rows(True), step.left, lossless.predicted(), strict=True):
+        columns = next(rows.at(step.at.p).blocks())
+        if simpler:
+            columns = next(rows.rows.at(lossless.d).sensitive_blocks(lossless.kappa, np.zeros(0)))
+            left = rows.target - predicted[rows.rows.record.observed] * rows.rows.scale
         squares.append(np.abs(left / rows.rows.scale) ** 2)
-        shares.append(_spare(next(rows.at(step.at.p).blocks())[:-1]))
+        shares.append(_spare(columns[:-1]))
         gains.append(np.abs(rows.target - left) / rows.rows.scale)
     gain, spare = np.concatenate(gains), np.concatenate(shares)
     if spare.sum() < _FEWEST or not np.ptp(gain) or step.loss <= problem.rounding:
-        return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step
+        return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step.at.d
     unit = float(np.mean(gain**2))
     floor, share = _law(np.concatenate(squares), spare, gain**2 / unit)
     kind = NoiseKind.GAIN if share else NoiseKind.CONSTANT
-    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), gains, step
+    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), gains, step.at.d
 
 
 def _spare(columns: Array) -> Array:
@@ -161,7 +170,8 @@ def _law(squares: Array, spare: Array, power: Array) -> tuple[float, float]:
     bounds = tried[max(0, best - 1)], tried[min(_RATIOS - 1, best + 1)]
     ratio = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
     varying, factor = fitted(np.exp(ratio) + power)
-    if 2 * (constant - varying) < chi2.isf(_BY_CHANCE, 1):
+    # under the hypothesis the share lies on the border of what it may be, so that half the chances are on one side
+    if 2 * (constant - varying) < chi2.isf(2 * _BY_CHANCE, 1):
         return level, 0.0
     return factor * float(np.exp(ratio)), factor
 
