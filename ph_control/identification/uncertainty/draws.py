@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr, ndtri, ndtri_exp
+from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
 from ..._frozen import Frozen
@@ -31,7 +31,9 @@ _SWEEPS = 100  # of that sampler; a start in the worst corner is forgotten after
 _OUT_OF_REACH = 40.0  # standard deviations that no draw ever takes
 
 
-def normal_interval(value: ArrayLike, stderr: ArrayLike, level: float, *, lower: ArrayLike = -np.inf) -> Array:
+def normal_interval(
+    value: ArrayLike, stderr: ArrayLike, level: float, *, lower: ArrayLike = -np.inf, dof: float = np.inf
+) -> Array:
     """Two-sided confidence interval of estimates with known standard errors.
 
     Parameters
@@ -42,6 +44,8 @@ def normal_interval(value: ArrayLike, stderr: ArrayLike, level: float, *, lower:
         Probability of the interval, between 0 and 1.
     lower : array_like, shape (...)
         Where an interval is cut off, because the parameter cannot be less.
+    dof : float
+        Degrees of freedom of the noise variance, for Student's t; the normal distribution by default.
 
     Returns
     -------
@@ -64,7 +68,7 @@ def normal_interval(value: ArrayLike, stderr: ArrayLike, level: float, *, lower:
     array([[0.804, 1.196],
            [0.   , 0.296]])
     """
-    centre, half = np.asarray(value, float), -ndtri(tail_of(level)) * np.asarray(stderr, float)
+    centre, half = np.asarray(value, float), -stdtrit(dof, tail_of(level)) * np.asarray(stderr, float)
     ends = np.stack(np.broadcast_arrays(centre - half, centre + half), axis=-1)
     return np.maximum(ends, np.asarray(lower, float)[..., None])
 
