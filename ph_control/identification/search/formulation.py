@@ -298,7 +298,11 @@ class Formulation:
         # the longer a delay, the less likely before any data
         gains = [(search.arrival(steps[0], *pair) - base - _PRIOR * abs(pair[1]), pair) for pair in pairs]
         gains.sort(key=lambda one: -one[0])
-        return [self._arriving(*pair, gain) for gain, pair in gains[:_FOLLOWED] if gain > _LIKELY]
+        # single modes say little where two peaks are one; the commonest delay is tried in any case
+        usual = (self.intersample, 1)
+        chosen = [one for one in gains[:_FOLLOWED] if one[0] > _LIKELY or one[1] == usual]
+        chosen += [one for one in gains[_FOLLOWED:] if one[1] == usual]
+        return [self._arriving(*pair, gain) for gain, pair in chosen]
 
     def _held_otherwise(self, search: TimeSearch, step: Step) -> list[Formulation]:
         """With the hold decided as it is; before one with the other, where that may be better."""
