@@ -58,7 +58,7 @@ TOLD = (phc.IdentifiabilityWarning, phc.ResolutionWarning, phc.ConditioningWarni
 ANSWERS = (
     "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "EnergyBalance", "Excitation", "ExpressivePower",
     "FittedExperiment", "GradientResult", "KalmanDecomposition", "MorphismCheck", "OrderSelection", "PEMResult",
-    "ResidualAnalysis", "ScaledCoefficients", "Symmetry", "Verdict",
+    "PassivityReport", "ResidualAnalysis", "ScaledCoefficients", "Symmetry", "Verdict",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so

@@ -183,6 +183,14 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "ph.Q": lambda draw: draw.any_system() if draw.rng.random() < 0.4 else draw.semidefinite(),
     "williamson_semidefinite.Q": Draw.semidefinite,
     "B": Draw.ports,
+    "R": lambda draw: np.diag(draw.rng.uniform(0.0, 1.0, 2 * draw.n)),
+    "P": lambda draw: np.zeros((2 * draw.n, draw.m)),
+    "N": lambda draw: np.zeros((draw.m, draw.m)),
+    "ph.S": lambda draw: np.eye(draw.m), "DissipativePortHamiltonian.S": lambda draw: np.eye(draw.m),
+    "sensors": lambda draw: draw.rng.standard_normal((1, 2 * draw.n)),
+    "interconnect.systems": lambda draw: [phc.ph(draw.hamiltonian(), draw.ports()) for _ in range(2)],
+    "interconnect.F": lambda draw: np.kron([[0.0, -1.0], [1.0, 0.0]], np.eye(draw.m)),
+    "report": _of("PassivityReport"),
     "affine.B": lambda draw: draw.rng.standard_normal(2 * draw.n),
     "J": Draw.skew,
     "A": lambda draw: phc.symplectic_form(draw.n) @ draw.hamiltonian(),
@@ -317,6 +325,16 @@ def _record(seed: int, samples: int = 80, driven: bool = True, missing: bool = F
     return found.time, u, y
 
 
+def _lossy(seed: int) -> phc.DissipativePortHamiltonian:
+    rng = np.random.default_rng(seed)
+    n, m = 2 * (1 + seed % 3), 1 + seed % 2
+    W = rng.standard_normal((n + m, n))
+    W = W @ W.T
+    parts = {"R": W[:n, :n], "P": W[:n, n:], "S": W[n:, n:]} if seed % 2 else {"R": W[:n, :n]}
+    sensors = rng.standard_normal((1, n)) if seed == 3 else None
+    return phc.ph(np.eye(n), rng.standard_normal((n, m)), **parts, sensors=sensors)
+
+
 def _as_data(t: Any, u: Any, y: Any) -> Any:
     return ct.TimeResponseData(t, y, inputs=u, issiso=True, input_labels=["force [N]"], output_labels=["v [m/s]"])
 
@@ -415,6 +433,8 @@ _POOLS |= {
     "CasimirSplit": lambda: [phc.split_casimirs(np.eye(3), np.ones(3), [[0, 1, 0], [-1, 0, 0], [0, 0, 0]])],
     "ScaledCoefficients": lambda: [*phc.modes([1.0, 3.0], [0.5, 0.25]).scaled_coefficients(),
                                    *phc.modes(np.arange(1.0, 200), np.ones(199)).scaled_coefficients()],
+    "DissipativePortHamiltonian": lambda: [_lossy(k) for k in range(4)],
+    "PassivityReport": lambda: [phc.passivity(one) for one in (*pool("DissipativePortHamiltonian")[:2], _systems()[0])],
     "EnergyBalance": lambda: [phc.energy_balance(pool("response")[3], _systems()[0])],
     "PortHamiltonianGroupoid": lambda: [phc.PortHamiltonianGroupoid.identity(_systems()[0])],
     "ReducedGroupoid": lambda: [phc.ReducedGroupoid.identity([1.0, 2.0], [1.0, 0.0, 0.5, 1.0])],

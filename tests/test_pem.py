@@ -505,7 +505,7 @@ def test_a_result_comes_back_from_its_file_bit_by_bit(tmp_path):
 @pytest.mark.parametrize(
     "field, value, message",
     [
-        ("active", [7.0], "active names mode 7"),
+        ("active", [7.0], "active names number 7"),
         ("method", "rk4", "method is 'rk4'"),
         ("predicted", [1.0], "predicted"),
         ("success", "yes", "success"),
@@ -606,7 +606,7 @@ def test_masked_outputs_are_missing_and_masked_inputs_refused():
     mask = np.random.default_rng(1).random(1000) < 0.1
     masked = phc.pem((u, np.ma.array(y, mask=mask)), 2, dt=0.1)
     assert np.array_equal(masked.d, phc.pem((u, np.where(mask, np.nan, y)), 2, dt=0.1).d)
-    with pytest.raises(phc.StructureError, match=f"the input is masked at sample {mask.argmax()}"):
+    with pytest.raises(phc.StructureError, match=f"the input is not finite at sample {mask.argmax()}"):
         phc.pem((np.ma.array(u, mask=mask), y), 2, dt=0.1)
 
 

@@ -16,6 +16,7 @@ import ph_control as phc
 
 EPS = ref.EPS
 PH, SS, TF = phc.PortHamiltonian, ct.StateSpace, ct.TransferFunction
+LOSSY = phc.DissipativePortHamiltonian
 SETTINGS = settings(deadline=None, max_examples=40, derandomize=True)
 
 
@@ -153,10 +154,10 @@ TABLE = [
     ("ph", "series", "2", PH), ("2", "series", "ph", PH), ("ph", "series", "ph", SS), ("ph", "series", "ss", SS),
     ("ss", "series", "ph", SS), ("ph", "series", "tf", TF), ("tf", "series", "ph", SS),
     ("two", "series", "ss two", SS), ("ph", "series", "-2", SS),
-    ("ph", "feedback", "ph", SS), ("ph", "feedback", "2", SS), ("ph", "feedback", "ss", SS),
+    ("ph", "feedback", "ph", PH), ("ph", "feedback", "2", LOSSY), ("ph", "feedback", "ss", SS),
     ("ss", "feedback", "ph", SS), ("2", "feedback", "ph", SS), ("tf", "feedback", "ph", TF),
-    ("ph", "feedback", "tf", SS), ("two", "feedback", "two", SS),
-    ("two", "feedback", "matrix", SS), ("nothing", "feedback", "ph", SS), ("ph", "feedback", "nothing", SS),
+    ("ph", "feedback", "tf", SS), ("two", "feedback", "two", PH),
+    ("two", "feedback", "matrix", LOSSY), ("nothing", "feedback", "ph", PH), ("ph", "feedback", "nothing", PH),
     ("ph", "feedback", "two", ValueError), ("ph", "feedback", "sampled", ValueError),
     ("ph", "feedback", "text", TypeError),
     ("ph", "append", "ph", SS), ("ph", "append", "ss", SS), ("ss", "append", "ph", SS), ("two", "append", "2", SS),
@@ -191,7 +192,12 @@ UNARY = [
     ("power 2", lambda sys: sys**2, SS, lambda G: G @ G),
     ("power -1", lambda sys: sys**-1, TypeError, None),
     ("power 0.5", lambda sys: sys**0.5, ValueError, None),
-    ("feedback", lambda sys: sys.feedback(np.eye(sys.ninputs)), SS, lambda G: np.linalg.solve(np.eye(len(G)) + G, G)),
+    (
+        "feedback",
+        lambda sys: sys.feedback(np.eye(sys.ninputs)),
+        LOSSY,
+        lambda G: np.linalg.solve(np.eye(len(G)) + G, G),
+    ),
     ("sum of one", lambda sys: sum([sys]), PH, lambda G: G),
     ("sum", lambda sys: sum([sys, sys, sys]), PH, lambda G: 3 * G),
     ("entry", lambda sys: sys[0, 0], SS, lambda G: G[:1, :1]),

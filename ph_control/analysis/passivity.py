@@ -13,6 +13,7 @@ from scipy.linalg import eig, matrix_balance, schur, solve_sylvester
 from .. import _checks
 from .._checks import EPS
 from .._display import Report
+from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..modal.positive_real import Band, Passivity
 from ..systems.base import in_normal_form
@@ -27,7 +28,7 @@ _RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermiti
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PassivityReport(Report):
+class PassivityReport(Frozen, Report):
     """Where a system gives energy.
 
     Attributes

@@ -119,10 +119,10 @@ def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
 # how each kind is written, or the module above this one that tells it, imported when the kind is first met
 _CODECS: dict[str, Codec | str] = {
     "PortHamiltonian": Codec(PortHamiltonian, system_to_dict, system_from_dict),
-    "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, _dissipative_to_dict, _dissipative_from_dict),
     "ModalForm": Codec(ModalForm, _modes_to_dict, _modes_from_dict),
     "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
     "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),
+    "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, _dissipative_to_dict, _dissipative_from_dict),
     "AffineHamiltonian": Codec(AffineHamiltonian, _affine_to_dict, _affine_from_dict),
     "PEMResult": "ph_control.identification.fit.serialization",
 }

@@ -352,6 +352,8 @@ def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike) -> PortHamilt
     >>> type(loop).__name__, bool(np.allclose(loop(1j), closed[0, 0](1j)))
     ('DissipativePortHamiltonian', True)
     """
+    if isinstance(systems, PortHamiltonian) or not isinstance(systems, Sequence):
+        raise StructureError(f"the systems are a {type(systems).__name__}; pass a list of PortHamiltonian systems")
     members = list(systems)
     for one in members:
         if not isinstance(one, PortHamiltonian):
@@ -395,7 +397,7 @@ def _connected(members: Sequence[PortHamiltonian], F: Array, inputs: Array) -> P
     whole = {name: matrix.reshape(sizes[name]) for name, matrix in whole.items()}
     G, P, M = whole["G"], whole["P"], whole["S"] + whole["N"]
     loop = np.eye(len(F)) - F @ M
-    if not np.linalg.cond(loop) < 1 / np.sqrt(EPS):
+    if len(loop) and not np.linalg.cond(loop) < 1 / np.sqrt(EPS):
         raise StructureError("the loop of feedthroughs is singular: I - F (S + N) cannot be inverted")
     L = np.linalg.inv(loop)
     forward = (G - P) @ L
@@ -406,7 +408,7 @@ def _connected(members: Sequence[PortHamiltonian], F: Array, inputs: Array) -> P
     rows, row_through = whole["sensor_rows"], whole["sensor_feedthrough"]
     J, R = 0.5 * (K - K.T), -0.5 * (K + K.T)
     lossless = not (R.any() or P.any() or M.any() or len(whole["sensor_rows"]))
-    if lossless and len(J) % 2 == 0 and np.linalg.cond(J) < 1 / np.sqrt(EPS):
+    if lossless and len(J) % 2 == 0 and (not len(J) or np.linalg.cond(J) < 1 / np.sqrt(EPS)):
         return PortHamiltonian(*normal_form(whole["Q"], into, J)[:2])
     return _restored(
         {

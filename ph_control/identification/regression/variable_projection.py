@@ -401,7 +401,8 @@ def _descend(problem: Minimisation[At], state: _Descent[At], rtol: float, last: 
         state.converged = True
         return
     step = _damped_step(current.gram, scale, state.damping, current.gradient)
-    step *= min(1.0, float(np.min(problem.reach(current) / np.maximum(np.abs(step), np.finfo(float).tiny))))
+    # as a largest share of the reach: the steps may be as small as they like
+    step /= max(1.0, float(np.max(np.abs(step) / problem.reach(current), initial=0.0)))
     promised = float(-(current.gradient @ step) - 0.5 * step @ current.gram @ step)
     if promised <= 0.5 * rtol * current.loss or np.all(np.abs(step) <= 2 * EPS * current.sizes):
         state.converged = True
