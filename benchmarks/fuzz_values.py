@@ -184,7 +184,7 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "williamson_semidefinite.Q": Draw.semidefinite,
     "B": Draw.ports,
     "R": lambda draw: np.diag(draw.rng.uniform(0.0, 1.0, 2 * draw.n)),
-    "P": lambda draw: np.zeros((2 * draw.n, draw.m)),
+    "ph.P": lambda draw: np.zeros((2 * draw.n, draw.m)),
     "N": lambda draw: np.zeros((draw.m, draw.m)),
     "ph.S": lambda draw: np.eye(draw.m), "DissipativePortHamiltonian.S": lambda draw: np.eye(draw.m),
     "sensors": lambda draw: draw.rng.standard_normal((1, 2 * draw.n)),
