@@ -15,7 +15,7 @@ from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
 from ..search.formulation import Callback, Formulation, check_workers, reporter
 from ..search.free_path import FreeStep
-from ..search.holdout import held_out_losses
+from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step

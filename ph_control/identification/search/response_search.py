@@ -16,8 +16,8 @@ from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
 from .free_search import FreeSearch, Responses
+from .response_candidates import vector_fit
 from .steps import Report, Step, mode_energies, more_than_noise
-from .vector_fitting import vector_fit
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
