@@ -64,6 +64,8 @@ class Resolvent(NamedTuple):
         n = len(self.T)
         into = np.empty((len(points), n, self.inputs.shape[1]), complex)
         out = np.empty((len(points), n, len(self.outputs)), complex)
+        if not (self.inputs.size and self.outputs.size):
+            return np.zeros((len(points), len(self.outputs), self.inputs.shape[1]), complex), np.zeros(len(points))
         for k, s in enumerate(points):
             shifted = s * np.eye(n) - self.T
             into[k] = ztrtrs(shifted, self.inputs)[0]

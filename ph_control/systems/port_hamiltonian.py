@@ -190,6 +190,11 @@ class PortHamiltonian(LosslessSystem):
             return reachability.of_pairs(d, kappa)
         return reachability.of_matrix(d, kappa, inverse, np.diag(self.Q))
 
+    @View
+    def _minimal(self) -> ModalForm:
+        """Modal form of what ports reach, kept."""
+        return (self._reduction or self._separation()).minimal()
+
     def _separation(self, rtol: float | None = None) -> Separation:
         """What ports reach and what they do not, by the modes."""
         return separate(self.modes, self._given, None if self._given is None else self._energy, rtol=rtol)

@@ -195,8 +195,7 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     if rtol is None and isinstance(sys, ModalForm) and (known := minimal_of_exact(sys)) is not None:
         return PortHamiltonian._from_modes(known)
     system = full_port_hamiltonian(sys)
-    found = system._reduction if rtol is None else None
-    return _named_like(system, (found or system._separation(rtol)).minimal())
+    return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
 
 
 def kalman_decomposition(sys: Any, *, rtol: float | None = None) -> KalmanDecomposition:
