@@ -71,7 +71,9 @@ PICTURE = 0.02
 COMMAND = 0.05
 
 # where infinity, or NaN, is an answer: at poles, for margins that no loop has, for samples that are missing
-INFINITE = re.compile(r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd")
+INFINITE = re.compile(
+    r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd|passivity"
+)
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_.*csv|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
     r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection"

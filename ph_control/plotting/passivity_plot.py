@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import control as ct
 
+from ..analysis.passivity import PassivityReport
+from ..exceptions import StructureError
 from .style import ZERO, LineStyle, Look, labelled, picture
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-    from ..analysis.passivity import PassivityReport
 
 _REACH = 30.0  # times the first and the last frequency of interest
 _LEVELS = {
@@ -39,7 +39,7 @@ def passivity_plot(report: PassivityReport, *, ax: Any = None, **style: Unpack[L
     Raises
     ------
     StructureError
-        If the system is unstable.
+        If `report` is none, or the system is unstable.
 
     Notes
     -----
@@ -55,6 +55,8 @@ def passivity_plot(report: PassivityReport, *, ax: Any = None, **style: Unpack[L
     'Frequency [rad/time]'
     >>> plt.close(plot.figure)
     """
+    if not isinstance(report, PassivityReport):
+        raise StructureError(f"this is a {type(report).__name__}; pass what passivity(sys) gives")
     look = Look.of(style)
     name, bound = _LEVELS[report.kind]
     omega, values = report.curve(_REACH)

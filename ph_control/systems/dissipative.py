@@ -360,6 +360,7 @@ def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike) -> PortHamilt
             raise StructureError(f"this is a {type(one).__name__}; pass PortHamiltonian systems, made by ph")
     ports = sum(one.ninputs for one in members)
     matrix = _shaped("F", F, (ports, ports))
+    _checks.in_range("F", matrix, _checks.SMALLEST_SQUARED)
     if not members:
         raise StructureError("the list of systems is empty; give at least one")
     sym = 0.5 * (matrix + matrix.T)

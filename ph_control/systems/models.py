@@ -394,7 +394,7 @@ def _values(name: str, value: ArrayLike, what: str, count: int | None = None, of
 
 
 def _port_indices(port: Any, n: int) -> list[int]:
-    ports = list(port) if np.iterable(port) and not isinstance(port, str | bytes) else [port]
+    ports = list(port) if isinstance(port, list | tuple | range | np.ndarray) and np.ndim(port) == 1 else [port]
     if not ports:
         raise StructureError("port is empty; name at least one mass")
     for index in ports:

@@ -360,6 +360,9 @@ class PortHamiltonian(LosslessSystem):
         """
         from .dissipative import feedback
 
+        if other is None:
+            raise TypeError("there is no system in the feedback path")
+
         closed = feedback(self, other) if sign == -1 else None
         return super().feedback(other, sign) if closed is None else closed
 
