@@ -360,11 +360,13 @@ class PortHamiltonian(LosslessSystem):
         """
         from .dissipative import feedback
 
-        if other is None:
-            raise TypeError("there is no system in the feedback path")
-
         closed = feedback(self, other) if sign == -1 else None
-        return super().feedback(other, sign) if closed is None else closed
+        if closed is not None:
+            return closed
+        try:
+            return super().feedback(other, sign)
+        except AttributeError:  # of python-control, which finds no system in it
+            raise TypeError(f"a {type(other).__name__} cannot be the feedback of a system") from None
 
     def _scaled(self, factor: float) -> PortHamiltonian:
         root = np.sqrt(factor)
