@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ph_control import pem
 from ph_control.identification.regression.modal_regressors import Hold
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 
 from .recordings import Configuration, Recording, random_recording
@@ -101,7 +101,7 @@ def _fit(u: Array, y: Array, d: Array) -> Array:
 
 def _step(u: Array, y: Array, d: Array) -> Array:
     observed = np.ones(len(y), bool)
-    problem = Problem((Experiment(u, y, observed, Hold(1.0)),))
+    problem = Problem((RecordRows(u, y, observed, Hold(1.0)),))
     here = problem.project(np.array(d))
     assert here.loss > 0
     return np.asarray(here.d - np.linalg.solve(here.gram, here.gradient))

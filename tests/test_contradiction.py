@@ -17,7 +17,7 @@ from ph_control.identification.diagnosis.verdict import Outcome
 from ph_control.identification.regression.free import FreeProjection
 from ph_control.identification.regression.frequency_rows import FreeResponse, FrequencyRows
 from ph_control.identification.regression.spectral_rows import FreeWindow, Spectrum
-from ph_control.identification.regression.time_rows import Experiment, FreeRecord
+from ph_control.identification.regression.time_rows import FreeRecord, RecordRows
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.modal.discretization import Hold
 
@@ -50,7 +50,7 @@ def recording(damping, residues, *, seed=0, noise=0.1, quantity="velocity", samp
 
 def examined(u, y, order, *, quantity="velocity"):
     """The diagnosis of a fit that starts at the truth."""
-    experiment = Experiment(u, np.nan_to_num(y), ~np.isnan(y), Hold(H), quantity=quantity, driven=u.any())
+    experiment = RecordRows(u, np.nan_to_num(y), ~np.isnan(y), Hold(H), quantity=quantity, driven=u.any())
     problem = Problem((experiment,))
     found = contradiction(problem, refine(problem, D, rtol=1e-9).projection, order=order)
     return found and found[2]
@@ -235,7 +235,7 @@ def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, sta
         numerator = {"velocity": [kappa, 0], "displacement": [kappa], "acceleration": [kappa, 0, 0]}[quantity]
         plant = ct.ss(ct.tf(numerator, [1, 2 * ratio[0] * d[0], d[0] ** 2]))
         y = ct.forced_response(plant, H * np.arange(301), u, 0.0 if state is None else state).outputs
-    experiment = Experiment(u, y, np.ones(301, bool), Hold(H, "exact", intersample), quantity=quantity)
+    experiment = RecordRows(u, y, np.ones(301, bool), Hold(H, "exact", intersample), quantity=quantity)
     spectrum = Spectrum.of(experiment)
     p = d * (-ratio + 1j * np.sqrt(1 - ratio**2))
     size = np.linalg.norm(y)
@@ -262,7 +262,7 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind, method, inters
     else:
         u, y = recording((0.01, 0.01, 0.01), POSITIVE)
         seen = rng.random(len(y)) < (1.0 if kind == "bins" else 0.9)
-        experiment = Experiment(u, y, seen, Hold(H, method, intersample), from_rest=kind == "from rest", offset=True)
+        experiment = RecordRows(u, y, seen, Hold(H, method, intersample), from_rest=kind == "from rest", offset=True)
         spectrum = Spectrum.of(experiment)
         rows = FreeRecord.of(experiment) if kind != "bins" else FreeWindow.of(spectrum, np.arange(1, spectrum.last + 1))
 

@@ -12,7 +12,7 @@ import ph_control as phc
 from ph_control.identification.excitation.excitation import examine_fit, excitation
 from ph_control.identification.excitation.excited_band import excited_band
 from ph_control.identification.excitation.remedy import multisine
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.identification.uncertainty.fisher import Information, information_at
 from ph_control.modal.discretization import Hold
@@ -178,7 +178,7 @@ def test_the_end_of_a_fit_is_judged_with_its_own_sensitivities(from_rest):
     u, h = white(300), 0.1
     d, r, x0 = np.array([3.0, 1.0]), np.array([0.2, 1.0]), np.array([0.5, 1 + 1j]) * (not from_rest)
     y = output_of(d, r, x0, u, h)
-    end = Problem((Experiment(u, y, np.ones(300, bool), Hold(h), from_rest),)).project(d)
+    end = Problem((RecordRows(u, y, np.ones(300, bool), Hold(h), from_rest),)).project(d)
     found = examine_fit(end, information_at(end, np.argsort(d)), 0.1)
     same = excitation((u, y), (d, r), dt=h, noise_std=0.1, initial_state="zero" if from_rest else "estimate")
     assert np.allclose(found.r, same.r, rtol=1e-9) and np.array_equal(found.d, [1.0, 3.0])
@@ -734,7 +734,7 @@ def test_errors_of_several_records_are_those_of_the_dense_joint_problem(quantity
         parts = []
         for k, u in enumerate(inputs):
             x = theta[4 + 4 * k : 8 + 4 * k]
-            one = Experiment(u, np.zeros(len(u)), np.ones(len(u), bool), Hold(h), quantity=quantity)
+            one = RecordRows(u, np.zeros(len(u)), np.ones(len(u), bool), Hold(h), quantity=quantity)
             parts.append(one.at(theta[:2]).predict(theta[2:4] * theta[:2], x))
         return np.concatenate(parts)
 

@@ -116,6 +116,12 @@ def test_a_folder_has_few_files():
     assert {name: count for name, count in counts.items() if count > FILES} == {}
 
 
+def test_no_two_classes_have_one_name():
+    trees = [ast.parse(file.read_text(encoding="utf-8")) for file in PACKAGE.rglob("*.py")]
+    names = [node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    assert sorted(set(names)) == sorted(names)
+
+
 def test_every_folder_is_in_the_order_and_says_what_is_inside():
     for file in PACKAGE.rglob("__init__.py"):
         name = _name(file, PACKAGE)

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 import ph_control as phc
 import ph_control.identification.fit.pem as pem_module
 from ph_control.identification.diagnosis.verdict import Outcome
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.screening import Screen
 from ph_control.modal.discretization import Hold
@@ -486,7 +486,7 @@ def test_modes_without_weight_rest_in_the_controllable_representation():
 def test_without_its_weight_a_mode_has_no_column_in_the_controllable_representation():
     u, y, _, _ = recording(500, noise=0.05, d=D[:2], r=R[:2])
     y = y + output(np.array([3.3]), np.array([-0.02]), np.array([1.0 + 1j]), u, 0.1)
-    one = Experiment(u, y, np.ones(500, bool), Hold(0.1))
+    one = RecordRows(u, y, np.ones(500, bool), Hold(0.1))
     at = Problem((one,), structured=True).project(np.array([0.7, 2.0, 3.3]))
     without = Problem((one,)).project(np.array([0.7, 2.0]))
     assert at.free.tolist() == [True, True, False] and (at.own[0][[2, 5]] == 0).all()

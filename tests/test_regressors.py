@@ -10,7 +10,7 @@ import ph_control as phc
 from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.grouped import Modal, Shared, gram
 from ph_control.identification.regression.modal_regressors import Regressors
-from ph_control.identification.regression.time_rows import Experiment, RecordColumns
+from ph_control.identification.regression.time_rows import RecordColumns, RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
 
@@ -126,7 +126,7 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
     observed = np.arange(samples) % 7 != 3 if missing else np.ones(samples, bool)
     u = rng.standard_normal(samples) if driven else np.zeros(samples)
     y = np.where(observed, rng.standard_normal(samples), np.nan)
-    one = Experiment(u, y, observed, Hold(0.1, method, intersample), from_rest, offset, quantity, driven)
+    one = RecordRows(u, y, observed, Hold(0.1, method, intersample), from_rest, offset, quantity, driven)
     kappa, own = rng.random(3), rng.standard_normal(one.own_unknowns(3))
 
     def rows():
@@ -170,7 +170,7 @@ def test_inner_products_by_groups_are_those_of_the_columns(
     rng = np.random.default_rng(8)
     u, y = rng.standard_normal((2, samples)) * ((driven,), (1,))
     hold, d = Hold(0.1, method, intersample), np.array([0.2, 0.9, 1.4])
-    at = Experiment(u, y, np.ones(samples, bool), hold, from_rest, offset, quantity, driven).at(d)
+    at = RecordRows(u, y, np.ones(samples, bool), hold, from_rest, offset, quantity, driven).at(d)
     own = rng.standard_normal(2 * 3 * (not from_rest) + offset)
     # a residue of nothing leaves a column of nothing, where there is no free motion either
     kappa = np.array([0.5, 0.0, 2.0])
@@ -193,9 +193,9 @@ def test_inner_products_of_a_record_with_gaps_are_left_to_its_columns():
     samples = experiment._LONG
     u, observed = np.ones(samples), np.arange(samples) != 7
     d, hold = np.array([0.3]), Hold(1.0)
-    assert Experiment(u, u, observed, hold).at(d).gram() is None
-    assert Experiment(u, u, np.ones(samples, bool), hold).at(d).gram().shape == (4, 4)
-    assert Experiment(u[1:], u[1:], np.ones(samples - 1, bool), hold).at(d).gram() is None
+    assert RecordRows(u, u, observed, hold).at(d).gram() is None
+    assert RecordRows(u, u, np.ones(samples, bool), hold).at(d).gram().shape == (4, 4)
+    assert RecordRows(u[1:], u[1:], np.ones(samples - 1, bool), hold).at(d).gram() is None
 
 
 def test_parts_that_name_the_same_columns_add_up():
@@ -218,7 +218,7 @@ def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkey
     hold = Hold(1.0)
     y = Regressors(d, u, hold).columns() @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
     y += noise * np.std(y) * rng.standard_normal(samples)
-    problem = Problem((Experiment(u, y, np.ones(samples, bool), hold),))
+    problem = Problem((RecordRows(u, y, np.ones(samples, bool), hold),))
     fast, slow = problem.project(d), problem.project(d)
     fast_step = np.linalg.solve(fast.gram, fast.gradient)
     monkeypatch.setattr(experiment, "_LONG", samples + 1)
@@ -234,5 +234,5 @@ def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkey
 @pytest.mark.parametrize("samples", [70, experiment._LONG + 5])
 def test_a_record_without_modes_has_its_mean_and_output_only(samples, offset):
     y, one = np.linspace(0.0, 1.0, samples), np.ones(samples, bool)
-    here = Problem((Experiment(y, y, one, Hold(1.0), offset=offset),)).project(np.zeros(0))
+    here = Problem((RecordRows(y, y, one, Hold(1.0), offset=offset),)).project(np.zeros(0))
     assert np.isclose(here.loss, np.sum((y - offset * 0.5) ** 2), rtol=1e-11) and here.gram.shape == (0, 0)

@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 
 import ph_control as phc
 from ph_control.identification.regression.modal_regressors import Regressors
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.steps import TimeSearch
 from ph_control.modal.discretization import Hold
@@ -23,7 +23,7 @@ def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method
     ]
     y = sum(parts[:-1], 0.0) + sign * parts[-1]
     y = y + noise * np.std(y) * rng.standard_normal(samples)
-    return Problem((Experiment(u, y, np.ones(samples, bool), Hold(h, method), from_rest),))
+    return Problem((RecordRows(u, y, np.ones(samples, bool), Hold(h, method), from_rest),))
 
 
 def dense(problem, d):
@@ -97,7 +97,7 @@ def test_missing_samples_do_not_count():
     observed = full.observed.copy()
     observed[[3, 50, 51, 200]] = False
     y = np.where(observed, full.y, np.nan)
-    gappy = Problem((Experiment(full.u, y, observed, full.hold),))
+    gappy = Problem((RecordRows(full.u, y, observed, full.hold),))
     columns = dense(gappy, np.array([1.0, 2.5]))[observed]
     expected = np.linalg.lstsq(columns, y[observed], rcond=None)[1][0]
     assert gappy.project(np.array([1.0, 2.5])).loss == pytest.approx(expected, rel=1e-12)

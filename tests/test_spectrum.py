@@ -8,7 +8,7 @@ from reference import EPS
 
 from ph_control.identification.regression.modal_regressors import QUANTITIES, Regressors, SampledModes
 from ph_control.identification.regression.spectral_rows import Spectrum, TransformColumns, Window
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
 
@@ -24,7 +24,7 @@ def experiment_of(samples=200, hold=("exact", "zoh"), quantity="velocity", drive
     free = rng.standard_normal(3) + 1j * rng.standard_normal(3)
     longer = Regressors(D, np.concatenate([u, u[:1]]), hold, quantity)
     y = (longer.columns() @ np.concatenate([KAPPA * driven, free.real, free.imag]))[:samples]
-    one = Experiment(u, y, np.ones(samples, bool), hold, quantity=quantity, driven=driven)
+    one = RecordRows(u, y, np.ones(samples, bool), hold, quantity=quantity, driven=driven)
     return one, free, _ends(one, free)
 
 
@@ -134,7 +134,7 @@ def test_columns_pass_smoothly_through_a_bin():
 @pytest.mark.parametrize("samples", [64, 65])
 def test_energy_is_the_sum_of_squares(samples):
     y = np.random.default_rng(1).standard_normal(samples)
-    one = Experiment(0 * y, y, np.ones(samples, bool), Hold(0.1))
+    one = RecordRows(0 * y, y, np.ones(samples, bool), Hold(0.1))
     spectrum = Spectrum.of(one)
     assert np.isclose(spectrum.energy(spectrum.Y), y @ y, rtol=samples * EPS)
 
@@ -149,7 +149,7 @@ def test_place_and_frequency_are_inverse_to_one_another(hold):
 def test_missing_outputs_count_as_what_is_put_in_their_place():
     one, *_ = experiment_of()
     lost = np.arange(200) % 9 == 4
-    holed = Experiment(one.u, np.where(lost, np.nan, one.y), ~lost, one.hold)
+    holed = RecordRows(one.u, np.where(lost, np.nan, one.y), ~lost, one.hold)
     assert np.array_equal(Spectrum.of(holed, one.y).Y, Spectrum.of(one).Y)
     assert np.array_equal(Spectrum.of(holed).Y, np.fft.rfft(np.where(lost, 0.0, one.y)))
 
@@ -182,7 +182,7 @@ def test_window_of_a_noise_free_record_shows_its_modes(driven):
 def test_gradient_over_a_window_is_the_derivative_of_its_loss():
     one, *_ = experiment_of()
     noise = np.random.default_rng(2).standard_normal(200)
-    noisy = Experiment(one.u, one.y + 0.3 * noise, one.observed, one.hold)
+    noisy = RecordRows(one.u, one.y + 0.3 * noise, one.observed, one.hold)
     problem = Problem((Window.about(Spectrum.of(noisy), D, 8),))
     d, step = D + np.array([0.004, -0.003, 0.005]), 1e-6
     gradient = problem.project(d).gradient

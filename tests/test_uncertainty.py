@@ -6,7 +6,7 @@ from reference import EPS
 from scipy.signal import lfilter
 
 import ph_control as phc
-from ph_control.identification.regression.time_rows import Experiment
+from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.identification.uncertainty.covariance import uncertainty
 from ph_control.modal.discretization import Hold
@@ -149,7 +149,7 @@ def test_modes_that_were_asked_for_but_are_not_in_the_data_are_nan_in_their_plac
 
 def test_order_of_the_modes_in_the_search_does_not_matter():
     u, y = recording(400, 0.1, 3)
-    one = Experiment(u, y, ~np.isnan(y), Hold(0.1), offset=True)
+    one = RecordRows(u, y, ~np.isnan(y), Hold(0.1), offset=True)
     found = []
     for order in ([0, 1, 2], [2, 0, 1]):
         at = Problem((one,)).project(D[order])

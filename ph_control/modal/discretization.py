@@ -38,7 +38,7 @@ _MOMENTS = 0.5 * _weights[:, None] * np.stack([1.0 - _T, _T, _T * (1.0 - _T), _T
 
 
 @dataclass(frozen=True)
-class Step:
+class DiscreteModes:
     """One time step of all modes: `x_{k+1} = lambda x_k + b0 u_k + b1 u_{k+1}`, `y = Re(c x)`.
 
     `lambda = exp(growth + i phase)` with the phase as a pair of doubles, so that high powers keep their phase.
@@ -165,11 +165,12 @@ class Hold:
             return np.asarray(2.0 / self.h * (multiplier - 1.0) / (multiplier + 1.0))
         return np.asarray((multiplier - 1.0 if self.method == "euler" else np.log(multiplier)) / self.h)
 
-    def step(self, p: ComplexArray, b: ComplexArray | None = None, c: ComplexArray | None = None) -> Step:
+    def step(self, p: ComplexArray, b: ComplexArray | None = None, c: ComplexArray | None = None) -> DiscreteModes:
         """One step of `x' = p x + b u`, `y = Re(c x)`; without `b` or `c` a unit input of every mode, a sum of all."""
         b = np.ones((len(p), 1), complex) if b is None else b
         now, then = (weight[:, None] for weight in self.weights(p))
-        return Step(*self.log_multiplier(p), now * b, then * b, np.ones((1, len(p)), complex) if c is None else c)
+        c = np.ones((1, len(p)), complex) if c is None else c
+        return DiscreteModes(*self.log_multiplier(p), now * b, then * b, c)
 
     def frequency_of(self, phase: Array) -> Array:
         """Natural frequency of the undamped mode that turns by `phase` (rad) in one step."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
-from .discretization import Hold, Step
+from .discretization import DiscreteModes, Hold
 from .modal_form import ModalForm
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ _STATES = 1 << 13  # held at once
 _FOLD = 40  # modes from which on folding pays
 
 
-def discretize(modes: ModalForm, hold: Hold) -> Step:
+def discretize(modes: ModalForm, hold: Hold) -> DiscreteModes:
     """One step of the modes; the rigid-body modes follow the oscillating ones."""
     return hold.step(*modes.equations)
 
@@ -81,13 +81,13 @@ def transfer_function(modes: ModalForm, points: ComplexArray, hold: Hold | None)
 
 
 def simulate(
-    step: Step, u: Array, x0: ComplexArray, *, states: bool = False, block: int | None = None
+    step: DiscreteModes, u: Array, x0: ComplexArray, *, states: bool = False, block: int | None = None
 ) -> tuple[Array, ComplexArray | None]:
     """Outputs, and on request all modal states, of a recursion driven by samples.
 
     Parameters
     ----------
-    step : Step
+    step : DiscreteModes
         N modes, m inputs and p outputs.
     u : ndarray, shape (m, T)
         Input samples.
@@ -137,7 +137,7 @@ class _Turns:
     then what carries them is a sum.
     """
 
-    def __init__(self, step: Step, size: int, count: int) -> None:
+    def __init__(self, step: DiscreteModes, size: int, count: int) -> None:
         self.size, self.grows = size, bool(step.growth.any())
         # from the start of a block to where its states are, and from those with the samples to those of the next one
         self.ahead = self.after = np.ones(len(step.growth), complex)
@@ -148,7 +148,7 @@ class _Turns:
             self.whole = _table(step, 0.0, float(size), count + 1)
         self._tabulate(step)
 
-    def _tabulate(self, step: Step) -> None:
+    def _tabulate(self, step: DiscreteModes) -> None:
         powers = _table(step, 0.0, 1.0, self.size)
         self.inward, self.outward = powers[::-1].copy().view(float), powers.conj().view(float).T
 
@@ -176,7 +176,7 @@ class _Folded(_Turns):
     that sums and differences of the two need one real table each, of cosines and of sines.
     """
 
-    def _tabulate(self, step: Step) -> None:
+    def _tabulate(self, step: DiscreteModes) -> None:
         turns = _table(step, 0.5, 1.0, self.size // 2)
         self.ahead, self.after = turns[-1], turns[-1] ** 2
         self.cos, self.sin = np.ascontiguousarray(turns.real), np.ascontiguousarray(turns.imag)
@@ -197,7 +197,7 @@ class _Folded(_Turns):
         y[:, half - 1 :: -1] += even
 
 
-def _turns(step: Step, size: int, samples: int) -> _Turns:
+def _turns(step: DiscreteModes, size: int, samples: int) -> _Turns:
     """Tables for blocks of so many samples, made even, and pieces of the record."""
     size, modes = size + size % 2, len(step.growth)
     count = max(32, min(_SAMPLES // size, _STATES // max(1, modes)))
@@ -205,7 +205,7 @@ def _turns(step: Step, size: int, samples: int) -> _Turns:
     return kind(step, size, min(count, -(-samples // size)))
 
 
-def _leap(step: Step, size: int) -> tuple[ComplexArray, ComplexArray]:
+def _leap(step: DiscreteModes, size: int) -> tuple[ComplexArray, ComplexArray]:
     """`lambda^size` and what its rounding leaves, which would add up over the blocks where modes grow."""
     turn = size * (step.phase[0].astype(np.longdouble) + step.phase[1])
     fine = np.exp(size * step.growth.astype(np.longdouble)) * (np.cos(turn) + 1j * np.sin(turn))
@@ -213,7 +213,7 @@ def _leap(step: Step, size: int) -> tuple[ComplexArray, ComplexArray]:
     return leap, (fine - leap).astype(complex)
 
 
-def _table(step: Step, first: float, gap: float, count: int) -> ComplexArray:
+def _table(step: DiscreteModes, first: float, gap: float, count: int) -> ComplexArray:
     """`lambda^k` for `k = first, first + gap, ..`, shape (count, N): doubling."""
     levels = 2.0 ** np.arange(np.ceil(np.log2(count)))
     start, *factors = step.powers(np.concatenate([[first], gap * levels])).T
@@ -225,7 +225,7 @@ def _table(step: Step, first: float, gap: float, count: int) -> ComplexArray:
     return table
 
 
-def _responses(step: Step, b: ComplexArray, turns: _Turns) -> Array:
+def _responses(step: DiscreteModes, b: ComplexArray, turns: _Turns) -> Array:
     """Outputs of a block from its inputs, by output and input: Toeplitz matrices of the impulse response."""
     (N, inputs), outputs, size = b.shape, len(step.c), turns.size
     response = np.zeros((outputs, inputs, 2 * size))
@@ -276,7 +276,7 @@ def _blocks(u: Array, size: int) -> Array:
     return np.ascontiguousarray(u).reshape(ports, count, size)
 
 
-def _all_states(step: Step, b: ComplexArray, u: Array, start: ComplexArray) -> ComplexArray:
+def _all_states(step: DiscreteModes, b: ComplexArray, u: Array, start: ComplexArray) -> ComplexArray:
     """States at every sample, shape (N, T): what was carried, turned, and what the block itself has contributed."""
     (ports, samples), N = u.shape, len(start)
     turns = _turns(step, _SHORT, samples)

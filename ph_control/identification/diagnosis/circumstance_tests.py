@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..regression.prediction import FittedExperiment
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Projection
 from ..search.circumstances import Cause, Finding, autoregression, input_noise, input_size
 from ..uncertainty.residual_tests import ljung_box
@@ -38,7 +38,7 @@ def _sizes(finding: Finding, experiments: Sequence[FittedExperiment]) -> tuple[f
 
 def _noise(at: Projection, experiments: Sequence[FittedExperiment]) -> list[Finding]:
     """Noise on the input, or coloured noise, where either explains what is left."""
-    records = [one for one in at.problem.experiments if isinstance(one, Experiment)]
+    records = [one for one in at.problem.experiments if isinstance(one, RecordRows)]
     if len(records) < len(experiments) or not all(one.complete for one in records):
         return []
     left = [one.residuals for one in experiments]

@@ -20,7 +20,7 @@ from ..regression.free import FreeProjection, first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
 from ..regression.spectral_rows import FreeWindow, Spectrum
-from ..regression.time_rows import Experiment, FreeRecord, FreeRows
+from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import SURE, Finding, noise_size
 from ..search.criteria import criteria, free_preference, preference
@@ -100,7 +100,7 @@ def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None
     for one in problem.experiments:
         if isinstance(one, FrequencyRows):
             rows.append(FreeResponse(one))
-        if not isinstance(one, Experiment):
+        if not isinstance(one, RecordRows):
             continue
         if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
             about = FreeWindow.about(Spectrum.of(one), p, through)
@@ -170,11 +170,11 @@ def contradiction(
 
 def _is_of_euler(problem: Problem) -> bool:
     """Whether the modes grow by the method that made the data, whatever the plant does."""
-    return any(isinstance(one, Experiment) and one.hold.method == "euler" for one in problem.experiments)
+    return any(isinstance(one, RecordRows) and one.hold.method == "euler" for one in problem.experiments)
 
 
 def _quantity(problem: Problem) -> str:
-    return next(one.quantity for one in problem.experiments if isinstance(one, Experiment | FrequencyRows))
+    return next(one.quantity for one in problem.experiments if isinstance(one, RecordRows | FrequencyRows))
 
 
 def beside(damped: Array, lossless: Array, order: int | None) -> Array:
@@ -213,9 +213,9 @@ def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: s
     errors = _errors(search, left)
     records, free, offsets = isinstance(search.data, Records), [], []
     for one, own in zip(problem.experiments, at.own, strict=True):
-        moving = isinstance(one, Experiment) and not one.from_rest
+        moving = isinstance(one, RecordRows) and not one.from_rest
         free.append((2 * (own[:n, 0] + 1j * own[n : 2 * n, 0]))[rank] if moving else np.zeros(n * records, complex))
-        offsets.append(float(own[-1, 0]) if isinstance(one, Experiment) and one.offset else 0.0)
+        offsets.append(float(own[-1, 0]) if isinstance(one, RecordRows) and one.offset else 0.0)
     loss = at.loss / problem.samples
     model = DampedModel(
         poles=at.p[rank],
@@ -264,7 +264,7 @@ def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[NDArray[np
 
 
 def _fit_percent(problem: Problem, errors: Sequence[NDArray[np.float64]] | Sequence[ComplexArray]) -> float:
-    in_time = [one for one in problem.experiments if isinstance(one, Experiment)]
+    in_time = [one for one in problem.experiments if isinstance(one, RecordRows)]
     if in_time:
         left = np.concatenate([error[one.observed] for error, one in zip(errors, in_time, strict=True)])
         return fit_percent(np.concatenate([one.target for one in in_time]), left)
@@ -282,7 +282,7 @@ class DampingWatch:
 
     def __init__(self, problem: Problem, over: Callable[[list[Step]], bool] | None) -> None:
         self._problem, self._over = problem, over
-        self._records = [one for one in problem.experiments if isinstance(one, Experiment)]
+        self._records = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self._silent = not self._records or _is_of_euler(problem)
         self._asked = 0  # order at which damped modes were last looked for
         self._found: FreeStep | None = None
@@ -346,7 +346,7 @@ def _decays(problem: Problem, at: FreeProjection) -> bool:
     return bool(np.any(np.abs(at.sigma) > _ERRORS * np.sqrt(np.diag(inner)[n : 2 * n])))
 
 
-def _is_broad(record: Experiment, d: float) -> bool:
+def _is_broad(record: RecordRows, d: float) -> bool:
     """Whether the strongest peak near a frequency is broader than that of a mode without damping."""
     spectrum = Spectrum.of(record)
     p, gain = Channels.of(spectrum).modes(spectrum.Y[None], around=float(spectrum.place(np.array([d]))[0]))

@@ -34,7 +34,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FitVerdict:
     """What to tell the user about a fit."""
 
     n: int

@@ -17,7 +17,7 @@ from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
 from ..data.time_record import Record
 from ..regression.modal_regressors import QUANTITIES, Regressors
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Problem, Projection
 from ..uncertainty.fisher import Combination, Information, joint_information, model_information
 from .excited_band import ExcitedBand, excited_band
@@ -154,7 +154,7 @@ def _in_unit(found: Excitation, unit: str | None) -> Excitation:
 
 
 def examine(
-    problem: Experiment,
+    problem: RecordRows,
     d: Array,
     r: Array,
     amplitudes: ComplexArray,
@@ -203,11 +203,11 @@ def examine_fit(at: Projection, information: Information, noise_std: float = np.
     amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
     d, kappa = at.d[rank], at.kappa[rank]
     return examine(
-        cast(Experiment, record), d, kappa / d, amplitudes[rank], noise_std=noise_std, information=information
+        cast(RecordRows, record), d, kappa / d, amplitudes[rank], noise_std=noise_std, information=information
     )
 
 
-def _refuse_many(n: int, most: int, problems: list[Experiment]) -> None:
+def _refuse_many(n: int, most: int, problems: list[RecordRows]) -> None:
     """Refuse more modes than the records carry or than can be judged together in acceptable time and memory."""
     if n > most:
         samples = sum(one.samples for one in problems)
@@ -226,12 +226,12 @@ def _in_time(records: tuple[Any, ...]) -> tuple[Record, ...]:
     return records
 
 
-def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> Experiment:
+def _problem(record: Record, hold: Hold, from_rest: bool, quantity: str) -> RecordRows:
     """The data of a fit; without outputs, all of them are to be measured."""
     measured = bool(record.observed.any())
     observed = record.observed if measured else np.ones(record.samples, bool)
     y = record.y if measured else np.zeros(record.samples)
-    return Experiment(record.u, y, observed, hold, from_rest, False, quantity, record.driven)
+    return RecordRows(record.u, y, observed, hold, from_rest, False, quantity, record.driven)
 
 
 def _model(order: Any, method: str, intersample: str) -> ModalForm:
@@ -254,7 +254,7 @@ def _model(order: Any, method: str, intersample: str) -> ModalForm:
     return model
 
 
-def _check_phases(problem: Experiment, d: Array) -> None:
+def _check_phases(problem: RecordRows, d: Array) -> None:
     """Refuse modes that turn absurdly fast, or that an integration rule lets grow out of the range of doubles."""
     hold = problem.hold
     if d.max() * hold.h > _FASTEST:
@@ -270,7 +270,7 @@ def _check_phases(problem: Experiment, d: Array) -> None:
         )
 
 
-def _free_motion(problem: Experiment, model: ModalForm) -> tuple[ComplexArray, float]:
+def _free_motion(problem: RecordRows, model: ModalForm) -> tuple[ComplexArray, float]:
     """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
     n = model.n
     columns = problem.seen(Regressors(model.d, problem.u, problem.hold, problem.quantity).columns())
@@ -285,7 +285,7 @@ def _free_motion(problem: Experiment, model: ModalForm) -> tuple[ComplexArray, f
     return found[:n] + 1j * found[n:], float(np.sqrt(left @ left / spare)) if spare > 0 else np.nan
 
 
-def _of_order(problem: Experiment, n: int, noise: float) -> Excitation:
+def _of_order(problem: RecordRows, n: int, noise: float) -> Excitation:
     """Judge a record for n modes of equal residue, wherever they lie."""
     band = excited_band(problem.u, problem.hold.h)
     d = representative(n, problem, band)
@@ -306,7 +306,7 @@ def _unresolved(apparent: Array, bin_width: float) -> tuple[tuple[int, int], ...
 
 
 def _artefacts(
-    problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray, information: Information
+    problem: RecordRows, d: Array, r: Array, amplitudes: ComplexArray, information: Information
 ) -> tuple[Combination, ...]:
     """Combinations that Euler's rule shows and an exact hold does not."""
     if problem.hold.method != "euler":
@@ -322,7 +322,7 @@ def _driven_zeros(d: Array, r: Array, band: ExcitedBand) -> tuple[float, ...]:
     return tuple(line for line in band.lines if (np.abs(zeros - line) < _AT_ZERO * band.bin).any())
 
 
-def _remedies(found: Excitation, problem: Experiment, amplitudes: ComplexArray) -> tuple[str, ...]:
+def _remedies(found: Excitation, problem: RecordRows, amplitudes: ComplexArray) -> tuple[str, ...]:
     """What to change, each as an instruction, in the order in which to do it."""
     instructions = []
     if found.above_nyquist:

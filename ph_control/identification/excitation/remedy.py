@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import listed, model_information, work
 from .excited_band import ExcitedBand
 
@@ -22,7 +22,7 @@ _FEWEST_LINES = 16  # of a multisine
 
 
 def input_remedy(
-    problem: Experiment,
+    problem: RecordRows,
     d: Array,
     r: Array,
     amplitudes: ComplexArray,
@@ -92,7 +92,7 @@ def _amplitude(u: Array) -> float:
 
 
 def _lines_to_add(
-    problem: Experiment, d: Array, band: ExcitedBand, size: float, fewest: int, shows_all: Callable[[Array], bool]
+    problem: RecordRows, d: Array, band: ExcitedBand, size: float, fewest: int, shows_all: Callable[[Array], bool]
 ) -> list[str]:
     """Fewest frequencies, of those of the modes, that cure the input when added; empty if they do not."""
     centres = np.array([0.5 * (low + high) for low, high in band.intervals])

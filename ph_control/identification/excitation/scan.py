@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._frozen import Frozen
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import model_information, work
 from .excited_band import ExcitedBand
 
@@ -55,7 +55,7 @@ class Scan(Frozen):
         return ", ".join(bands) + " rad/time"
 
 
-def scan(problem: Experiment, n: int, band: ExcitedBand) -> Scan:
+def scan(problem: RecordRows, n: int, band: ExcitedBand) -> Scan:
     """Information of a group of n modes at each of a grid of frequencies."""
     top = ceiling(problem)
     few = max(3, int(_WORK / work(problem, n)))
@@ -70,13 +70,13 @@ def scan(problem: Experiment, n: int, band: ExcitedBand) -> Scan:
     return Scan(grid, deficiency, error / best if np.isfinite(best) else error)
 
 
-def ceiling(problem: Experiment) -> float:
+def ceiling(problem: RecordRows) -> float:
     """Largest frequency that is tried: a little below what the samples carry."""
     phase = min(0.98 * np.pi, problem.largest_phase)
     return float(problem.hold.frequency_of(np.array([phase]))[0])
 
 
-def group(n: int, centre: float, problem: Experiment) -> Array:
+def group(n: int, centre: float, problem: RecordRows) -> Array:
     """Frequencies of n modes about a centre, `SPACING` bins apart, moved into what the record carries."""
     top = ceiling(problem)
     spacing = min(SPACING * problem.bin, top / (n + 1))
@@ -85,7 +85,7 @@ def group(n: int, centre: float, problem: Experiment) -> Array:
     return np.asarray(first + spacing * np.arange(n))
 
 
-def representative(n: int, problem: Experiment, band: ExcitedBand) -> Array:
+def representative(n: int, problem: RecordRows, band: ExcitedBand) -> Array:
     """Frequencies of n modes spread over the widest excited band, or grouped where it is narrow."""
     top = ceiling(problem)
     if not band.intervals:

@@ -17,7 +17,7 @@ from ...modal.modal_form import ModalForm
 from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.prediction import state_from_amplitudes
-from ..regression.time_rows import Experiment, Rows
+from ..regression.time_rows import RecordRows, Rows
 from ..regression.variable_projection import Problem, Projection, refine
 from ..search.formulation import check_workers, rows_of
 from ..search.path import mapped
@@ -285,7 +285,7 @@ class _Refit:
         modes = ModalForm._of(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)))
         states, offsets = [np.zeros(0)], np.zeros(len(at.own))
         for k, (rows, own) in enumerate(zip(self.problem.experiments, at.own, strict=True)):
-            if not isinstance(rows, Experiment):
+            if not isinstance(rows, RecordRows):
                 continue
             amplitudes = np.zeros(n, complex)
             if not rows.from_rest:
@@ -318,7 +318,7 @@ def _scale(rows: Rows) -> Array | float:
 
 def _with_output(rows: Any, predicted: NDArray[Any], noise: NDArray[Any]) -> Any:
     """The experiment with other noise on its prediction, at the points that were observed."""
-    record = rows if isinstance(rows, Experiment) else rows.record
+    record = rows if isinstance(rows, RecordRows) else rows.record
     output = np.where(record.observed, predicted, np.nan)
     output[record.observed] += noise / _scale(rows)
     return replace(rows, y=output) if record is rows else replace(rows, record=replace(record, response=output))

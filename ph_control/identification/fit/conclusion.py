@@ -21,10 +21,10 @@ from ..diagnosis.damped_model import DampedModel, HypothesisTest
 from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence
 from ..diagnosis.fitted_directions import Directions, of_record, of_response
 from ..diagnosis.outliers import outliers
-from ..diagnosis.verdict import WHITE, Verdict
+from ..diagnosis.verdict import WHITE, FitVerdict
 from ..excitation.excitation import examine_fit
 from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.circumstances import HOLDS, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
 from ..search.criteria import criteria
@@ -99,7 +99,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     finding = _finding(at, information, estimated.variance) if n and (blind or not information.deficiency) else ""
     named = any(is_contrary(one, intersample) for one in findings)
     refused = next((one for one in fit.tests if one.p < REFUSED), None)
-    verdict = Verdict(
+    verdict = FitVerdict(
         n=n,
         order=fit.order,
         spare=spare,
@@ -112,7 +112,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         noiseless=noiseless,
         at_limit=fit.at_limit,
         order_given=fit.order_given,
-        from_rest=any(isinstance(one, Experiment) and one.from_rest for one in problem.experiments),
+        from_rest=any(isinstance(one, RecordRows) and one.from_rest for one in problem.experiments),
         silent=not at.kappa.any(),
         reversed_sign=n > 0 and not (named or at.kappa.any()) and at.asks_for_negative_residues_only(),
         drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
@@ -121,7 +121,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         contradiction=sentence(fit.damped) if fit.damped else "",
         refused=refused,
         quantity=quantity,
-        in_time=isinstance(problem.experiments[0], Experiment),
+        in_time=isinstance(problem.experiments[0], RecordRows),
         alike=bool(weights) and fit.law is None and all(np.ptp(one) == 0 for one in weights),
         share=law.share,
         circumstances=tuple(sentence_of(one, intersample) for one in findings if worth_telling(one, intersample)),
@@ -219,7 +219,7 @@ def _experiments(
         if isinstance(record, FrequencyRecord):
             found.append(FittedExperiment(record, np.zeros(0), np.zeros(0, complex), 0.0, predicted))
             continue
-        terms = rows.offset if isinstance(rows, Experiment) else 0
+        terms = rows.offset if isinstance(rows, RecordRows) else 0
         amplitudes = np.zeros(modes.n, complex)
         if len(own) >= 2 * n:
             amplitudes[:n] = own[:n][rank] + 1j * own[n : 2 * n][rank]
@@ -273,7 +273,7 @@ def _directions(one: FittedExperiment, rows: Any, at: Projection, rank: NDArray[
 
 def _finding(at: Projection, information: Information, variance: float) -> str:
     """What the data do not show, in sentences."""
-    if len(at.problem.experiments) == 1 and isinstance(at.problem.experiments[0], Experiment):
+    if len(at.problem.experiments) == 1 and isinstance(at.problem.experiments[0], RecordRows):
         one = at.problem.experiments[0]
         if one.driven and one.quantity == "velocity" and not one.offset and at.free.any():
             if not information.is_weak and one.hold.method != "euler":

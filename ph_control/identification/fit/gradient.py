@@ -20,7 +20,7 @@ from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.experiments import as_record
 from ..data.time_record import Record
 from ..uncertainty.state_coordinates import observable_state
-from .observable_model import Point, Problem, columns, weights_of
+from .observable_model import EulerProblem, Point, columns, weights_of
 
 Array = NDArray[np.float64]
 
@@ -224,7 +224,7 @@ def gradient_descent(
     after = None if validation is None else as_record(validation, record.dt)
     if after is not None and not after.observed.any():
         raise StructureError("the validation record has no outputs to hold the model against; pass (u, y) with outputs")
-    problem = Problem.of(record, after, n, parameters == "natural")
+    problem = EulerProblem.of(record, after, n, parameters == "natural")
     start = _random_start(problem, rng) if initial_guess is None else _given_start(problem, initial_guess)
     best, losses, validations = _descend(problem, start, rate, steps, optimizer == "adam")
     best_epoch = int(np.argmin(losses))
@@ -246,7 +246,7 @@ def gradient_descent(
 # --- the descent -------------------------------------------------------------------------------------------------
 
 
-def _descend(problem: Problem, theta: Array, rate: float, epochs: int, adam: bool) -> tuple[Point, Array, Array]:
+def _descend(problem: EulerProblem, theta: Array, rate: float, epochs: int, adam: bool) -> tuple[Point, Array, Array]:
     """Best point, and the losses on both records, of so many steps, or of those until the loss is not finite."""
     steps = _AdamSteps(len(theta)) if adam else None
     losses: list[float] = []
@@ -287,7 +287,7 @@ class _AdamSteps:
 
 
 def _message(
-    problem: Problem, losses: Array, best_epoch: int, epochs: int, stable: float | None, d: Array, r: Array
+    problem: EulerProblem, losses: Array, best_epoch: int, epochs: int, stable: float | None, d: Array, r: Array
 ) -> str:
     best, power = losses[best_epoch], float(np.var(problem.y[problem.learned])) or 1.0
     parts = [
@@ -311,7 +311,7 @@ def _message(
 # --- where to start, and what is allowed -----------------------------------------------------------------------------
 
 
-def _random_start(problem: Problem, rng: Any) -> Array:
+def _random_start(problem: EulerProblem, rng: Any) -> Array:
     """Random parameters of the size of the signals.
 
     Frequencies up to twice the mean frequency of the output, weights in the ratio of the signals, and modes that
@@ -328,7 +328,7 @@ def _random_start(problem: Problem, rng: Any) -> Array:
     return np.concatenate([d, v if problem.natural else weights_of(v), motion])
 
 
-def _given_start(problem: Problem, guess: Any) -> Array:
+def _given_start(problem: EulerProblem, guess: Any) -> Array:
     """Checked parameters from `(d, v or r, s0)`."""
     name = "v" if problem.natural else "r"
     if isinstance(guess, str) or not hasattr(guess, "__len__") or len(guess) != 3:

@@ -66,7 +66,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Problem:
+class EulerProblem:
     """A record, what follows on it, and the coordinates to descend in: `theta = (d, v or r, s0)`."""
 
     u: Array
@@ -79,7 +79,7 @@ class Problem:
     natural: bool
 
     @classmethod
-    def of(cls, record: Record, after: Record | None, n: int, natural: bool) -> Problem:
+    def of(cls, record: Record, after: Record | None, n: int, natural: bool) -> EulerProblem:
         """Put the two records behind one another; missing outputs count in neither."""
         u, y = record.u, record.y
         if after is not None:

@@ -22,7 +22,7 @@ from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from .modal_regressors import output_weight
-from .time_rows import Experiment
+from .time_rows import RecordRows
 from .variable_projection import Problem
 
 Array = NDArray[np.float64]
@@ -119,9 +119,9 @@ def estimated_state(
     """State at the first sample, and offset, that fit the outputs best, by least squares."""
     modes = system.modes
     live = np.flatnonzero(modes.r > 0)
-    plant = Experiment(record.u, record.y, record.observed, hold, True, False, quantity)
+    plant = RecordRows(record.u, record.y, record.observed, hold, True, False, quantity)
     forced = plant.at(modes.d[live]).predict(modes.kappa[live], np.zeros(0))
-    free = Experiment(
+    free = RecordRows(
         np.zeros(record.samples), record.y - forced, record.observed, hold, False, offset, quantity, False
     )
     own = Problem((free,)).project(modes.d[live]).own[0]
@@ -138,7 +138,7 @@ def response_on(
     if quantity != "velocity":
         modes = system.modes
         amplitudes = amplitudes_from_state(modes, state, quantity)
-        experiment = Experiment(record.u, np.zeros(record.samples), record.observed, hold, False, True, quantity)
+        experiment = RecordRows(record.u, np.zeros(record.samples), record.observed, hold, False, True, quantity)
         own = np.concatenate([amplitudes.real, amplitudes.imag, [offset]])
         output = experiment.at(modes.d).predict(modes.kappa, own)
     else:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
-from .time_rows import Evaluation, Experiment
+from .time_rows import Evaluation, RecordRows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,12 +37,12 @@ _THINNED = 256  # bins about a damped mode, at most
 class Spectrum:
     """Transforms of a record of T samples; missing outputs count as what `filled` puts in their place."""
 
-    experiment: Experiment
+    experiment: RecordRows
     U: ComplexArray
     Y: ComplexArray
 
     @classmethod
-    def of(cls, experiment: Experiment, filled: Array | None = None) -> Spectrum:
+    def of(cls, experiment: RecordRows, filled: Array | None = None) -> Spectrum:
         """Transform a record."""
         y = np.where(experiment.observed, experiment.y, 0.0 if filled is None else filled)
         return cls(experiment, np.fft.rfft(experiment.u), np.fft.rfft(y))

@@ -128,7 +128,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class RecordRows:
     """A record in time: input, output, where the output was observed, and the hold.
 
     `offset` counts the terms of what the output has beside the modes: none, a constant, or a constant and a drift.
@@ -209,7 +209,7 @@ class FreeRecord:
     outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
 
     @classmethod
-    def of(cls, one: Experiment, through: bool = True) -> FreeRecord:
+    def of(cls, one: RecordRows, through: bool = True) -> FreeRecord:
         """The record of one input and one output."""
         return cls(one.u[None], one.y[None], one.observed, one.hold, not one.from_rest, one.offset, through, one.driven)
 
@@ -392,7 +392,7 @@ class RecordColumns(Evaluation):
 class TimeEvaluation(RecordColumns):
     """The rows of a record for lossless modes."""
 
-    def __init__(self, one: Experiment, d: Array) -> None:
+    def __init__(self, one: RecordRows, d: Array) -> None:
         self._experiment, self._modes = one, SampledModes.lossless(one.hold, d, one.quantity)
         kernel = Kernel(self._modes, float(one.quantity == "acceleration"))
         super().__init__(one.u[None], one.y[None], one.observed, one.offset, kernel, 4 * len(d) + 2)

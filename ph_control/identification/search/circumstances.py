@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from ..._checks import EPS
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
-from ..regression.time_rows import Experiment, Rows
+from ..regression.time_rows import RecordRows, Rows
 from ..regression.variable_projection import Problem, Projection
 
 Array = NDArray[np.float64]
@@ -68,9 +68,9 @@ class Finding:
 # --- problems that differ in a circumstance --------------------------------------------------------------------------
 
 
-def changed(problem: Problem, change: Callable[[Experiment], Experiment]) -> Problem:
+def changed(problem: Problem, change: Callable[[RecordRows], RecordRows]) -> Problem:
     """The problem with each record changed; frequency responses stay."""
-    rows = tuple(change(one) if isinstance(one, Experiment) else one for one in problem.experiments)
+    rows = tuple(change(one) if isinstance(one, RecordRows) else one for one in problem.experiments)
     return replace(problem, experiments=rows)
 
 
@@ -87,7 +87,7 @@ def meeting(problem: Problem, intersample: str) -> Problem:
 def delayed(problem: Problem, samples: int) -> Problem:
     """With outputs that come so many samples after the inputs; those without an input of their own are left out."""
 
-    def shifted(one: Experiment) -> Experiment:
+    def shifted(one: RecordRows) -> RecordRows:
         if not one.driven or not samples:
             return one
         early, late = slice(None, -abs(samples)), slice(abs(samples), None)
@@ -132,7 +132,7 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
     Under it the modes have other residues, ends and frequencies than under white noise, which follow the bins next to
     them: these move by one linear step.
     """
-    records = [one for one in experiments if isinstance(one, Experiment) and one.driven and one.complete]
+    records = [one for one in experiments if isinstance(one, RecordRows) and one.driven and one.complete]
     spectra, n = [Spectrum.of(one) for one in records], len(d)
     windows = [Window.about(one, d, _ABOUT) for one in spectra]
     at = Problem(tuple(windows)).project(d)
@@ -187,7 +187,7 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
     return float(np.sqrt(ratio)) * of_output, of_output, unlikely(0.0) - unlikely(ratio)
 
 
-def noise_size(noise: Finding | None, one: Experiment, at: Projection, bins: NDArray[np.intp]) -> Array:
+def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: NDArray[np.intp]) -> Array:
     """Power of noise in some bins, over what it would be if it were white."""
     phase = np.asarray(2 * np.pi / len(one.u) * bins, float)
     if noise is None:
@@ -202,11 +202,11 @@ def noise_size(noise: Finding | None, one: Experiment, at: Projection, bins: NDA
 
 def input_size(experiments: Sequence[Rows]) -> float:
     """Root mean square of all inputs."""
-    inputs = [one.u for one in experiments if isinstance(one, Experiment) and one.driven]
+    inputs = [one.u for one in experiments if isinstance(one, RecordRows) and one.driven]
     return float(np.sqrt(np.mean(np.concatenate(inputs) ** 2)))
 
 
-def _response(one: Experiment, d: Array, kappa: Array, phase: Array) -> ComplexArray:
+def _response(one: RecordRows, d: Array, kappa: Array, phase: Array) -> ComplexArray:
     """Frequency response from sample to sample at some phases per step."""
     step, z = SampledModes.lossless(one.hold, d, one.quantity), np.exp(1j * phase)
     found = np.full(len(phase), kappa.sum() if one.quantity == "acceleration" else 0.0, complex)

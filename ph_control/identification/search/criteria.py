@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Problem, Projection, Refinement
 from .circumstances import autoregression
 from .free_path import FreeStep, free_unknowns
@@ -67,7 +67,7 @@ def preference(problem: Problem, step: Step, name: str) -> float:
 def free_preference(problem: Problem, step: FreeStep) -> float:
     """BIC of damped modes, with noise as coloured as it prefers."""
     samples, n = problem.samples, len(step.at.p)
-    lengths = [len(one.u) for one in problem.experiments if isinstance(one, Experiment)]
+    lengths = [len(one.u) for one in problem.experiments if isinstance(one, RecordRows)]
     foretold = autoregression(step.left, lengths)[1] if n and lengths else np.ones(1)
     found = criteria_of(samples, step.loss, free_unknowns(problem, n)).bic
     return found + past_of_noise(samples, foretold, float(np.log(samples)))

@@ -21,7 +21,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.modal_regressors import QUANTITIES
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
 from .criteria import criteria, crowded, free_preference, preference
@@ -109,13 +109,13 @@ class Formulation:
             open.add("hold")
         if offset == "auto":
             open.add("background")
-        return cls(records, problem, frozenset(open) if isinstance(rows[0], Experiment) else frozenset())
+        return cls(records, problem, frozenset(open) if isinstance(rows[0], RecordRows) else frozenset())
 
     @property
     def intersample(self) -> str:
         """Behaviour of the input between samples; of a response, which has none, the default."""
         first = self.problem.experiments[0]
-        return first.hold.intersample if isinstance(first, Experiment) else "zoh"
+        return first.hold.intersample if isinstance(first, RecordRows) else "zoh"
 
     @property
     def of_equal_weights(self) -> bool:
@@ -137,7 +137,7 @@ class Formulation:
     def search(self) -> Search:
         """What adds modes to the problem."""
         problem = self.searched or self.problem
-        return TimeSearch(problem) if isinstance(problem.experiments[0], Experiment) else ResponseSearch(problem)
+        return TimeSearch(problem) if isinstance(problem.experiments[0], RecordRows) else ResponseSearch(problem)
 
     @property
     def rtol(self) -> float:
@@ -267,7 +267,7 @@ class Formulation:
         joined = search.step(np.append(step.d, step.candidates[0]), self.rtol)
         now = criteria(self.problem, step.loss, len(step.d)).loglik
         best, chosen = criteria(self.problem, joined.loss, len(joined.d)).bic, None
-        present = max(one.offset for one in self.problem.experiments if isinstance(one, Experiment))
+        present = max(one.offset for one in self.problem.experiments if isinstance(one, RecordRows))
         for terms in range(present + 1, 3):
             problem = beside(self.problem, terms)
             if problem.unknowns(len(step.d)) >= problem.samples:
@@ -335,7 +335,7 @@ class Formulation:
         """Refuse an output of nothing, and an input that no weight could be told from."""
         if not any(one.largest for one in self.problem.experiments):
             raise IdentificationError("the output is zero throughout the record; there is nothing to model")
-        in_time = [one for one in self.problem.experiments if isinstance(one, Experiment) and one.driven]
+        in_time = [one for one in self.problem.experiments if isinstance(one, RecordRows) and one.driven]
         constant = [float(one.u[0]) for one in in_time if np.all(one.u == one.u[0])]
         at_rest = any(one.from_rest and one.u[0] != 0 for one in in_time)
         if in_time and len(constant) == len(in_time) and not at_rest:
@@ -385,7 +385,7 @@ class Formulation:
                 allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
                 raise StructureError(f"{name} is {_checks.shown(value)}; it must be {allowed}")
         what = (
-            "observed output samples" if isinstance(problem.experiments[0], Experiment) else "real and imaginary parts"
+            "observed output samples" if isinstance(problem.experiments[0], RecordRows) else "real and imaginary parts"
         )
         if carried == 0:
             raise IdentificationError(
@@ -444,7 +444,7 @@ def rows_of(
     if isinstance(record, FrequencyRecord):
         return FrequencyRows(record, quantity)
     hold, rest = Hold(record.dt, method, intersample), from_rest and record.driven
-    return Experiment(record.u, record.y, record.observed, hold, rest, offset, quantity, record.driven)
+    return RecordRows(record.u, record.y, record.observed, hold, rest, offset, quantity, record.driven)
 
 
 def reporter(problem: Problem, largest: int, callback: Callback | None) -> Callable[[int], Report | None]:

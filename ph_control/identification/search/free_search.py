@@ -19,7 +19,7 @@ from ..regression.free import FreeProjection, PoleRegion, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Bins, FreeWindow, Spectrum
-from ..regression.time_rows import Experiment, FreeRecord, FreeRows
+from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.variable_projection import Problem
 from .response_candidates import ranked_candidates
 
@@ -61,7 +61,7 @@ class FreeData(Protocol):
 class Records:
     """Records in time."""
 
-    def __init__(self, experiments: Sequence[Experiment]) -> None:
+    def __init__(self, experiments: Sequence[RecordRows]) -> None:
         self.experiments = experiments
         self.spectra = [Spectrum.of(one) for one in experiments]
         self.windowed = max(len(one.u) for one in experiments) > _IN_TIME and all(
@@ -245,7 +245,7 @@ class Responses:
 
 def free_data(problem: Problem) -> Records | Responses:
     """The data of a problem, for damped modes."""
-    in_time = [one for one in problem.experiments if isinstance(one, Experiment)]
+    in_time = [one for one in problem.experiments if isinstance(one, RecordRows)]
     return Records(in_time) if in_time else Responses(
         [one for one in problem.experiments if isinstance(one, FrequencyRows)]
     )  # fmt: skip

@@ -18,7 +18,7 @@ from ..._units import common_unit, unit_for
 from ...exceptions import IdentificationError, StructureError
 from ...plotting.validation_plot import stabilisation_plot
 from ..regression.frequency_rows import FrequencyRows
-from ..regression.time_rows import Experiment, Rows
+from ..regression.time_rows import RecordRows, Rows
 from ..regression.variable_projection import Problem, refine
 from .criteria import criteria
 from .formulation import Callback, Formulation, reporter
@@ -371,7 +371,7 @@ def _split(one: Rows, part: float) -> tuple[Rows, int, Callable[[Array, Array, A
     """The part of an experiment to fit to, how many rows the rest has, and the errors of a model there."""
     if isinstance(one, FrequencyRows):
         return _thinned(one, part)
-    one = cast(Experiment, one)
+    one = cast(RecordRows, one)
     cut = len(one.u) - max(1, round(part * len(one.u)))
     first = replace(one, u=one.u[:cut], y=one.y[:cut], observed=one.observed[:cut])
     kept = one.observed[cut:]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from ..regression.spectral_rows import Spectrum, Window
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Problem, Projection, Refinement, refine
 from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
@@ -82,7 +82,7 @@ class TimeSearch:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.latest: Step | None = None
-        self._experiments = [one for one in problem.experiments if isinstance(one, Experiment)]
+        self._experiments = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self._spectra = [Spectrum.of(one) for one in self._experiments]
         self._screen = Screen(self._spectra, problem.signed)
         self._windowed = max(len(one.u) for one in self._experiments) > _IN_TIME and all(
@@ -130,7 +130,7 @@ class TimeSearch:
         spectra = []
         for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
             turn = np.exp(-2j * np.pi * delay / one.length * np.arange(len(one.U)))
-            spectra.append(Spectrum(cast(Experiment, met), one.U * turn, one.Y))
+            spectra.append(Spectrum(cast(RecordRows, met), one.U * turn, one.Y))
         left = [one.beside_offset(one.Y) for one in spectra]
         gains, total = Screen(spectra, self.problem.signed).at_peaks(places.ravel(), left)
         unexplained = np.min((total - gains).reshape(places.shape), axis=1)
@@ -142,7 +142,7 @@ class TimeSearch:
         if windowed:
             rows = []
             for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
-                rows.append(Window.about(replace(one, experiment=cast(Experiment, met)), d, _HALF_WIDTH))
+                rows.append(Window.about(replace(one, experiment=cast(RecordRows, met)), d, _HALF_WIDTH))
             problem = Problem(tuple(rows), self.problem.signed)
         else:
             problem = meeting(self.problem, intersample)

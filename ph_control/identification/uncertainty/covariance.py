@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..._checks import EPS
 from ..regression.modal_regressors import output_weight
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Projection
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     # (d, kappa, alpha and beta of each record), sorted; NaN where a record starts at rest
     places, offsets = [rank, n + rank], np.full(len(at.own), np.nan)
     for k, (start, count, rows) in enumerate(zip(starts, counts, at.problem.experiments, strict=False)):
-        if isinstance(rows, Experiment):
+        if isinstance(rows, RecordRows):
             moves = bool(n) and count >= 2 * n
             places += [start + rank, start + n + rank] if moves else [np.full(n, -1)] * 2
             if rows.offset:
@@ -70,7 +70,7 @@ def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int
     `r = kappa / d`, and `q + i p` is the free amplitude divided by `c sqrt(d kappa)`, `c` the weight in the output.
     """
     n = len(at.d)
-    states = [own for own, rows in zip(at.own, at.problem.experiments, strict=True) if isinstance(rows, Experiment)]
+    states = [own for own, rows in zip(at.own, at.problem.experiments, strict=True) if isinstance(rows, RecordRows)]
     records = len(states)
     d, kappa, free = at.d[rank], at.kappa[rank], at.free[rank]
     driven = at.problem.driven

@@ -19,7 +19,7 @@ from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..regression.modal_regressors import SHORT, Kernel, Regressors, SampledModes, output_weight
-from ..regression.time_rows import Experiment
+from ..regression.time_rows import RecordRows
 from ..regression.triangular import reduced
 from ..regression.variable_projection import Projection, eliminate
 
@@ -221,13 +221,13 @@ class Information(Frozen):
         return Combination(names, tuple((change / change[0]).tolist()), tuple(weight[order].tolist()), inflation)
 
 
-def work(problem: Experiment, n: int) -> float:
+def work(problem: RecordRows, n: int) -> float:
     """Operations that the information of n modes takes: the QR factorisation of (T, 4n), and the SVD of its factor."""
     return 16.0 * n**2 * (len(problem.u) + 88.0 * n)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what leaves the range of doubles is refused
-def model_information(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+def model_information(problem: RecordRows, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information of `(d, r, x(0))` at a model, for unit noise; `x(0)` only where it is estimated.
 
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
@@ -238,7 +238,7 @@ def model_information(problem: Experiment, d: Array, r: Array, amplitudes: Compl
     return information_of(problem, jacobian[:, :kept], d, r, amplitudes)
 
 
-def _sensitivities(problem: Experiment, d: Array, r: Array, amplitudes: ComplexArray) -> Array:
+def _sensitivities(problem: RecordRows, d: Array, r: Array, amplitudes: ComplexArray) -> Array:
     """Derivatives of the output by `(d, kappa, Re x(0), Im x(0))` at a model, shape (T, 4n)."""
     n = len(d)
     found = Regressors(d, problem.u, problem.hold, problem.quantity)
@@ -252,7 +252,7 @@ def _sensitivities(problem: Experiment, d: Array, r: Array, amplitudes: ComplexA
 
 @np.errstate(over="ignore", invalid="ignore")
 def joint_information(
-    problems: Sequence[Experiment], d: Array, r: Array, states: Sequence[ComplexArray]
+    problems: Sequence[RecordRows], d: Array, r: Array, states: Sequence[ComplexArray]
 ) -> Information:
     """Information of `(d, r)` in several records together; initial states are unknown where they may move."""
     n, samples = len(d), sum(len(one.target) for one in problems)
@@ -271,7 +271,7 @@ def _of_modes(jacobian: Array, n: int, samples: int) -> Array:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def information_of(problem: Experiment, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
+def information_of(problem: RecordRows, jacobian: Array, d: Array, r: Array, amplitudes: ComplexArray) -> Information:
     """Information at a model from the sensitivities to `(d, kappa, Re x(0), Im x(0))`, or from the R of their QR."""
     n, samples, h = len(d), len(problem.u), problem.hold.h
     J = in_weights(jacobian, d, r)
@@ -293,7 +293,7 @@ def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
     jacobian, _ = at.jacobian()
     d, kappa = at.d[rank], at.kappa[rank]
     one = at.problem.experiments[0]
-    if len(at.problem.experiments) == 1 and isinstance(one, Experiment) and one.driven and not one.offset:
+    if len(at.problem.experiments) == 1 and isinstance(one, RecordRows) and one.driven and not one.offset:
         sorting = (np.arange(jacobian.shape[1] // max(n, 1))[:, None] * n + rank).ravel()
         own = at.own[0]
         amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
@@ -305,7 +305,7 @@ def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
     return Information.of(in_weights(shown, d, kappa / d), names, rows=at.problem.samples)
 
 
-def _state_sizes(problem: Experiment, d: Array) -> tuple[Array, Array]:
+def _state_sizes(problem: RecordRows, d: Array) -> tuple[Array, Array]:
     """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
     kernel = Kernel(SampledModes.lossless(problem.hold, d, "velocity"))
     (states,) = kernel.pieces(problem.u[None], len(problem.u), False)
