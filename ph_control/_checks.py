@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
+from ._types import Array
 from .exceptions import StructureError
-
-Array = NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 _BLOCK = 1 << 14  # samples looked at together

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from ..exceptions import StructureError
 from ..numerics.polynomials import cofactors
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.object_]
 
 _MOST = 1e8  # products of whole numbers of 500 bits, half a minute of them

@@ -7,19 +7,17 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from .. import _checks
 from .._display import Report
+from .._types import Array
 from .._units import common_unit
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..symplectic.forms_and_williamson import apply_form
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,15 +13,13 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.affine import AffineHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian, ph
-
-Array = NDArray[np.float64]
 
 
 def margin(*args: Any) -> tuple[Any, Any, Any, Any]:

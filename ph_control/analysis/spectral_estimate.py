@@ -6,15 +6,13 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import signal
 
 from .. import _checks
+from .._types import Array, ComplexArray
 from .._units import common_unit, with_unit
 from ..exceptions import StructureError
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 INTERSAMPLE = ("zoh", "foh", "bandlimited")
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from ..exceptions import ResolutionWarning
-
-Array = NDArray[np.float64]
 
 _PER_PERIOD = 20  # samples in the shortest period of a default time vector
 _PERIODS = 3  # of the slowest mode in it

@@ -10,20 +10,17 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from control import TimeResponseData
 from control.timeresp import TimeResponseList
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
+from .._types import Array
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
 from ..systems.base import LosslessSystem, in_normal_form
 from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
 _MOST = 10**9  # instants, 8 GB of them
-
 
 _ALIASES = {
     "T": "timepts", "U": "inputs", "X0": "initial_state", "return_x": "return_states", "T_num": "timepts_num",

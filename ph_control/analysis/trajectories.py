@@ -12,9 +12,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.discretization import Hold
 from ..modal.modal_form import imaginary
@@ -27,9 +27,6 @@ from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamilto
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .companion_step import CompanionStep
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _DIGITS = 10.0  # of the largest value of a state that modes must leave, so that they give those of a canonical form
 

@@ -8,15 +8,13 @@ from typing import BinaryIO, TextIO
 
 import numpy as np
 from control import FrequencyResponseData
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray
 from .._units import with_unit
 from ..exceptions import StructureError
 from .text_table import Table, is_time_label, name_and_unit, read_table
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Column = int | str
 
 FREQUENCY_UNITS = {"rad/s": 1.0, "Hz": 2 * np.pi, "kHz": 2e3 * np.pi, "MHz": 2e6 * np.pi, "GHz": 2e9 * np.pi}

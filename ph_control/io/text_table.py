@@ -20,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from .._units import known_unit
 from ..exceptions import FileFormatError, StructureError
 from .files import read_bytes, source_name
-
-Array = NDArray[np.float64]
 
 _BLOCK = 1024  # lines parsed at once: what one missing value costs
 _SAMPLE = 20  # lines that the layout is judged by

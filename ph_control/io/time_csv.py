@@ -9,15 +9,14 @@ from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 from control import TimeResponseData
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from .._units import checked_unit, with_unit
 from ..analysis.time_grid import printed_step
 from ..exceptions import FileFormatError, StructureError
 from .text_table import Table, is_time_label, read_table, unit_of_time
 
-Array = NDArray[np.float64]
 Column = int | str
 
 _DRIFT = 0.01  # of a step: how far two grids may part over the record and still be the same

@@ -11,14 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray, Mask
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import in_normal_form
 from .inputs import FitResult, Subject, models_around, subjects_of, title_of
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together

@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array
 from .._units import unit_for
 from ..analysis.margins import margin
 from ..exceptions import StructureError
@@ -20,8 +21,6 @@ from .style import BAND, DOTS, LineStyle, Look, PlainLogFormatter, frequency_axi
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-Array = NDArray[np.float64]
 
 _MANY = 50  # poles and zeros
 _NARROW = 100.0  # ratio of the ends of the frequency axis below which its labels are plain numbers

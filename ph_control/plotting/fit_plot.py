@@ -10,10 +10,11 @@ import control as ct
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._display import percent
+from .._types import Array
 from ..analysis.spectral_estimate import gapped_array
 from ..exceptions import StructureError
 from .inputs import FitResult
@@ -21,8 +22,6 @@ from .style import MEASURED, SAMPLES, STYLES, ZERO, FrameStyle, Look, Picture, e
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-Array = NDArray[np.float64]
 
 _FEW_PERIODS = 10  # that are seen in the whole record
 _DETAIL_PERIODS = 8

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import ph
@@ -21,9 +21,6 @@ from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic scale
 _DECADES = 100.0  # ratio of frequencies beyond which they are

@@ -19,10 +19,9 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from .._units import SECONDS, hertz_size, rate
 from ..exceptions import StructureError
-
-Array = NDArray[np.float64]
 
 STYLES = ("-", "--", "-.", ":")
 BAND: dict[str, Any] = {"alpha": 0.22, "linewidth": 0.0, "zorder": 1.5}

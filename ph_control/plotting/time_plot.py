@@ -17,6 +17,7 @@ from matplotlib.colors import to_rgba
 from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array
 from .._units import unit_for
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
@@ -28,8 +29,6 @@ from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, pictur
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
-
-Array = NDArray[np.float64]
 
 KINDS = ("impulse", "step")
 

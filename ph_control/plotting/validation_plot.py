@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
+from .._types import Array, ComplexArray, Mask
 from .bode_data import decibels
 from .fit_plot import line_of_model
 from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_label, labelled, picture, plain
@@ -22,16 +23,11 @@ from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_l
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
-
 # the line between two points is not the response, which may have a resonance there
 _POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "zorder": 3}
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
-
 
 # --- models beside a frequency response ------------------------------------------------------------------------------
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
+from ..._types import Array, ComplexArray
 from ..._units import common_unit, in_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
@@ -24,9 +24,6 @@ from .excited_band import ExcitedBand, excited_band
 from .remedy import input_remedy
 from .report import Excitation
 from .scan import Scan, representative, scan
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _ALWAYS = 20  # modes that are judged however short the record, so that it is said how long it has to be
 _MOST = 200  # modes beyond which singular values take minutes

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_closing
 
 from ..._checks import EPS
+from ..._types import Array
 from ..regression.triangular import triangle
 from ..uncertainty.fisher import listed
-
-Array = NDArray[np.float64]
 
 _SIGNIFICANT = 1e-4  # of the largest power: 40 dB
 _GAP = 4  # bins between two bands that belong together: a periodogram of noise has holes

@@ -6,14 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray
 from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import listed, model_information, work
 from .excited_band import ExcitedBand
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _WORK = 1e10  # operations of the factorisations that are tried, up to one for each mode; beyond, none is tried
 _MARGIN = (0.5, 1.25)  # of the lowest and highest frequency: the band of a broadband input

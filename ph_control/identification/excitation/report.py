@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._display import Report, aligned
 from ..._frozen import Frozen, ReadOnlyMapping
+from ..._types import Array
 from ..._units import in_unit, step_of
 from ..uncertainty.fisher import Combination, Information, listed, named_modes
 from .excited_band import ExcitedBand
 from .scan import SPACING, Scan
-
-Array = NDArray[np.float64]
 
 _TOLD = 3  # combinations, modes or pairs described one by one
 

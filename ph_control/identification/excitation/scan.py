@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._frozen import Frozen
+from ..._types import Array
 from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import model_information, work
 from .excited_band import ExcitedBand
-
-Array = NDArray[np.float64]
 
 SPACING = 3.0  # bins between neighbours of a group: what a record separates at moderate noise
 _WORTH = 10.0  # times the smallest error, up to which a frequency counts as shown

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._display import Report, percent
 from ..._frozen import Frozen
+from ..._types import Array
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
@@ -30,8 +31,6 @@ from .measured import (
     rms_of,
 )
 from .simulation import Rules, answers_to
-
-Array = NDArray[np.float64]
 
 _SHOWN = 8  # experiments listed one by one
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..._frozen import Frozen
+from ..._types import Array
 from ..._units import common_unit
 from ...exceptions import StructureError
 from ..data.data_frames import is_data_frame
@@ -22,7 +23,6 @@ from ..data.time_record import Record
 from ..fit.result import PEMResult
 from ..regression.prediction import fit_percent, unit_norm
 
-Array = NDArray[np.float64]
 Kind = Record | FrequencyRecord
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._display import Report, p_value, percent
 from ..._frozen import Frozen
+from ..._types import Array
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
@@ -32,8 +33,6 @@ from .measured import (
     values_of,
 )
 from .simulation import Rules, Simulation, answers_to
-
-Array = NDArray[np.float64]
 
 _LAGS = 25  # by default, where the data are long enough
 _SAMPLES_PER_LAG = 5

@@ -13,6 +13,7 @@ from scipy.linalg import matrix_balance
 from scipy.signal import oaconvolve
 
 from ... import _checks
+from ..._types import Array
 from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
@@ -27,8 +28,6 @@ from ..fit.result import PEMResult
 from ..regression.frequency_rows import modal_columns
 from ..regression.prediction import response_on
 from ..uncertainty.residual_data import factor_of
-
-Array = NDArray[np.float64]
 
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
 _BLOCK = 256  # samples between which only the state is carried
