@@ -253,8 +253,9 @@ def test_poles_and_vectors_of_a_lossless_system_give_its_frequencies_and_weights
 
 def test_zeros_are_those_of_the_matrices():
     sys = chain(3, 0.1, np.random.default_rng(2), 2, 2)
-    zeros = phc.modes(sys).zeros
-    assert np.allclose(zeros, np.sort_complex(sys.zeros()), rtol=1e-9)
+    found, true = (np.sort_complex(zeros[zeros.imag > 0]) for zeros in (phc.modes(sys).zeros, sys.zeros()))
+    assert len(found) == len(sys.zeros()) / 2
+    assert np.allclose(found, true, rtol=1e-9)
 
 
 # --- the object ----------------------------------------------------------------------------------------------------

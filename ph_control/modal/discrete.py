@@ -56,16 +56,9 @@ def continuous(form: PoleResidueForm, hold: Hold) -> PoleResidueForm:
     rounding = SAFETY * (float(np.sum(residue_error * np.abs(then))) + _checks.EPS * float(np.abs(through).sum()))
     if np.max(np.abs(feedthrough), initial=0.0) <= rounding:
         feedthrough = np.zeros_like(feedthrough)
-    return PoleResidueForm(
-        s,
-        residues,
-        pole_error,
-        residue_error,
-        form.growth[keep] * rate * size,
-        form.growth_error[keep] * rate * size,
-        form.gain / h,
-        feedthrough,
-    )
+    growth, growth_error = (part[keep] * rate * size for part in (form.growth, form.growth_error))
+    gain = form.gain / h
+    return PoleResidueForm(s, residues, pole_error, residue_error, growth, growth_error, gain, feedthrough)
 
 
 def _inside(form: PoleResidueForm, method: str) -> NDArray[np.bool_]:

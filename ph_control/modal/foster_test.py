@@ -156,11 +156,10 @@ def _even_and_odd(num: Array, den: Array) -> tuple[Array, Array] | None:
 def _sharpened(form: PoleResidueForm, d: Array, kappa: Array, d_error: Array, kappa_error: Array) -> PoleResidueForm:
     """Replace poles and residues by better ones; the bounds, of coefficients that are not rounded well, stay larger."""
     order = 2 * len(d)
-    poles, none = imaginary(np.concatenate([d, -d])), np.zeros(order)
+    poles = imaginary(np.concatenate([d, -d]))
     residues = np.concatenate([kappa, kappa])[:, None, None] * complex(0.5)
     pole_error, residue_error = (2 * order * np.concatenate([e, e]) for e in (d_error, 0.5 * kappa_error))
-    size = float(np.abs(residues).max())
-    return PoleResidueForm(poles, residues, pole_error, residue_error, none, none, size, form.feedthrough)
+    return PoleResidueForm.simple(poles, residues, pole_error, residue_error, form.feedthrough)
 
 
 def _ports(noutputs: int, ninputs: int) -> None:

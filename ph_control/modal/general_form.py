@@ -134,6 +134,12 @@ class GeneralModalForm(ModalForm):
         )
         return poles, shapes, participation
 
+    @cached_property
+    def _fractions(self) -> tuple[ComplexArray, ComplexArray]:
+        """Poles and, one row for each, the entries of their residues."""
+        poles, c, b = self._both_halves
+        return poles, (c[:, :, None] * b[:, None, :]).reshape(len(poles), self.noutputs * self.ninputs)
+
     @property
     def equations(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Numbers of `x' = p x + b u`, `y = Re(c x)` for the single modes, shapes (N,), (N, m) and (p, N)."""
@@ -199,8 +205,7 @@ class GeneralModalForm(ModalForm):
     def evaluate(self, s: ArrayLike) -> ComplexArray:
         """Transfer function at complex points, shape (p, m, N); `inf` at a pole, `D` at infinity, never NaN."""
         points = _checks.complex_points("the points", s)
-        poles, c, b = self._both_halves
-        residues = (c[:, :, None] * b[:, None, :]).reshape(len(poles), self.noutputs * self.ninputs)
+        poles, residues = self._fractions
         out = np.empty((points.size, residues.shape[1]), complex)
         step = max(1, (1 << 20) // max(1, len(poles)))
         for start in range(0, points.size, step):
@@ -215,10 +220,21 @@ class GeneralModalForm(ModalForm):
             if beyond.any():
                 out[part][(beyond & np.isfinite(gap)) @ (residues != 0)] = np.inf
         out = out.T.reshape(self.noutputs, self.ninputs, -1) + self.feedthrough[:, :, None]
-        with np.errstate(all="ignore"):
-            for block in self.clusters:
-                out += np.where(np.isfinite(points), block.evaluate(points), 0.0)
+        for block in self.clusters:
+            with np.errstate(all="ignore"):
+                out += np.where(
+                    np.isfinite(points), np.tensordot(block.triangular[2], block.states(points), axes=1), 0.0
+                )
         return np.where(np.isfinite(out), out, complex(np.inf, 0.0))
+
+    def magnitude(self, s: ComplexArray) -> Array:
+        """Bound of the sizes of what `evaluate` adds up at points, shape (N,)."""
+        poles, c, b = self._both_halves
+        weights = np.linalg.norm(c, axis=1) * np.linalg.norm(b, axis=1)
+        size = (1 / np.abs(s[:, None] - poles)) @ weights + np.linalg.norm(self.feedthrough)
+        for block in self.clusters:
+            size += np.linalg.norm(block.states(s), axis=(0, 1)) * np.linalg.norm(block.C)
+        return np.asarray(size, float)
 
     def __repr__(self) -> str:
         if self.clusters or self.feedthrough.any():
@@ -257,11 +273,9 @@ def from_vectors(poles: ArrayLike, shapes: ArrayLike, participation: ArrayLike) 
         raise StructureError("shapes or participation of a real pole are complex; those of real poles are real")
     form = GeneralModalForm(p, c, b, np.zeros((c.shape[1], b.shape[1])))
     if not p.real.any() and c.shape == b.shape:
-        poles, residues, none = form.poles, form.residues, np.zeros(len(form.poles))
-        size = float(np.abs(residues).max(initial=0.0))
-        exact = PoleResidueForm(poles, residues, none, none, none, none, size, form.feedthrough)
+        exact = np.zeros(len(form.poles))
         with suppress(NotLosslessError):
-            return decide(exact).modes
+            return decide(PoleResidueForm.simple(form.poles, form.residues, exact, exact, form.feedthrough)).modes
     return form
 
 
@@ -296,8 +310,12 @@ def with_damping(d: ArrayLike, r: ArrayLike, damping: ArrayLike) -> ModalForm:
 
 
 def from_state_space(sys: ct.StateSpace) -> GeneralModalForm:
-    """Split a state space of continuous time into modes, and into clusters where poles are not parted."""
-    A, B, C, D = (_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD")
+    """Modes of a state space of continuous time."""
+    return from_matrices(*(_checks.real_array(name, getattr(sys, name), 2) for name in "ABCD"))
+
+
+def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
+    """Split `C (s - A)^{-1} B + D` into modes, and into clusters where poles are not parted."""
     if not len(A):
         none, shapes, participation = (np.zeros(size, complex) for size in (0, (0, len(D)), (0, len(D.T))))
         return GeneralModalForm(none, shapes, participation, D)

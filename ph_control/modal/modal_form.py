@@ -59,13 +59,13 @@ class Cluster:
         """Eigenvalues, as far as they are known."""
         return np.diag(self.triangular[0]).copy()
 
-    def evaluate(self, s: ComplexArray) -> ComplexArray:
-        """Response at points, shape (p, m, N), by substitution; not finite at a pole."""
-        T, B, C = self.triangular
+    def states(self, s: ComplexArray) -> ComplexArray:
+        """States `(s - T)^{-1} B` of `triangular` at points, shape (k, m, N), by substitution; not finite at a pole."""
+        T, B, _ = self.triangular
         x = np.empty((len(T), B.shape[1], len(s)), complex)
         for k in range(len(T) - 1, -1, -1):
             x[k] = (B[k, :, None] + np.tensordot(T[k, k + 1 :], x[k + 1 :], axes=1)) / (s - T[k, k])
-        return np.tensordot(C, x, axes=1)
+        return x
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -360,25 +360,21 @@ class ModalForm(ShownModes):
             values[infinite] = complex(np.inf, 0.0)
         return values
 
-    def _off_axis(self, s: ComplexArray) -> ComplexArray:
+    def _off_axis(self, s: ComplexArray, integrated: bool = False) -> ComplexArray:
+        """`sum (s alpha + d beta) / (s^2 + d^2)`; over `s` for outputs that commute, whose `sum beta / d` is 0."""
         alpha, beta = self._symmetric_residues
         x = s[:, None]
         at_pole = (x.real == 0) & (np.abs(x.imag) == self.d)
         # divided one factor after the other: their product may leave the range of doubles
         up, down = (np.where(at_pole, 1.0, x + sign * 1j * self.d) for sign in (1, -1))
-        out = np.tensordot(alpha, (np.where(at_pole, 0.0, x) / up / down).T, axes=(0, 0))
-        out = out + np.tensordot(beta, (np.where(at_pole, 0.0, self.d) / up / down).T, axes=(0, 0))
-        return self._with_infinities(out, s, at_pole, (alpha != 0) | (beta != 0))
-
-    def _with_infinities(
-        self, out: ComplexArray, s: ComplexArray, at_pole: NDArray[np.bool_], visible: NDArray[np.bool_]
-    ) -> ComplexArray:
-        """Add the pole at 0 and set the entries whose mode is hit exactly to infinity."""
-        residue = self.rigid.T @ self.rigid
-        at_zero = s == 0
+        weights = (np.ones_like(x), -x / self.d) if integrated else (x, self.d)
+        tables = (np.where(at_pole, 0.0, weight) / up / down for weight in weights)
+        out = sum(np.tensordot(part, table.T, axes=(0, 0)) for part, table in zip((alpha, beta), tables, strict=True))
+        residue, at_zero = (self.rigid.T @ self.rigid)[:, :, None], s == 0
+        still = residue / np.where(at_zero, 1.0, s) / (np.where(at_zero, 1.0, s) if integrated else 1.0)
         # dividing 0 by the smallest numbers gives NaN
-        out = out + np.where(residue[:, :, None] != 0, residue[:, :, None] / np.where(at_zero, 1.0, s), 0.0)
-        infinite = np.einsum("lij,kl->ijk", visible, at_pole) | ((residue != 0)[:, :, None] & at_zero)
+        out = out + np.where(residue != 0, still, 0.0)
+        infinite = np.einsum("lij,kl->ijk", (alpha != 0) | (beta != 0), at_pole) | ((residue != 0) & at_zero)
         return np.where(infinite, complex(np.inf, 0.0), out)
 
     def _rising(self, omega: Array, integrated: bool) -> Array:

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eig, eigvals, schur, solve_triangular
+from scipy.linalg import eigvals
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
+from .general_form import from_matrices
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Matrices = tuple[Array, Array, Array, Array]
 
 _SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0
@@ -45,62 +45,25 @@ class Band:
     excess: float
 
 
-class Response:
-    """Frequency response of matrices `A, B, C, D` on the imaginary axis, with the size of what it sums.
-
-    Partial fractions where the eigenvectors are well conditioned, else the Schur form.
-    """
-
-    def __init__(self, A: Array, B: Array, C: Array, D: Array) -> None:
-        self.D = D
-        self.poles: ComplexArray = np.zeros(0, complex)
-        V = np.zeros((0, 0), complex)
-        if len(A):
-            self.poles, V = eig(A)
-            V = V / np.linalg.norm(V, axis=0)
-        self._schur = None
-        with np.errstate(all="ignore"):
-            if len(A) and not np.linalg.cond(V) < 1 / np.sqrt(EPS):
-                T, Z = schur(A, output="complex")
-                self._schur, self._b, self._c = T, Z.conj().T @ B, C @ Z
-                return
-        self._b, self._c = (np.linalg.solve(V, B) if len(A) else np.zeros((0, D.shape[1]))), C @ V
-
-    def __call__(self, omega: Array) -> tuple[ComplexArray, Array]:
-        """`G(j omega)`, shape (N, p, m), and a bound of the magnitudes that were summed, shape (N,)."""
-        if self._schur is not None:
-            return self._by_schur(omega)
-        parts = 1 / (1j * omega[:, None] - self.poles)
-        G = np.einsum("il,nl,lj->nij", self._c, parts, self._b) + self.D
-        sizes = np.linalg.norm(self._c, axis=0) * np.linalg.norm(self._b, axis=1)
-        return np.asarray(G, complex), np.asarray(np.abs(parts) @ sizes + np.linalg.norm(self.D), float)
-
-    def _by_schur(self, omega: Array) -> tuple[ComplexArray, Array]:
-        eye = np.eye(len(self.poles))
-        assert self._schur is not None
-        x = [solve_triangular(1j * w * eye - self._schur, self._b) for w in omega]
-        G = np.array([self._c @ one for one in x]) + self.D
-        sizes = np.array([np.linalg.norm(one) for one in x]) * np.linalg.norm(self._c) + np.linalg.norm(self.D)
-        return np.asarray(G, complex), np.asarray(sizes, float)
-
-
 class Passivity:
     """The smallest eigenvalue of `Phi` of a stable system, and the bands in which it is negative."""
 
     def __init__(self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool) -> None:
         self.matrices, self.scattering = (A, B, C, D), scattering
-        self.response = Response(A, B, C, D)
+        self.modes = from_matrices(A, B, C, D)
 
     def smallest(self, omega: Any) -> tuple[Array, Array]:
         """Smallest eigenvalue of `Phi` at each frequency, and what rounding leaves of it."""
-        G, size = self.response(np.atleast_1d(np.asarray(omega, float)))
+        omega = np.atleast_1d(np.asarray(omega, float))
+        size = self.modes.magnitude(1j * omega)
+        slack = _SLACK * max(self.modes.feedthrough.shape) * (1 + size**2 if self.scattering else size)
+        return self._smallest(omega), slack
+
+    def _smallest(self, omega: Array) -> Array:
+        G = np.moveaxis(self.modes.evaluate(1j * omega), 2, 0)
         adjoint = G.conj().transpose(0, 2, 1)
-        if self.scattering:
-            Phi, size = np.eye(G.shape[2]) - adjoint @ G, 1 + size**2
-        else:
-            Phi = G + adjoint
-        slack = _SLACK * max(G.shape[1:]) * size
-        return np.linalg.eigvalsh(Phi)[:, 0], slack
+        Phi = np.eye(G.shape[2]) - adjoint @ G if self.scattering else G + adjoint
+        return np.asarray(np.linalg.eigvalsh(Phi)[:, 0], float)
 
     def at_infinity(self) -> float:
         """Smallest eigenvalue of `Phi` at infinite frequency."""
@@ -139,7 +102,7 @@ class Passivity:
 
     def dense_grid(self, reach: float) -> Array:
         """Frequencies for a picture: spaced evenly in the logarithm, dense at resonances and at what is singular."""
-        poles = self.response.poles
+        poles = self.modes.poles
         marks = np.concatenate([np.abs(poles), self.singular_frequencies(), [0.0]])
         marks = marks[(marks > 0) & (marks > 1e-6 * marks.max())] if marks.any() else np.ones(1)
         even = np.geomspace(marks.min() / reach, marks.max() * reach, 2001)
@@ -148,7 +111,7 @@ class Passivity:
 
     def _grid(self) -> Array:
         """Frequencies that part the axis into pieces on which `Phi` keeps its sign, and some between them."""
-        poles = self.response.poles
+        poles = self.modes.poles
         marks = [np.zeros(1), np.abs(poles.imag), np.abs(poles), self.singular_frequencies()]
         marks += [np.abs(poles.imag) + width * sign * poles.real for width in _WIDTHS for sign in (-1, 1)]
         points = np.unique(np.concatenate(marks))
@@ -167,9 +130,11 @@ class Passivity:
     def margin(self) -> float:
         """Infimum over all frequencies of a system without bands, in units of `excess`; 0 where rounding hides it."""
         grid, values, slack = self._looked_at
-        _, least = self._infimum(grid, values, 0.0, np.inf)
-        least = min(least, self.at_infinity())
-        return 0.0 if least <= slack[np.argmin(values)] else self.in_units(least)
+        hidden = slack[np.argmin(values)]
+        least = min(values.min(), self.at_infinity())
+        if least > hidden:
+            least = min(least, self._infimum(grid, values, 0.0, np.inf)[1])
+        return 0.0 if least <= hidden else self.in_units(least)
 
     @cached_property
     def _looked_at(self) -> tuple[Array, Array, Array]:
@@ -186,7 +151,7 @@ class Passivity:
         return np.unique(np.concatenate([grid, minima]))
 
     def _value(self, omega: float) -> float:
-        return float(self.smallest(omega)[0][0])
+        return float(self._smallest(np.array([omega]))[0])
 
     def _band(self, grid: Array, values: Array, first: int, last: int) -> Band:
         low = self._crossing(grid[first - 1], grid[first]) if first else 0.0

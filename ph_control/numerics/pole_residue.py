@@ -6,7 +6,7 @@ from zeros and poles by products.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +43,14 @@ class PoleResidueForm:
     gain: float
     feedthrough: Array
     resolvents: tuple[Resolvent, ...] = ()
+
+    @classmethod
+    def simple(
+        cls, poles: ComplexArray, residues: ComplexArray, pole_error: Array, residue_error: Array, feedthrough: Array
+    ) -> PoleResidueForm:
+        """Form of poles that are known to be simple."""
+        none, gain = np.zeros(len(poles)), float(np.abs(residues).max(initial=0.0))
+        return cls(poles, residues, pole_error, residue_error, none, none, gain, feedthrough)
 
 
 class Resolvent(NamedTuple):
@@ -96,20 +104,12 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) 
 
 def _joined(forms: list[PoleResidueForm], residues: list[ComplexArray], feedthrough: Array) -> PoleResidueForm:
     """One form with the poles of all, which have these residues in it."""
-
-    def together(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(form, name) for form in forms])
-
+    names = "poles", "pole_error", "residue_error", "growth", "growth_error"
+    together: dict[str, Any] = {name: np.concatenate([getattr(form, name) for form in forms]) for name in names}
+    resolvents = tuple(part for form in forms for part in form.resolvents)
+    gain = max(form.gain for form in forms)
     return PoleResidueForm(
-        together("poles"),
-        np.concatenate(residues),
-        together("pole_error"),
-        together("residue_error"),
-        together("growth"),
-        together("growth_error"),
-        max(form.gain for form in forms),
-        feedthrough,
-        tuple(part for form in forms for part in form.resolvents),
+        residues=np.concatenate(residues), gain=gain, feedthrough=feedthrough, resolvents=resolvents, **together
     )
 
 
@@ -124,17 +124,10 @@ def _from_coupled_states(A: Array, B: Array, C: Array, D: Array, rest: float) ->
         for block, error in zip(blocks, residue_error, strict=True)
     ]
     pole_error, growth, growth_error = np.array(errors).T
-    return PoleResidueForm(
-        np.array([block.center for block in blocks]),
-        np.array([block.outputs @ block.inputs for block in blocks]),
-        pole_error,
-        residue_error,
-        growth,
-        growth_error,
-        float(np.linalg.norm(B) * np.linalg.norm(C)),
-        D,
-        (given,),
-    )
+    poles = np.array([block.center for block in blocks])
+    residues = np.array([block.outputs @ block.inputs for block in blocks])
+    gain = float(np.linalg.norm(B) * np.linalg.norm(C))
+    return PoleResidueForm(poles, residues, pole_error, residue_error, growth, growth_error, gain, D, (given,))
 
 
 def _connected(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
@@ -172,7 +165,7 @@ def _balanced(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
 
 def _static(D: Array) -> PoleResidueForm:
     none = np.zeros(0)
-    return PoleResidueForm(none.astype(complex), np.zeros((0, *D.shape), complex), none, none, none, none, 0.0, D)
+    return PoleResidueForm.simple(none.astype(complex), np.zeros((0, *D.shape), complex), none, none, D)
 
 
 @dataclass(frozen=True)
@@ -373,26 +366,14 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         rounding = 2 * order * _checks.EPS * np.polyval(np.abs(num), size)
         slope_rounding = 2 * order * _checks.EPS * np.polyval(np.polyder(np.abs(den)), size) * np.abs(residues)
         error = (moved * pole_error + rounding + slope_rounding) / np.abs(derivative)
-        simple = np.zeros(order)
-        form = PoleResidueForm(
-            poles, residues[:, None, None], pole_error, error, simple, simple, float(np.abs(residues).max()), D
+        # residues carry the unit of 1/time as the poles do
+        return PoleResidueForm.simple(
+            poles * scale, residues[:, None, None] * scale, pole_error * scale, error * scale, D
         )
-    else:
-        A = np.diag(np.ones(order - 1), -1)
-        A[0] = -den[1:]
-        B = np.eye(order)[:, :1]
-        form = from_state_space(A, B, num[None, :], D)
-    # residues carry the unit of 1/time as the poles do
-    return PoleResidueForm(
-        form.poles * scale,
-        form.residues * scale,
-        form.pole_error * scale,
-        form.residue_error * scale,
-        form.growth * scale * scale,
-        form.growth_error * scale * scale,
-        form.gain * scale,
-        D,
-    )
+    A = np.diag(np.ones(order - 1), -1)
+    A[0] = -den[1:]
+    form = from_state_space(A * scale, np.eye(order)[:, :1] * scale, num[None, :], D)
+    return replace(form, resolvents=())
 
 
 def _time_scale(den: Array) -> np.float64:

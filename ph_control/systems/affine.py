@@ -154,7 +154,7 @@ class AffineHamiltonian(LosslessSystem):
         s = _checks.complex_points("the points", x)
         velocity = self.modes.evaluate(s)
         with np.errstate(all="ignore"):
-            out = self._one_port(s, velocity) if self.ninputs == 1 else self._many_ports(s)
+            out = self._one_port(s, velocity) if self.ninputs == 1 else self.modes._off_axis(s, integrated=True)
         out[:, :, np.isinf(s)] = 0.0
         return np.where(np.isinf(velocity) | ~np.isfinite(out), complex(np.inf, 0.0), out)
 
@@ -163,19 +163,6 @@ class AffineHamiltonian(LosslessSystem):
         modes = self.modes
         static = not len(modes.rigid) and np.abs(s) <= 1e-9 * np.min(modes.d, initial=np.inf)
         return np.where(static, np.sum(modes.kappa / modes.d / modes.d), velocity / s)
-
-    def _many_ports(self, s: ComplexArray) -> ComplexArray:
-        """`sum (alpha - s beta / d) / (s^2 + d^2)`: with commuting outputs `sum beta / d` vanishes, and is left out."""
-        modes = self.modes
-        alpha, beta = modes._symmetric_residues
-        at_pole = (s.real[:, None] == 0) & (np.abs(s.imag[:, None]) == modes.d)
-        up, down = (np.where(at_pole, 1.0, s[:, None] + sign * 1j * modes.d) for sign in (1, -1))
-        weight = np.where(at_pole, 0.0, 1.0 / up / down)
-        out = np.tensordot(alpha, weight.T, axes=(0, 0))
-        out = out - np.tensordot(beta / modes.d[:, None, None], (s[:, None] * weight).T, axes=(0, 0))
-        residue, still = (modes.rigid.T @ modes.rigid)[:, :, None], np.where(s == 0, 1.0, s)
-        # dividing 0 by the smallest numbers gives NaN
-        return np.asarray(out + np.where(residue != 0, residue / still / still, 0.0))
 
     def zeros(self) -> ComplexArray:
         """Zeros: those of the derivative but the one at 0, which the integrator takes away."""
