@@ -426,7 +426,9 @@ def breaks_down_always(*args, **kwargs):
 
 
 def test_an_interruption_ends_the_bootstrap(fitted, monkeypatch):
-    stopped = lambda *a, **k: dataclasses.replace(refine(*a, **k), interrupted=True)  # noqa: E731
+    def stopped(*arguments, **keywords):
+        raise KeyboardInterrupt
+
     monkeypatch.setattr(module, "refine", stopped)
     with pytest.raises(KeyboardInterrupt):
         fitted("plain").bootstrap(3, rng=0)

@@ -300,21 +300,17 @@ class DampingWatch:
         """Damped modes that are better than all of a path that has come to its end."""
         if self._found is None:
             self._look(path)
-        return self._found if not path[-1].interrupted and self._is_better(path) else None
+        return self._found if self._is_better(path) else None
 
     def _look(self, path: list[Step]) -> None:
         """Look for damped modes where the path gives reason to, at orders that double."""
         step = path[-1]
-        if self._silent or step.interrupted or self._found is not None or len(step.d) < 2 * self._asked:
+        if self._silent or self._found is not None or len(step.d) < 2 * self._asked:
             return
         if self._suspects(step):
             self._asked = len(step.d)
             search = FreeSearch(self._problem, free_data(self._problem))
-            try:
-                found = free_path(self._problem, search, np.zeros(0, complex), None, _MOST)
-            except KeyboardInterrupt:
-                path[-1] = replace(step, interrupted=True)
-                return
+            found = free_path(self._problem, search, np.zeros(0, complex), None, _MOST)
             self._found = found if _decays(self._problem, found.at) else None
 
     def _is_better(self, path: list[Step]) -> bool:

@@ -265,8 +265,6 @@ class _Refit:
             end = refine(replace(self.problem, experiments=rows), self.start, rtol=_EXACT / self.problem.samples)
         except (np.linalg.LinAlgError, RuntimeError):  # of a decomposition or of nnls that does not converge
             return ()
-        if end.interrupted:
-            raise KeyboardInterrupt
         return self.estimate(end.projection) if end.converged else ()
 
     @property

@@ -152,7 +152,7 @@ def pem(
         if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
             posed, found, law = reweighted(posed, found, again)
     except KeyboardInterrupt:
-        found = _cut_short(posed) if found is None else replace(found, interrupted=True)
+        found = _cut_short(posed, largest, order == "auto") if found is None else replace(found, interrupted=True)
     at_limit = order == "auto" and len(found.d) == max_order
     # what an interrupted search had not come to is not absent from the data
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
@@ -183,50 +183,41 @@ def _found(
     )
     posed, path, followed = found.posed, found.steps, found.damped
     problem, search = posed.problem, posed.search
-    interrupted = path[-1].interrupted
     values = [preference(problem, step, criterion) for step in path]
-    if automatic and criterion == "holdout" and not interrupted:
-        try:
-            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
-        except KeyboardInterrupt:
-            interrupted = True
+    if automatic and criterion == "holdout":
+        values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
     place = int(np.argmin(values)) if automatic else len(path) - 1
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d
     if followed is not None:
         start = beside(followed.at.d, start, None if automatic else len(start))
-    elif not interrupted:
+    else:
         path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
         starts += more
-        interrupted, start = path[place].interrupted, path[place].d
-    if interrupted:
-        # who interrupts wants an end: one step, unobserved
-        end = replace(refine(problem, start, rtol=LAST, max_iterations=1), converged=False)
-        explained = end.projection
-    else:
-        end = refine(search.problem, start, rtol=LAST, progress=report(len(start)))
+        start = path[place].d
+    end = refine(search.problem, start, rtol=LAST, progress=report(len(start)))
     all_d = end.projection.d if place else path[-1].d
-    if not interrupted:
-        if automatic and followed is None:
-            end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))
-        explained = end.projection
-        if posed.searched is not None and not end.interrupted:
-            end = refine(problem, explained.d, rtol=LAST)
+    if automatic and followed is None:
+        end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))
+    explained = end.projection
+    if posed.searched is not None:
+        end = refine(problem, explained.d, rtol=LAST)
     rows = tuple(_row(problem, step) for step in path)
     iterations = sum(step.iterations for step in path) + end.iterations
-    interrupted = interrupted or end.interrupted
-    return Found(end, rows, tuple(starts), iterations, interrupted, floor, all_d, posed, followed, explained)
+    return Found(end, rows, tuple(starts), iterations, False, floor, all_d, posed, followed, explained)
 
 
-def _cut_short(posed: Formulation) -> Found:
+def _cut_short(posed: Formulation, largest: int, automatic: bool) -> Found:
     """The modes that a search had come to; the interruption goes on if there are none."""
-    step = posed.search.latest
-    if step is None or not len(step.d):
-        raise KeyboardInterrupt
-    end = replace(refine(posed.problem, step.d, rtol=LAST, max_iterations=1), converged=False)
-    row, start = _row(posed.problem, step), _start("forward", step, posed.problem.samples)
-    floor = posed.problem.rounding
-    return Found(end, (row,), (start,), step.iterations, True, floor, end.projection.d, posed)
+    path = posed.so_far(largest)
+    problem, steps = path.posed.problem, path.steps
+    step = min(steps, key=lambda one: criteria(problem, one.loss, len(one.d)).bic) if automatic else steps[-1]
+    # who interrupts wants an end: one step, unobserved
+    end = replace(refine(problem, step.d, rtol=LAST, max_iterations=1), converged=False)
+    rows, starts = tuple(_row(problem, one) for one in steps), (_start("forward", step, problem.samples),)
+    iterations = sum(one.iterations for one in steps)
+    at = end.projection
+    return Found(end, rows, starts, iterations, True, problem.rounding, at.d, path.posed, None, at)
 
 
 def _second_thoughts(
@@ -237,33 +228,22 @@ def _second_thoughts(
     step = path[place]
     starts: list[Start] = []
     better = reseat(search, step, rtol, floor, report)
-    if better.interrupted:
-        return better, starts
     if better is not step:
         starts.append(_start("re-seated", better, search.problem.samples))
         step = better
     given = not automatic and len(step.d) == largest and step.loss > floor
     if given and (step.held.any() or search.unconvinced(step)):
-        try:
-            pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
-        except KeyboardInterrupt:
-            return replace(step, interrupted=True), starts
-        if pruned.interrupted:
-            return replace(step, interrupted=True), starts
+        pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
         if len(pruned.d) == largest and pruned.loss < (1 - 1e-6) * step.loss:
             starts.append(_start("pruned", pruned, search.problem.samples))
             step = replace(pruned, iterations=step.iterations + pruned.iterations)
     from_nothing = not len(path[0].d)
     if given and from_nothing and step.loss > floor and search.unconvinced(step):
-        try:
-            others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
-        except KeyboardInterrupt:
-            return replace(step, interrupted=True), starts
+        others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
         starts += [_start("random", other, search.problem.samples) for other in others]
         best = min(others, key=lambda other: other.loss)
         if len(best.d) == largest and best.loss < (1 - 1e-6) * step.loss:
             step = replace(best, iterations=step.iterations + best.iterations)
-        step = replace(step, interrupted=any(other.interrupted for other in others))
     return step, starts
 
 

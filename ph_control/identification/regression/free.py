@@ -320,8 +320,6 @@ def refine_free(make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1
     for _ in range(3):  # peaks turn out wider than their window
         problem = FreeProblem(make(p), region)
         end = refine(problem, problem.inside(np.concatenate([p.imag, p.real])), rtol=rtol, max_iterations=_STEPS)
-        if end.interrupted:
-            raise KeyboardInterrupt
         before, p = p, end.projection.p
         if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
             break

@@ -338,7 +338,14 @@ class Refinement(Generic[At]):
     projection: At
     iterations: int
     converged: bool
-    interrupted: bool = False
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run that the user ended, and the numbers `x` that it had come to."""
+
+    def __init__(self, x: Array) -> None:
+        super().__init__()
+        self.x = x
 
 
 def refine(
@@ -353,7 +360,7 @@ def refine(
     """Minimise the loss over `x` from a start within the basin of the minimum.
 
     Stops when a full step would reduce the loss by less than `rtol` of itself, or when steps drown in rounding; that
-    step is still taken if it is to be the `last`.
+    step is still taken if it is to be the `last`.  Raises `Interrupted`.
     """
     current = problem.project(x)
     if len(x) == 0:
@@ -369,8 +376,8 @@ def refine(
             if last and not end.converged:
                 _follow_secants(problem, end)
             state = _elsewhere(problem, end) if end.converged else None
-    except (KeyboardInterrupt, StopIteration):
-        return Refinement(end.current, end.iterations, False, interrupted=True)
+    except KeyboardInterrupt:
+        raise Interrupted(end.current.x) from None
     return Refinement(end.current, end.iterations, end.converged)
 
 

@@ -85,7 +85,7 @@ def crowded(d: Array, distance: float) -> bool:
 
 def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refinement]) -> Refinement:
     """Drop the weakest mode, one after the other, while noise alone could well have shown it somewhere."""
-    while len(end.projection.d) and not end.interrupted:
+    while len(end.projection.d):
         evidence = _evidence(end.projection)
         weakest = int(np.argmin(evidence))
         unknowns = problem.unknowns(1) - problem.unknowns(0)

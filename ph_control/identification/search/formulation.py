@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -26,7 +26,7 @@ from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
 from .criteria import criteria, crowded, free_preference, preference
 from .free_path import FreeStep
-from .path import grow, interrupted
+from .path import grow
 from .response_search import ResponseSearch
 from .steps import Report, Search, Step, TimeSearch
 
@@ -71,7 +71,7 @@ class Formulation:
 
     `open` names what is left to the data: the 'hold' of the input, other instants of its 'arrival', and the
     'background' of the output; `findings` say what they decided.  Modes are searched for in the problem `searched`,
-    where that is another one.
+    where that is another one.  The `trail` has the steps of all searches under this formulation and those made of it.
     """
 
     records: Records
@@ -79,6 +79,7 @@ class Formulation:
     open: frozenset[str] = frozenset()
     findings: tuple[Finding, ...] = ()
     searched: Problem | None = None
+    trail: list[tuple[Formulation, list[Step]]] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -137,7 +138,9 @@ class Formulation:
     def search(self) -> Search:
         """What adds modes to the problem."""
         problem = self.searched or self.problem
-        return TimeSearch(problem) if isinstance(problem.experiments[0], RecordRows) else ResponseSearch(problem)
+        found = TimeSearch(problem) if isinstance(problem.experiments[0], RecordRows) else ResponseSearch(problem)
+        self.trail.append((self, found.steps))
+        return found
 
     @property
     def rtol(self) -> float:
@@ -157,13 +160,7 @@ class Formulation:
         arrival = "arrival" in self.open  # not yet asked
 
         def pauses(more: list[Step]) -> bool:
-            asks = self._asks(more[-1], arrival)
-            if asks or stop is None:
-                return asks
-            whole = [*steps[:-1], *more]
-            over = stop(whole)
-            more[-1] = whole[-1]  # a stop that was interrupted marks it
-            return over
+            return self._asks(more[-1], arrival) or (stop is not None and stop([*steps[:-1], *more]))
 
         while True:
             # what is left of a record without noise is rounding, and says nothing of its circumstances
@@ -186,7 +183,7 @@ class Formulation:
             if len(steps) == before or not self._asks(steps[-1], arrival) or (stop is not None and stop(steps)):
                 break
         own = self._ended(steps, stop.decided(steps) if stop and steps[-1].loss > floor else None)
-        if not isinstance(search, TimeSearch) or steps[-1].interrupted or steps[-1].loss <= floor:
+        if not isinstance(search, TimeSearch) or steps[-1].loss <= floor:
             return own
         others = self._arrivals(search, steps) if arrival and search.unconvinced(steps[-1]) else []
         held = self._held_otherwise(search, steps[-1]) if own.damped is None and "hold" in self.open else None
@@ -196,7 +193,7 @@ class Formulation:
         return self._best(own, others, steps, guess, largest, how) if others else own
 
     def _is_over(self, step: Step) -> bool:
-        return step.interrupted or not len(step.candidates) or step.loss <= self.problem.rounding
+        return not len(step.candidates) or step.loss <= self.problem.rounding
 
     def _ended(self, steps: list[Step], damped: FreeStep | None = None) -> Path:
         """What a path has come to, and its BIC, for as many samples as the problem has."""
@@ -210,31 +207,18 @@ class Formulation:
         how: dict[str, Any],
     ) -> Path:  # fmt: skip
         """The path of least BIC under this formulation and others; one with a delay has to explain the record."""
-        paths, cut = [own] if own else [], False
+        paths = [own] if own else []
         most, asked = largest, how
         if own is not None and own.damped is not None:
             # what explains the record without damping needs few modes more, and no look at damping
             most = min(largest, max(len(before[-1].d), len(own.damped.at.p) + _MORE))
             asked = {**how, "watch": None}
-        closed = replace(self, open=self.open - {"arrival"})
-        for one in [*others, closed]:
-            if one is closed and paths:
-                break
-            try:
-                path = one.path(guess, most, **asked)
-            except (KeyboardInterrupt, StopIteration):
-                cut = True
-                break
-            cut = path.steps[-1].interrupted
-            if cut or not one.is_late or path.explains:
+        for one in others:
+            path = one.path(guess, most, **asked)
+            if not one.is_late or path.explains:
                 paths.append(path)
-            if cut:
-                break
-        if cut:
-            found = min([*paths, self._ended(before)], key=lambda path: path.value)
-            if not len(found.steps[-1].d):
-                raise KeyboardInterrupt
-            return replace(found, steps=interrupted(found.steps))
+        if not paths:
+            paths.append(replace(self, open=self.open - {"arrival"}).path(guess, most, **asked))
         found = min(paths, key=lambda path: path.value)
         if own is None or found is own:
             return found
@@ -243,6 +227,25 @@ class Formulation:
         gain, arrival = 0.5 * (own.value - found.value), (Cause.HOLD, Cause.DELAY)
         findings = tuple(replace(one, gain=gain) if one.cause in arrival else one for one in found.posed.findings)
         return replace(found, posed=replace(found.posed, findings=findings))
+
+    def so_far(self, most: int) -> Path:
+        """The best of what searches had come to that were interrupted, with the least loss of each order up to `most`.
+
+        Raises `KeyboardInterrupt` where they had not found any mode.
+        """
+        paths = []
+        for posed, steps in self.trail:
+            best: dict[int, Step] = {}
+            for step in sorted(steps, key=lambda step: -step.loss):
+                best[len(step.d)] = step
+            kept = [best[n] for n in sorted(best) if n <= most]
+            if kept and len(kept[-1].d):
+                # what a search was cut off from tells nothing of the colour of its noise
+                value = min(criteria(posed.problem, step.loss, len(step.d)).bic for step in kept)
+                paths.append(Path(posed, kept, None, value))
+        if not paths:
+            raise KeyboardInterrupt
+        return min(paths, key=lambda path: path.value)
 
     @property
     def is_late(self) -> bool:
@@ -455,7 +458,14 @@ def reporter(problem: Problem, largest: int, callback: Callback | None) -> Calla
     def report(order: int) -> Report | None:
         if callback is None:
             return None
-        return lambda iteration, loss: callback(Progress(order, largest, iteration, loss / problem.samples))
+
+        def told(iteration: int, loss: float) -> None:
+            try:
+                callback(Progress(order, largest, iteration, loss / problem.samples))
+            except StopIteration:
+                raise KeyboardInterrupt from None
+
+        return told
 
     return report
 

@@ -237,7 +237,10 @@ def order_selection(
     posed.check_signals()
     wanted = _wanted(orders, problem)
     largest = posed.largest_order(wanted[-1], wanted[-1], guess)
-    found = posed.path(guess, largest, report=reporter(problem, largest, callback))
+    try:
+        found = posed.path(guess, largest, report=reporter(problem, largest, callback))
+    except KeyboardInterrupt:
+        found = posed.so_far(largest)
     posed, path = found.posed, found.steps
     problem = posed.problem
     # a path that ends in rounding has no higher orders
@@ -333,10 +336,7 @@ class HeldOut:
 
     def loss(self, d: Array) -> float:
         """Mean squared error over what is held out, of the model that fits the rest best about these frequencies."""
-        end = refine(self.training, d, rtol=_POLISH)
-        if end.interrupted:
-            raise KeyboardInterrupt
-        at = end.projection
+        at = refine(self.training, d, rtol=_POLISH).projection
         found = [errors(at.d, at.kappa, own) for errors, own in zip(self.errors, at.own, strict=True)]
         return float(np.mean(np.concatenate(found) ** 2))
 
@@ -356,10 +356,8 @@ def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], par
     path: list[Step] = []
     if largest:
         # under the circumstances that all of the data have decided
-        posed = replace(posed, problem=rest.training, open=frozenset(), searched=None)
+        posed = replace(posed, problem=rest.training, open=frozenset(), searched=None, trail=[])
         path = posed.path(guess, posed.largest_order(largest, largest, guess)).steps
-    if path and path[-1].interrupted:
-        raise KeyboardInterrupt
     losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}
     losses.setdefault(0, rest.loss(np.zeros(0)))
     # a path that ended in rounding has no better model of higher order

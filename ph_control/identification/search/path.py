@@ -58,32 +58,18 @@ def grow(
     pick: Callable[[Step], int] | None = None,
     report: Callable[[int], Report | None] = lambda order: None,
 ) -> list[Step]:
-    """Add modes until there are `largest`, the loss is at its floor, or `stop` says so; all steps from the first on.
-
-    An interruption before there is any mode is passed on.
-    """
+    """Add modes until there are `largest`, the loss is at its floor, or `stop` says so; all steps from the first on."""
     path = [step]
-    while len(step.d) < largest and step.loss > floor and len(step.candidates) and not step.interrupted:
+    while len(step.d) < largest and step.loss > floor and len(step.candidates):
         if pick is not None:
             fresh = step.candidates[[pick(step)]]
         else:
             fresh = _batch(search, step, largest - len(step.d)) if together else step.candidates[:1]
-        try:
-            step = search.step(np.concatenate([step.d, fresh]), rtol, report(len(step.d) + len(fresh)))
-        except (KeyboardInterrupt, StopIteration):
-            if not len(step.d):
-                raise
-            return interrupted(path)
+        step = search.step(np.concatenate([step.d, fresh]), rtol, report(len(step.d) + len(fresh)))
         path.append(step)
         if stop is not None and stop(path):
             break
-        step = path[-1]  # a stop that was interrupted marks it
     return path
-
-
-def interrupted(path: list[Step]) -> list[Step]:
-    """The path, marked as one that was interrupted."""
-    return [*path[:-1], replace(path[-1], interrupted=True)]
 
 
 def _batch(search: Search, step: Step, most: int) -> Array:
@@ -121,29 +107,22 @@ def reseat(
     tried: set[float] = set()
     if 2 * step.held.sum() >= max(len(step.d), 2 * _HOPELESS):
         return step
-    while step.loss > floor and not step.interrupted and (step.held.any() or search.unconvinced(step)):
+    while step.loss > floor and (step.held.any() or search.unconvinced(step)):
         places = [k for k in np.argsort(step.weights, kind="stable") if float(step.d[k]) not in tried]
         if not places:
             break
         tried.add(float(step.d[places[0]]))
-        try:
-            trial = _moved(search, step, places[0], rtol, report)
-        except (KeyboardInterrupt, StopIteration):
-            return replace(step, interrupted=True)
+        trial = _moved(search, step, places[0], rtol, report)
         if trial is None:
             break
         if trial.loss < (1 - _BETTER) * step.loss:
             step, tried = replace(trial, iterations=step.iterations + trial.iterations), set()
-        elif trial.interrupted:
-            step = replace(step, interrupted=True)
     return step
 
 
 def _moved(search: Search, step: Step, place: int, rtol: float, report: Callable[[int], Report | None]) -> Step | None:
     """The step with one mode where it explains most beside the others; None if there is no such place."""
     others = search.step(np.delete(step.d, place), rtol, report(len(step.d) - 1))
-    if others.interrupted:
-        return replace(step, interrupted=True)
     if not len(others.candidates):
         return None
     return search.step(np.append(others.d, others.candidates[0]), rtol, report(len(step.d)))
@@ -156,7 +135,7 @@ def prune(search: Search, step: Step, most: int, *, rtol: float, floor: float) -
     """
     order = len(step.d)
     end = grow(search, step, min(order + _BEYOND, most), rtol=rtol, floor=floor)[-1]
-    while len(end.d) > order and not end.interrupted:
+    while len(end.d) > order:
         end = search.step(np.delete(end.d, np.argmin(end.weights)), rtol)
     return end
 
@@ -167,12 +146,7 @@ def restart(
     """Ends of a few paths that choose at random among the best candidates, each with a seed of its own."""
     seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(_RESTARTS)
     run = partial(_random_path, search, empty, order, rtol, floor)
-    ends: list[Step] = []
-    for end in mapped(run, seeds, workers, Step):
-        ends.append(end)
-        if end.interrupted:
-            break
-    return ends
+    return list(mapped(run, seeds, workers, Step))
 
 
 def _entropy(rng: Any) -> int:

@@ -83,7 +83,7 @@ def reweighted(
     problem, d = posed.weighted(_balanced(posed.problem)).problem, found.all_d
     for place in range(_ROUNDS):
         law, gains, damped = estimated_law(problem, d)
-        if law.kind is NoiseKind.CONSTANT or found.interrupted:
+        if law.kind is NoiseKind.CONSTANT:
             return first
         variances = law.floor**2 + (law.share * np.concatenate(gains)) ** 2
         if place and np.all(np.abs(variances - before) <= _SETTLED * variances):

@@ -17,7 +17,7 @@ from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
 from .free_search import FreeSearch, Responses
 from .response_candidates import vector_fit
-from .steps import Report, Step, mode_energies, more_than_noise
+from .steps import Report, Search, Step, mode_energies
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,26 +27,16 @@ _LAGS = 20
 _WHITE = 1e-3  # p-value
 
 
-class ResponseSearch:
+class ResponseSearch(Search):
     """Search in frequency responses."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.latest: Step | None = None
+        super().__init__(problem)
         self.data = Responses([one for one in problem.experiments if isinstance(one, FrequencyRows)])
         self._damped = FreeSearch(problem, self.data)
         self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.data.experiments)
         self._poles: dict[float, complex] = {}
         self._together: dict[int, FreeStep] = {}
-
-    @property
-    def affords_batches(self) -> bool:
-        """Modes join one at a time."""
-        return False
-
-    def unconvinced(self, step: Step) -> bool:
-        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
-        return more_than_noise(self.problem, step)
 
     def damped(self, d: Array) -> FreeStep:
         """The best damped modes near some frequencies, from the poles that were found there before."""
@@ -68,8 +58,7 @@ class ResponseSearch:
         parts = [without_peaks(part) for one in step.left for part in (one.real, one.imag)]
         return ljung_box(parts, _LAGS) >= _WHITE
 
-    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
-        """Refine modes from a start and look for more."""
+    def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
         damped = self.damped(d)
         white = self.is_white(damped)
         if not white and len(d):
@@ -80,8 +69,7 @@ class ResponseSearch:
         end = refine(self.problem, damped.at.d, rtol=rtol, progress=report)
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
-        self.latest = step = Step(
+        return Step(
             damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, mode_energies(at),
-            end.interrupted, not white and damped.loss > _MUCH * self.power,
+            not white and damped.loss > _MUCH * self.power,
         )  # fmt: skip
-        return step

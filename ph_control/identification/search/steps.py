@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows
-from ..regression.variable_projection import Problem, Projection, Refinement, refine
+from ..regression.variable_projection import Interrupted, Problem, Projection, Refinement, refine
 from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
 
@@ -53,35 +53,43 @@ class Step:
     gains: Array
     held: NDArray[np.bool_]
     weights: Array
-    interrupted: bool = False
     coloured: bool = False
     foretold: Array = field(default_factory=lambda: np.ones(1))
     noisy: float = 0.0
 
 
-class Search(Protocol):
-    """How modes are added to a problem."""
+class Search:
+    """How modes are added to a problem; all `steps` are kept for who interrupts."""
 
-    problem: Problem
-    latest: Step | None  # for who is interrupted where no path is at hand
-
-    @property
-    def affords_batches(self) -> bool:
-        """Whether several modes may join at once."""
-
-    def unconvinced(self, step: Step) -> bool:
-        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
-
-    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
-        """Refine modes from a start and look for more."""
-
-
-class TimeSearch:
-    """Search in records of time."""
+    affords_batches = False  # whether several modes may join at once
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.latest: Step | None = None
+        self.steps: list[Step] = []
+
+    def unconvinced(self, step: Step) -> bool:
+        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
+        return more_than_noise(self.problem, step)
+
+    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
+        """Refine modes from a start and look for more."""
+        try:
+            self.steps.append(self._refined(d, rtol, report))
+        except Interrupted as cut:
+            at, none = self.problem.project(cut.x), np.zeros(0)
+            self.steps.append(Step(at.d, at.loss, 0, False, none, none, ~at.free, mode_energies(at)))
+            raise
+        return self.steps[-1]
+
+    def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
+        raise NotImplementedError
+
+
+class TimeSearch(Search):
+    """Search in records of time."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
         self._experiments = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self._spectra = [Spectrum.of(one) for one in self._experiments]
         self._screen = Screen(self._spectra, problem.signed)
@@ -90,22 +98,12 @@ class TimeSearch:
         )
         self._arrivals: dict[tuple[str, int], float] = {}
         self._slow = _SLOW * max(one.bin for one in self._experiments)
+        self.affords_batches = max(len(one.u) for one in self._experiments) >= _TOGETHER
 
-    @property
-    def affords_batches(self) -> bool:
-        """Whether several modes may join at once: where records are long enough to tell them apart."""
-        return max(len(one.u) for one in self._experiments) >= _TOGETHER
-
-    def unconvinced(self, step: Step) -> bool:
-        """Whether what is left shows a mode that noise alone would hardly show anywhere."""
-        return more_than_noise(self.problem, step)
-
-    def step(self, d: Array, rtol: float, report: Report | None = None) -> Step:
-        """Refine modes from a start and look for more."""
+    def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
         # the bins about a slow mode are few, and what it has in common with a constant is not among them
         windowed = self._windowed and not np.any(d < self._slow)
-        self.latest = step = (self._in_bins if windowed else self._in_time)(d, rtol, report)
-        return step
+        return (self._in_bins if windowed else self._in_time)(d, rtol, report)
 
     def slow(self, step: Step) -> bool:
         """Whether what would join next is as slow as a constant or a drift, and more than noise."""
@@ -171,7 +169,7 @@ class TimeSearch:
         foretold = autoregression(left, [len(one.u) for one in self._experiments])[1]
         step = Step(
             at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
-            ~at.free if n else np.zeros(0, bool), mode_energies(at) if n else at.d, end.interrupted, foretold=foretold,
+            ~at.free if n else np.zeros(0, bool), mode_energies(at) if n else at.d, foretold=foretold,
         )  # fmt: skip
         if n and loss > self.problem.rounding and crowds(step, self.problem):
             step = replace(step, noisy=input_noise(self._experiments, at.d)[-1])
