@@ -9,6 +9,7 @@ to them, turned back to a common instant.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import accumulate, repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,11 +59,9 @@ def step_through(F: Array, now: Array, then: Array, u: Array) -> Array:
     x = blocks.reshape(len(F), size, size)
     for k in range(1, size):
         x[:, :, k] += F @ x[:, :, k - 1]
-    powers = [F]
-    for _ in range(size - 1):
-        powers.append(F @ powers[-1])
+    powers = np.stack(list(accumulate(repeat(F, size), np.matmul)))
     for block in range(1, size):
-        x[:, block] += np.stack([power @ x[:, block - 1, -1] for power in powers], axis=1)
+        x[:, block] += (powers @ x[:, block - 1, -1]).T
     return blocks[:, :samples]
 
 

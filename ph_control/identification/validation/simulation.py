@@ -10,13 +10,13 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
-from scipy.signal import oaconvolve
 
 from ... import _checks
 from ..._types import Array
 from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
+from ...modal.propagation import step_through
 from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
@@ -30,7 +30,6 @@ from ..regression.prediction import response_on
 from ..uncertainty.residual_data import factor_of
 
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
-_BLOCK = 256  # samples between which only the state is carried
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
 _ROUNDING = 1e-9  # relative: a frequency at the Nyquist frequency may round beyond it
 
@@ -265,10 +264,7 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
 
 
 def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motions:
-    """Motions of a linear system: of one in discrete time as it is, by the rule of `hold` otherwise.
-
-    The response to the input is its convolution with that to a pulse, by the fast Fourier transform.
-    """
+    """Motions of a linear system: of one in discrete time as it is, by the rule of `hold` otherwise."""
     try:
         system = ct.ss(model, name=model.name, remove_useless_states=False)
     except ValueError as error:
@@ -276,18 +272,16 @@ def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motio
     A, B, C, D = (np.asarray(matrix, float) for matrix in (system.A, system.B, system.C, system.D))
     for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
         _checks.finite(f"{name} of model {label!r}", matrix)
-    b, c, through = B[:, 0], C[0], float(D[0, 0])
     if len(A):
         # scaled by powers of 2, so that states of very different size are told apart
         A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-        b, c = b / scale, c * scale
-    now, then = b, 0 * b
+        B, C = B / scale[:, None], C * scale
+    now, then = B, 0 * B
     if system.isctime():
         try:
-            A, *weights = hold.step_of_matrices(A, b[:, None])
+            A, now, then = hold.step_of_matrices(A, B)
         except StructureError as error:
             raise StructureError(f"model {label!r} cannot be simulated: {error}") from None
-        now, then = (weight[:, 0] for weight in weights)
         if not (np.isfinite(A).all() and np.isfinite(now).all()):
             raise StructureError(
                 f"model {label!r} is unstable: within one step of {hold.h:.6g} its state leaves the range of doubles; "
@@ -298,29 +292,16 @@ def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motio
             f"model {label!r} is discrete-time with dt = {system.dt:g}, the record has the step {hold.h:.6g}; resample "
             "one of them, or pass the continuous-time model"
         )
-    # the weight of the input at the end of a step is moved into the state, x = w + then u
-    free = _free_motions(A, c, record.samples)
+    growth = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
     with np.errstate(over="ignore", invalid="ignore"):
-        pulse = np.concatenate([[c @ then], (free @ (now + A @ then))[:-1]])
-        known = len(pulse) if np.isfinite(pulse).all() else int(np.argmin(np.isfinite(pulse)))
-        forced = np.full(record.samples, np.nan)
-        forced[:known] = oaconvolve(record.u[:known], pulse[:known])[:known] if known else 0.0
-        forced += through * record.u - free @ (then * record.u[0])
-    return Motions(forced, lambda: free, float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0)))
+        forced = C @ step_through(A, now, then, record.u[None]) + D * record.u
+    return Motions(forced[0], lambda: _free_motions(A, C, record.samples), growth)
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def _free_motions(F: Array, c: Array, samples: int) -> Array:
+def _free_motions(F: Array, C: Array, samples: int) -> Array:
     """Free motions at the output from each unit state, shape (T, n): the columns of observability."""
-    rows = [c]
-    for _ in range(min(_BLOCK, samples) - 1):
-        rows.append(rows[-1] @ F)
-    block, leap = np.array(rows), np.linalg.matrix_power(F, len(rows))
-    parts, states = [], np.eye(len(F))
-    for _ in range(-(-samples // len(rows))):
-        parts.append(block @ states)
-        states = leap @ states
-    return np.concatenate(parts)[:samples]
+    return step_through(F.T, C.T, 0 * C.T, np.eye(1, samples + 1))[:, 1:].T
 
 
 # --- frequency responses ---------------------------------------------------------------------------------------------
