@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from ..symplectic.forms_and_williamson import apply_form
@@ -22,8 +22,6 @@ from ..systems.port_hamiltonian import PortHamiltonian
 from .isomorphism import are_isomorphic
 from .relations import reduced_residuals, star_equivalent
 from .unique_coordinates import power_of_two
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, schur_form
 from ..numerics.polynomials import cofactors
@@ -26,10 +26,6 @@ from ..systems.port_hamiltonian import PortHamiltonian
 from .filters import MARGIN, filter_mismatch, separation_of
 from .morphisms import balanced, comparable, is_morphism
 from .unique_coordinates import norm_of
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Indices = NDArray[np.intp]
 
 _NEAR = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of frequencies below which modes are taken to mix
 _SMALL = 16  # states up to which all eigenvalues may be treated as one block

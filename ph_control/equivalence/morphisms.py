@@ -12,11 +12,11 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dgebal
 
 from .. import _checks
 from .._frozen import Frozen
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import StructureError
 from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
@@ -24,11 +24,6 @@ from ..systems.base import refuse_losses
 from ..systems.lifting import lifted_size
 from ..systems.port_hamiltonian import PortHamiltonian
 from .unique_coordinates import norm_of, power_of_two, resonances
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Indices = NDArray[np.intp]
-
 
 # --- the morphisms of the paper ----------------------------------------------------------------------------------
 

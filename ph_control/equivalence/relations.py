@@ -11,9 +11,9 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..modal.error_bounds import ModalErrors, Separation, separate
 from ..modal.foster_test import Judged, hamiltonian_form, lossless_modes_with_errors
@@ -25,11 +25,6 @@ from ..systems.port_hamiltonian import full_port_hamiltonian
 from .filters import filter_mismatch, separation_of
 from .isomorphism import Verdict, block_unitary, real_form
 from .unique_coordinates import power_of_two, resonances, squared_weights
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Indices = NDArray[np.intp]
-
 
 # --- the same transfer function ---------------------------------------------------------------------------------------
 

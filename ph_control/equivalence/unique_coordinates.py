@@ -9,13 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike, Indices, NDArray
 from ..exceptions import StructureError
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 def act(sigma: ArrayLike, theta: ArrayLike, d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:

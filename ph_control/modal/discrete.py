@@ -8,15 +8,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Mask
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.pole_residue import SAFETY, PoleResidueForm
 from .discretization import INTERSAMPLE, Hold, check_method
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def sampling_rule(sys: Any, method: str | None, intersample: str) -> Hold:
@@ -61,7 +58,7 @@ def continuous(form: PoleResidueForm, hold: Hold) -> PoleResidueForm:
     return PoleResidueForm(s, residues, pole_error, residue_error, growth, growth_error, gain, feedthrough)
 
 
-def _inside(form: PoleResidueForm, method: str) -> NDArray[np.bool_]:
+def _inside(form: PoleResidueForm, method: str) -> Mask:
     """Which poles come from a pole in continuous time; the others must not be seen."""
     z = form.poles
     radius = SAFETY * form.pole_error

@@ -14,15 +14,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from .. import _checks
+from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..numerics import double_double as tf
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 METHODS = ("exact", "midpoint", "euler")
 INTERSAMPLE = ("zoh", "foh")

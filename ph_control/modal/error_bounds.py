@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..numerics.graphs import components, coupled_pairs
 from .modal_form import ModalForm
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Labels = NDArray[np.int32]
 Energy = tuple[Array, ComplexArray, Array]  # what `symplectic.energy_coordinates` returns
 
@@ -62,7 +60,7 @@ class Group:
         Norms of all input weights, and of those of the hidden states, which count as zero.
     """
 
-    members: NDArray[np.intp]
+    members: Indices
     rotation: ComplexArray
     d: Array
     nu: ComplexArray
@@ -175,7 +173,7 @@ def separate(
     return _split(modes, _components(modes.d, errors.d), errors)
 
 
-def as_decided(modes: ModalForm, starts: NDArray[np.intp], reached: NDArray[np.bool_]) -> tuple[Group, ...]:
+def as_decided(modes: ModalForm, starts: Indices, reached: Mask) -> tuple[Group, ...]:
     """Groups of neighbouring modes of one port, of which it is known where they begin and whether they are reached."""
     counts = np.diff(starts, append=len(modes.d))
     tolerance = np.repeat(np.where(reached, 0.0, np.inf), counts)
@@ -219,7 +217,7 @@ def _split(modes: ModalForm, label: Labels, errors: ModalErrors) -> Separation:
     return Separation(modes, groups, sigma[:rank, None] * Vh[:rank], errors, strength)
 
 
-def _alone(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Group:
+def _alone(modes: ModalForm, members: Indices, tolerance: float) -> Group:
     """`_group` of a single mode, whose rotation is a change of phase."""
     row = modes.nu[members]
     size = float(np.linalg.norm(row))
@@ -231,7 +229,7 @@ def _alone(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Gro
     return Group(members, np.full((1, 1), turn), modes.d[members], nu, size, 0.0)
 
 
-def _group(modes: ModalForm, members: NDArray[np.intp], tolerance: float) -> Group:
+def _group(modes: ModalForm, members: Indices, tolerance: float) -> Group:
     W, sigma, Vh, rank = _reached(modes.nu[members], tolerance)
     nu = sigma[:rank, None] * Vh[:rank]
     parts = [_diagonal_rows(W[:, part].conj().T, modes.d[members]) for part in (slice(rank), slice(rank, None))]
@@ -318,7 +316,7 @@ def _norms(label: Labels, values: Array) -> Array:
     return peak * np.sqrt(np.bincount(label, (values / peak) ** 2))
 
 
-def _support(rows: NDArray[Any]) -> NDArray[np.intp]:
+def _support(rows: NDArray[Any]) -> Indices:
     """For each row a state that it involves."""
     return np.abs(rows).argmax(axis=1) if len(rows) else np.zeros(0, np.intp)
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import control as ct
 import numpy as np
 import scipy.signal
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray, Mask, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import definiteness as _definite
 from ..numerics.pole_residue import (
@@ -33,9 +33,6 @@ from .discrete import continuous, sampling_rule
 from .discretization import Hold
 from .modal_form import ModalForm, imaginary
 from .propagation import transfer_function
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _POINTS = 6  # at which modes are held against the matrices that they were found in
 _UNSEEN = 1e-4  # of the whole: a residue lost in its error bound must also be small to count as zero
@@ -344,6 +341,6 @@ def modes_of_energy(energy: tuple[Array, ComplexArray, Array], B: Array) -> Moda
     return modes
 
 
-def _stands_out(rows: NDArray[Any], B: Array) -> NDArray[np.bool_]:
+def _stands_out(rows: NDArray[Any], B: Array) -> Mask:
     """Which entries of `rows @ B` are more than its rounding."""
     return np.abs(rows @ B) > len(B) * _checks.EPS * (np.abs(rows) @ np.abs(B))

@@ -16,19 +16,16 @@ from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, matrix_balance, schur
 from slycot import mb03rd
 
 from .. import _checks
 from .._display import html_table, literal
+from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.pole_residue import PoleResidueForm
 from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
 

@@ -11,14 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, Indices, Mask
 from .error_bounds import exact_closeness, rounding_unit
 from .modal_form import ModalForm
-
-Array = NDArray[np.float64]
-Starts = NDArray[np.intp]
 
 _FEW = 100  # modes that a loop is as fast for as array operations
 _LEAST, _MOST = 5 / 3, 2 + 2 / np.sqrt(3)  # errors of the frequency of a pair in roundings: eigenvalues 1/2 to 3/2
@@ -42,10 +39,10 @@ class Reduction:
 
     d: Array
     r: Array
-    starts: Starts
-    reached: NDArray[np.bool_]
+    starts: Indices
+    reached: Mask
 
-    def _counts(self) -> Starts:
+    def _counts(self) -> Indices:
         return np.append(self.starts[1:], len(self.d)) - self.starts
 
     @property
@@ -177,13 +174,11 @@ def of_matrix(d: Array, kappa: Array, inverse: float, diagonal: Array) -> Reduct
     return Reduction(d, r, starts, reached)
 
 
-def _starts(apart: NDArray[np.bool_]) -> Starts:
+def _starts(apart: Mask) -> Indices:
     return np.concatenate([[0], np.flatnonzero(apart) + 1])
 
 
-def _weight_errors(
-    d: Array, kappa: Array, apart: NDArray[np.bool_], size: float, shapes: tuple[float, ...]
-) -> list[Array]:
+def _weight_errors(d: Array, kappa: Array, apart: Mask, size: float, shapes: tuple[float, ...]) -> list[Array]:
     """Bounds of the errors of the weights `nu`, one for each of `shapes`: what other groups and the conjugates lend."""
     label = np.concatenate([[0], np.cumsum(apart)])
     gap = np.abs(d[:, None] - d)

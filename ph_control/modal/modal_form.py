@@ -12,11 +12,11 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import rsf2csf
 
 from .. import _checks
 from .._display import ShownModes
+from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.polynomials import (
     COEFFICIENT_LIMIT,
@@ -27,9 +27,6 @@ from ..numerics.polynomials import (
 )
 from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _CHUNK = 1 << 20  # entries of a (frequency x mode) table held at once
 

@@ -13,14 +13,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigvals
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
+from .._types import Array
 from .general_form import from_matrices
 
-Array = NDArray[np.float64]
 Matrices = tuple[Array, Array, Array, Array]
 
 _SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0

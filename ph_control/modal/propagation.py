@@ -12,14 +12,11 @@ from collections.abc import Iterator
 from itertools import accumulate, repeat
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
+from .._types import Array, ComplexArray
 from .discretization import DiscreteModes, Hold
 from .modal_form import ModalForm
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _SHORT = 32  # samples of a block of states
 _SAMPLES = 1 << 14  # held at once

@@ -11,12 +11,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._types import Array, Indices
 from ..numerics import double_double as tf
 from .zeros import zeros_in_gaps
-
-Array = NDArray[np.float64]
 
 _BLOCK = 1 << 15  # entries of a (mode x frequency) table that stays in a cache
 _RUN = 256  # rows added up by one product of matrices, so that rounding errors grow no further
@@ -100,7 +98,7 @@ class Reactance:
         value *= w * ((x - high) - low) * (x + high)
         return value
 
-    def _zeros_between(self, gaps: NDArray[np.intp]) -> Array:
+    def _zeros_between(self, gaps: Indices) -> Array:
         """Zeros above the poles with these indices, as pairs of doubles, shape (2, N)."""
         found = self._zeros[:, gaps]
         unknown = np.isnan(found[0])

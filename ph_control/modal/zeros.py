@@ -11,16 +11,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dlasd4
 
 from .. import _checks
+from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.double_double import Pair, two_sum
 from ..symplectic.forms_and_williamson import skew_normal_form
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _ROW = 1e140  # size of the added row: its square is a double, and its reciprocal nothing beside the terms of the sum
 _MODERATE = 1e30  # frequencies of which this holds
@@ -53,7 +50,7 @@ def _mirrored(w: Any, at_zero: bool) -> Array:
     return both
 
 
-def zeros_in_gaps(d: Array, kappa: Array, gaps: NDArray[np.intp]) -> Pair:
+def zeros_in_gaps(d: Array, kappa: Array, gaps: Indices) -> Pair:
     """Zeros above the poles `d[gaps]` as pairs of doubles, of which the distances from the poles keep all digits."""
     found = _solve(d, kappa, gaps.tolist())
     either_side = np.array([distance[k : k + 2] for k, (_, distance) in zip(gaps, found, strict=True)])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from .._checks import EPS, bands, symmetric_matrix
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
-
-Array = NDArray[np.float64]
 
 AT_ONCE = 64  # rows of a matrix up to which its eigenvalues cost no more than the rest of building a system
 _NEAR = 10.0  # by how much the smallest eigenvalue is less than its estimate at most

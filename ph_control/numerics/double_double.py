@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from .._types import Array, ComplexArray
+
 Pair = tuple[Array, Array]
 Multiply = Callable[[Array, Array], Array]
 
@@ -91,7 +91,7 @@ def tree_sum(x: Array) -> Array:
     return x[0] if len(x) else np.zeros(x.shape[1:])
 
 
-def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
+def cis_multiples(step: Pair, k: Array) -> ComplexArray:
     """Return `exp(i k step)` for integers `k`, shape `step.shape + k.shape`.
 
     The phase `k * step` is formed without rounding, so the result is right to a few units in the
@@ -100,7 +100,7 @@ def cis_multiples(step: Pair, k: NDArray[np.float64]) -> NDArray[np.complex128]:
     hi, lo = step[0][..., None], step[1][..., None]
     phase, rest = two_prod(hi, k)
     rest = rest + k * lo
-    result: NDArray[np.complex128] = np.exp(1j * phase)
+    result: ComplexArray = np.exp(1j * phase)
     # to first order where the next one is below the rounding of 1
     result *= 1.0 + 1j * rest if np.abs(rest).max(initial=0.0) < 1e-8 else np.exp(1j * rest)
     return result

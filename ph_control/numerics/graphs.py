@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+
+from .._types import Mask, NDArray
 
 Labels = NDArray[np.int32]
 
 
-def components(near: NDArray[np.bool_]) -> tuple[int, Labels]:
+def components(near: Mask) -> tuple[int, Labels]:
     """Number of connected components, and for each node the one it belongs to, numbered by their first nodes.
 
     `near[j, k]` or `near[k, j]` joins `j` and `k`.  Graphs in which the first node meets all, or none meets another,

@@ -5,17 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eig, schur
 from scipy.linalg.lapack import ztrsen, ztrsyl
 
 from .._checks import EPS
+from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from .graphs import components
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Indices = NDArray[np.intp]
 
 SAFETY = 32.0  # between a first-order error bound and what is called an error
 

@@ -11,10 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cython_lapack
 
-Array = NDArray[np.float64]
+from .._types import Array
 
 _WORK = 64  # numbers of workspace for each row, with which reflections are applied in blocks
 _SMALL = 40  # rows up to which all singular vectors are as cheap

@@ -10,17 +10,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import schur
 from scipy.linalg.lapack import dgebal, ztrtrs
 
 from .. import _checks
+from .._types import Array, ComplexArray, Indices, Mask
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
 from .invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, reordered, schur_form
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _PARALLEL = np.sqrt(_checks.EPS)  # eigenvectors that nearly coincide are those of a Jordan block
 
@@ -137,7 +134,7 @@ def _connected(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     return A[np.ix_(live, live)], B[live], C[:, live]
 
 
-def _reached(links: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _reached(links: Mask, start: Mask) -> Mask:
     """Which nodes a walk along `links` (to row, from column) reaches from those at the start."""
     reached = start
     while True:
@@ -260,7 +257,7 @@ def _rest_first(resolvent: Resolvent, rest: float) -> tuple[Resolvent, list[int]
     return Resolvent(S, Q.conj().T @ inputs, outputs @ Q, backward), sizes
 
 
-def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: NDArray[np.intp]) -> _Block:
+def _joint_block(T: ComplexArray, B: ComplexArray, C: ComplexArray, group: Indices) -> _Block:
     """Block of a cluster of eigenvalues, about the place of the pole that ports see."""
     part = invariant_block(T, group)
     outputs, inputs, values = C @ part.columns, part.rows @ B, np.diag(part.T)

@@ -14,13 +14,12 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._frozen import Frozen
+from .._types import Array, NDArray
 from . import double_double as tf
 
-Array = NDArray[np.float64]
 Exponents = NDArray[np.int64]
 
 COEFFICIENT_LIMIT = 1e-4  # relative error of a frequency beyond which coefficients no longer tell it

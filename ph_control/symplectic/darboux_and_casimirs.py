@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._frozen import Frozen
+from .._types import Array, ArrayLike, Mask
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from ..numerics.graphs import components
 from .forms_and_williamson import skew_normal_form
-
-Array = NDArray[np.float64]
 
 
 class _Planes(NamedTuple):
@@ -74,7 +72,7 @@ class CasimirSplit(Frozen):
     T: Array
     rank: int
     casimirs: Array
-    driven: NDArray[np.bool_]
+    driven: Mask
 
     def __str__(self) -> str:
         return self.report()
@@ -265,7 +263,7 @@ def _invertible(planes: _Planes) -> _Planes:
     return planes
 
 
-def _driven_first(kernel: Array, ports: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _driven_first(kernel: Array, ports: Array) -> tuple[Array, Mask]:
     """Rows of Casimirs, turned so that the first ones take all that the ports do to the kernel."""
     size, count = kernel.shape
     zero = 8 * size * _checks.EPS

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from .. import _checks
+from .._types import Array, ArrayLike, ComplexArray, Indices, NDArray
 from ..exceptions import StructureError
 from ..numerics.double_double import Pair, divide, exactly, product
 from ..numerics.graphs import coupled_pairs
@@ -24,9 +24,6 @@ from .skew_tridiagonal import (
     reduce_block,
     skew_normal_form,
 )
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _LARGEST = 10**8  # degrees of freedom of a matrix that memory could be addressed for
 _MODERATE = 1e100  # entries of Q and B whose products stay in the range of doubles
@@ -304,7 +301,7 @@ def normal_form_rows(Q: Array) -> tuple[Array, Array, Array]:
     return d1[order], d2[order], np.concatenate([*upper, *lower])[np.concatenate([order, order + n])]
 
 
-def _reduced_blocks(Q: Array) -> Iterator[tuple[NDArray[np.intp], Array, Pair, Pair]]:
+def _reduced_blocks(Q: Array) -> Iterator[tuple[Indices, Array, Pair, Pair]]:
     """`reduce_block` of each group of (q, p) pairs that `Q` does not couple to others, with its indices before it."""
     count, label = coupled_pairs(Q)
     for k in range(count):
@@ -315,7 +312,7 @@ def _reduced_blocks(Q: Array) -> Iterator[tuple[NDArray[np.intp], Array, Pair, P
         yield block, d, S, still
 
 
-def _embed(rows: NDArray, block: NDArray[np.intp], size: int) -> NDArray:
+def _embed(rows: NDArray, block: Indices, size: int) -> NDArray:
     full = np.zeros((len(rows), size), rows.dtype)
     full[:, block] = rows
     return full

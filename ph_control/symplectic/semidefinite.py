@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..numerics.polynomials import transfer_coefficients
 from .forms_and_williamson import normal_form_rows
-
-Array = NDArray[np.float64]
 
 
 def williamson_semidefinite(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array, Array]:

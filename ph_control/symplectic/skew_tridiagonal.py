@@ -11,16 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dger, dtrmm
 from scipy.linalg.lapack import dgehrd, dorghr
 
 from .. import _checks
+from .._types import Array
 from ..numerics import definiteness as _definite
 from ..numerics.double_double import Pair, divide, exactly, product, product_parts, two_prod, two_sum
 from ..numerics.lapack import bidiagonal_components, bidiagonal_svd, components
 
-Array = NDArray[np.float64]
 Slices = int  # how many slices of the factors a product is made of, see `product_parts`
 
 _AMPLIFIED = 2.0**20  # by how much rounding may be amplified for two slices to leave no more than a double's

@@ -12,9 +12,9 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics import definiteness as _definite
@@ -22,9 +22,6 @@ from ..numerics.pole_residue import Resolvent
 from ..symplectic.forms_and_williamson import apply_form
 from .base import LosslessSystem, View, in_normal_form, inherited_names, refuse_losses
 from .port_hamiltonian import PortHamiltonian, ph
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 class AffineHamiltonian(LosslessSystem):

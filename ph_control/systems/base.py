@@ -8,15 +8,12 @@ from typing import Any
 import control as ct
 import numpy as np
 from control.iosys import InputOutputSystem
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
+from .._types import Array, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm, imaginary
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
 _LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them

@@ -11,17 +11,15 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import digits
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from .base import LosslessSystem, View, inherited_names
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
-
-Array = NDArray[np.float64]
 
 _ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix should carry
 

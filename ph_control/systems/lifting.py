@@ -6,14 +6,12 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
+from .._types import Array, ArrayLike, Indices
 from ..exceptions import StructureError
 from ..modal.error_bounds import Energy
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
-
-Array = NDArray[np.float64]
 
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
 
@@ -88,7 +86,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     return lifted
 
 
-def _lifted_energy(energy: Energy, added: Array, old: NDArray[np.intp], new: NDArray[np.intp]) -> Energy:
+def _lifted_energy(energy: Energy, added: Array, old: Indices, new: Indices) -> Energy:
     """Energy coordinates of the lifted system: those of the system, to the last bit, and of the added modes."""
     d, E, E0 = energy
     n, size, root = len(d), len(old) + len(new), np.sqrt(added)

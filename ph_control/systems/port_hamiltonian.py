@@ -6,10 +6,10 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from .. import _checks
 from .._display import latex_matrix
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import StructureError
 from ..modal import foster_test as lossless
 from ..modal import minimal as reachability
@@ -21,9 +21,6 @@ from ..numerics import definiteness as _definite
 from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import apply_form, direct_sum, energy_coordinates, port_spectrum, williamson
 from .base import LosslessSystem, View, inherited_names
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")

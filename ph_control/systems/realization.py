@@ -14,18 +14,15 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.error_bounds import Group, Separation, as_decided
 from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
 from .base import in_normal_form
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _NEAR = 1e-9  # relative distance of frequencies that a symmetric structure may mean to be one
 _SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however computed, agree to 1e-10

@@ -6,16 +6,14 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
+from .._types import Array
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import cofactors, digits
 from .base import LosslessSystem
 from .canonical_forms import warn_of_lost_digits
 from .port_hamiltonian import ph
-
-Array = NDArray[np.float64]
 
 
 def tf(sys: Any, **names: Any) -> ct.TransferFunction:
