@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...modal.modal_form import imaginary
+from ..regression.modal_regressors import output_weight
 from ..regression.spectral_rows import Bins, Spectrum
 
 Array = NDArray[np.float64]
@@ -20,7 +22,7 @@ ComplexArray = NDArray[np.complex128]
 
 _WINDOW = 12  # bins around a candidate
 _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
-_BATCH = 1 << 13  # candidates worked on at a time
+_BATCH = 1 << 10  # candidates worked on at a time
 _EVERYWHERE = 1 << 15  # samples up to which every bin has candidates; above, those where the residual peaks
 _PEAKS = 400  # bins that have candidates then
 _COMPARED = 16  # candidates compared over all bins of all of them
@@ -30,7 +32,7 @@ _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 @dataclass(frozen=True)
 class _CandidateColumns:
-    """Real columns of candidates over some bins, `kappa` first, shape (candidates, rows, 3), and their Gram matrices.
+    """Real columns of candidates over some bins, shape (candidates, 3, rows): `kappa`, then the free motion.
 
     All is scaled so that squares add up to squares in time.
     """
@@ -39,17 +41,30 @@ class _CandidateColumns:
     rows: Array
     scale: float
 
+    def with_target(self, target: Array) -> Array:
+        """Products of all columns with a target (candidates or 1, rows), shape (3, candidates)."""
+        return np.stack([_inner(self.rows[:, k], target) for k in range(3)])
+
     @cached_property
     def gram(self) -> Array:
-        return np.asarray(self.rows.transpose(0, 2, 1) @ self.rows)
+        """Products of the columns with one another, shape (3, 3, candidates)."""
+        found = np.empty((3, 3, len(self.rows)))
+        for k in range(3):
+            for l in range(k, 3):
+                found[k, l] = found[l, k] = _inner(self.rows[:, k], self.rows[:, l])
+        return found
 
     @cached_property
     def free_inverse(self) -> Array:
-        """Inverse Gram matrix of the columns of the free motion."""
-        gram = self.gram[:, 1:, 1:]
-        trace = np.trace(gram, axis1=1, axis2=2)
-        ridge = np.where(trace > 0, _RIDGE * trace, 1.0)
-        return np.asarray(np.linalg.inv(gram + ridge[:, None, None] * np.eye(2)))
+        """Inverse of the part of the free motion, shape (2, 2, candidates)."""
+        (a, b), (_, c) = self.gram[1:, 1:]
+        ridge = np.where(a + c > 0, _RIDGE * (a + c), 1.0)
+        a, c = a + ridge, c + ridge
+        return np.asarray(np.array([[c, -b], [-b, a]]) / (a * c - b * b))
+
+
+def _inner(first: Array, second: Array) -> Array:
+    return np.asarray(np.einsum("cr,cr->c", first, second))
 
 
 class Screen:
@@ -130,15 +145,13 @@ class Screen:
         """Energy that least squares explain for each candidate, `kappa >= 0` being shared by the experiments."""
         total, pull, stiffness = 0.0, 0.0, 0.0
         for columns, residual in parts:
-            target = columns.scale * np.concatenate([residual.real, residual.imag], axis=1)
-            rhs = np.matmul(target[:, None, :], columns.rows)[:, 0, :]
-            free = columns.free_inverse
-            solved = np.einsum("cij,cj->ci", free, rhs[:, 1:])
-            total = total + np.einsum("ci,ci->c", rhs[:, 1:], solved)
-            across = columns.gram[:, 0, 1:]
-            pull = pull + rhs[:, 0] - np.einsum("ci,ci->c", across, solved)
-            direct = columns.gram[:, 0, 0]
-            stiffness = stiffness + direct - np.einsum("ci,cij,cj->c", across, free, across) + _RIDGE * direct
+            rhs = columns.with_target(columns.scale * np.concatenate([residual.real, residual.imag], axis=1))
+            solved = np.einsum("ijc,jc->ic", columns.free_inverse, rhs[1:])
+            total = total + np.sum(rhs[1:] * solved, axis=0)
+            direct, across = columns.gram[0, 0], columns.gram[0, 1:]
+            pull = pull + rhs[0] - np.sum(across * solved, axis=0)
+            taken = np.einsum("ic,ijc,jc->c", across, columns.free_inverse, across)
+            stiffness = stiffness + direct - taken + _RIDGE * direct
         force = np.asarray(pull) if self.signed else np.maximum(pull, 0.0)
         return np.asarray(total + force**2 / np.where(stiffness == 0, 1.0, stiffness))
 
@@ -163,16 +176,29 @@ def _about(spectrum: Spectrum, d: Array) -> _CandidateColumns:
 
 
 def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _CandidateColumns:
-    """Columns of the residue and of the ends of modes; of those on a bin, where the pole of one is, a little off it."""
-    modes, one, place = spectrum.lossless(d), spectrum.experiment, spectrum.place(d)
+    """Columns of the residue and of the ends of modes; of those on a bin, where the pole of one is, a little off it.
+
+    With `(z - lambda) (z - conj(lambda))` below, the numerators of both poles together have real coefficients.
+    """
+    one, place, turn = spectrum.experiment, spectrum.place(d), 2j * np.pi / spectrum.length
     offset = place - np.rint(place)
     moved = np.where(np.abs(offset) < _OFF_BIN, np.copysign(_OFF_BIN, offset) - offset, 0.0)
-    multiplier = modes.multiplier * np.exp(2j * np.pi / spectrum.length * moved)
-    lam, b0, b1 = (each[:, None] for each in (multiplier, modes.b0, modes.b1))
-    z = np.exp(2j * np.pi / spectrum.length * bins)
-    near, far = 1.0 / (z - lam), 1.0 / (z - lam.conj())
-    forced = (b0 + b1 * z) * near + (b0.conj() + b1.conj() * z) * far + float(one.quantity == "acceleration")
-    forced *= spectrum.U[bins] if one.driven else 0.0
-    columns = np.stack([forced, z * (near + far), 1j * z * (near - far)], axis=2)
-    scale = float(np.sqrt(2.0 / spectrum.length))
-    return _CandidateColumns(bins, scale * np.concatenate([columns.real, columns.imag], axis=1), scale)
+    p, weight = imaginary(d), output_weight(d, one.quantity)[0].conj()
+    lam = (one.hold.multiplier(p) * np.exp(turn * moved))[:, None]
+    first, last = bins.min(), bins.max() + 1
+    z = np.exp(turn * np.arange(first, last))[bins - first] if last - first < bins.size else np.exp(turn * bins)
+    below = 1.0 / ((z - lam) * (z - lam.conj()))
+    motion = 2.0 * z * below
+    columns = [motion * (z - lam.real), -lam.imag * motion]
+    if one.driven:
+        b0, b1 = ((weight * part)[:, None] for part in one.hold.weights(p))
+        over = (b0 - b1 * lam.conj()).real * z - (b0 * lam.conj()).real
+        over = over + b1.real * z**2 if b1.any() else over
+        forced = over * below + 1.0 if one.quantity == "acceleration" else over * below
+        columns.insert(0, forced * spectrum.U[bins])
+    scale, half = float(np.sqrt(2.0 / spectrum.length)), bins.shape[1]
+    rows = np.zeros((len(d), 3, 2 * half))
+    for k, column in enumerate(columns, start=3 - len(columns)):
+        np.multiply(scale, column.real, out=rows[:, k, :half])
+        np.multiply(scale, column.imag, out=rows[:, k, half:])
+    return _CandidateColumns(bins, rows, scale)
