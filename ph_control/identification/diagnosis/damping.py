@@ -316,9 +316,10 @@ class DampingWatch:
     def _is_better(self, path: list[Step]) -> bool:
         """Whether damped modes were found that are better than the whole path; they are forgotten if not."""
         problem = self._problem
+        if self._found is None:
+            return False
         # a few coefficients of coloured noise may explain what many damped modes would
-        best = min(preference(problem, step, "bic") for step in path)
-        if self._found is not None and free_preference(problem, self._found) >= best:
+        if free_preference(problem, self._found) >= min(preference(problem, step, "bic") for step in path):
             self._found = None
         return self._found is not None
 

@@ -183,10 +183,12 @@ def _found(
     )
     posed, path, followed = found.posed, found.steps, found.damped
     problem, search = posed.problem, posed.search
-    values = [preference(problem, step, criterion) for step in path]
-    if automatic and criterion == "holdout":
-        values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
-    place = int(np.argmin(values)) if automatic else len(path) - 1
+    place = len(path) - 1
+    if automatic:
+        values = [preference(problem, step, criterion) for step in path]
+        if criterion == "holdout":
+            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
+        place = int(np.argmin(values))
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d
     if followed is not None:

@@ -171,7 +171,7 @@ class Formulation:
                 others = self._arrivals(search, steps) if arrival and self._doubts(search, steps[-1]) else []
                 if others:
                     damped = stop.decided(steps) if stop else None
-                    own = self._ended(steps, damped) if damped else None
+                    own = Path(self, steps, damped) if damped else None
                     best = self._best(own, others, steps, guess, largest, how)
                     if best is not own:
                         return best
@@ -182,7 +182,7 @@ class Formulation:
             )]  # fmt: skip
             if len(steps) == before or not self._asks(steps[-1], arrival) or (stop is not None and stop(steps)):
                 break
-        own = self._ended(steps, stop.decided(steps) if stop and steps[-1].loss > floor else None)
+        own = Path(self, steps, stop.decided(steps) if stop and steps[-1].loss > floor else None)
         if not isinstance(search, TimeSearch) or steps[-1].loss <= floor:
             return own
         others = self._arrivals(search, steps) if arrival and search.unconvinced(steps[-1]) else []
@@ -194,13 +194,6 @@ class Formulation:
 
     def _is_over(self, step: Step) -> bool:
         return not len(step.candidates) or step.loss <= self.problem.rounding
-
-    def _ended(self, steps: list[Step], damped: FreeStep | None = None) -> Path:
-        """What a path has come to, and its BIC, for as many samples as the problem has."""
-        searched = self.search.problem
-        values = [preference(searched, step, "bic") for step in steps]
-        values += [free_preference(searched, damped)] if damped else []
-        return Path(self, steps, damped, min(values) * self.problem.samples / searched.samples)
 
     def _best(
         self, own: Path | None, others: list[Formulation], before: list[Step], guess: Array, largest: int,
@@ -242,10 +235,10 @@ class Formulation:
             if kept and len(kept[-1].d):
                 # what a search was cut off from tells nothing of the colour of its noise
                 value = min(criteria(posed.problem, step.loss, len(step.d)).bic for step in kept)
-                paths.append(Path(posed, kept, None, value))
+                paths.append((value, Path(posed, kept)))
         if not paths:
             raise KeyboardInterrupt
-        return min(paths, key=lambda path: path.value)
+        return min(paths, key=lambda one: one[0])[1]
 
     @property
     def is_late(self) -> bool:
@@ -416,12 +409,19 @@ class Formulation:
 
 @dataclass(frozen=True)
 class Path:
-    """Modes that joined one by one under a formulation, damped ones that are better than all of them, and the BIC."""
+    """Modes that joined one by one under a formulation, and damped ones that are better than all of them."""
 
     posed: Formulation
     steps: list[Step]
-    damped: FreeStep | None
-    value: float
+    damped: FreeStep | None = None
+
+    @cached_property
+    def value(self) -> float:
+        """Its least BIC, for as many samples as the problem has."""
+        searched = self.posed.search.problem
+        values = [preference(searched, step, "bic") for step in self.steps]
+        values += [free_preference(searched, self.damped)] if self.damped else []
+        return min(values) * self.posed.problem.samples / searched.samples
 
     @property
     def explains(self) -> bool:

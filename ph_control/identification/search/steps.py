@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import cast
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,7 @@ class Step:
     `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them;
     `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet;
     `foretold` is the variance of what is left that its own past does not foretell, by the length of that past;
-    `noisy` what noise on the input would gain in log-likelihood, where one more mode would only stand beside another.
+    `crowding` the records in which one more mode would only stand beside another.
     """
 
     d: Array
@@ -55,7 +56,16 @@ class Step:
     weights: Array
     coloured: bool = False
     foretold: Array = field(default_factory=lambda: np.ones(1))
-    noisy: float = 0.0
+    crowding: tuple[RecordRows, ...] = ()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The records stay where they are."""
+        return {**self.__dict__, "crowding": ()}
+
+    @cached_property
+    def noisy(self) -> float:
+        """What noise on the input would gain in log-likelihood, where modes crowd; worked out when asked for."""
+        return input_noise(self.crowding, self.d)[-1] if self.crowding else 0.0
 
 
 class Search:
@@ -171,15 +181,15 @@ class TimeSearch(Search):
             at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
             ~at.free if n else np.zeros(0, bool), mode_energies(at) if n else at.d, foretold=foretold,
         )  # fmt: skip
-        if n and loss > self.problem.rounding and crowds(step, self.problem):
-            step = replace(step, noisy=input_noise(self._experiments, at.d)[-1])
-        return step
+        crowding = loss > self.problem.rounding and crowds(step, self.problem)
+        return replace(step, crowding=tuple(self._experiments)) if crowding else step
 
 
 def crowds(step: Step, problem: Problem) -> bool:
     """Whether one more mode would stand beside another, as it does to mimic what no mode is."""
-    every = np.sort(np.append(step.d, step.candidates[:1]))
-    return len(every) > 1 and bool(np.min(np.diff(every)) < _BESIDE * problem.bin)
+    if not len(step.d) or not len(step.candidates):
+        return False
+    return bool(np.min(np.abs(step.d - step.candidates[0])) < _BESIDE * problem.bin)
 
 
 def more_than_noise(problem: Problem, step: Step) -> bool:
