@@ -177,6 +177,8 @@ METHODS = ("exact", "midpoint", "euler")
 HOLDS = ("zoh", "foh")
 
 # name of a parameter, with that of the callable before it where it means something else there
+_JOINS = ("couple", "gyrator", "transformer")
+
 ROLES: dict[str, Callable[[Draw], Any]] = {
     "Q": Draw.hamiltonian,
     "affine.Q": Draw.hamiltonian,
@@ -190,6 +192,10 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "sensors": lambda draw: draw.rng.standard_normal((1, 2 * draw.n)),
     "interconnect.systems": lambda draw: [phc.ph(draw.hamiltonian(), draw.ports()) for _ in range(2)],
     "interconnect.F": lambda draw: np.kron([[0.0, -1.0], [1.0, 0.0]], np.eye(draw.m)),
+    **{f"{join}.first": lambda draw: phc.ph(draw.hamiltonian(), draw.ports()) for join in _JOINS},
+    **{f"{join}.second": lambda draw: phc.ph(draw.hamiltonian(), draw.ports()) for join in _JOINS},
+    "ports": lambda draw: (0, 0),
+    "ratio": lambda draw: float(draw.rng.uniform(0.5, 2.0)),
     "report": _of("PassivityReport"),
     "affine.B": lambda draw: draw.rng.standard_normal(2 * draw.n),
     "J": Draw.skew,

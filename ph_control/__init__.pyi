@@ -95,7 +95,10 @@ from .systems.canonical_forms import ObservableHamiltonian as ObservableHamilton
 from .systems.canonical_forms import ch as ch
 from .systems.canonical_forms import oh as oh
 from .systems.dissipative import DissipativePortHamiltonian as DissipativePortHamiltonian
-from .systems.dissipative import interconnect as interconnect
+from .systems.interconnection import couple as couple
+from .systems.interconnection import gyrator as gyrator
+from .systems.interconnection import interconnect as interconnect
+from .systems.interconnection import transformer as transformer
 from .systems.lifting import lift as lift
 from .systems.models import frenkel_kontorova as frenkel_kontorova
 from .systems.models import from_second_order as from_second_order

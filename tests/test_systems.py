@@ -50,6 +50,9 @@ OPERANDS = {
     "modal": lambda: phc.ph(phc.modes([1.0, 3.0], [0.5, 2.0])),
     "floating": floating,
     "nothing": nothing,
+    "lossy": lambda: phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.3]), S=[[0.2]]),
+    "lossy two": lambda: phc.ph(np.diag([4.0, 1.0]), np.eye(2), R=np.diag([0.0, 0.3]), N=[[0.0, 1.0], [-1.0, 0.0]]),
+    "sensors": lambda: phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.3]), sensors=([[1.0, 0.0]], [[0.4]])),
     "two": two_port,
     "ss": lambda: ct.ss([[-1.0, 2.0], [0.0, -3.0]], [[1.0], [1.0]], [[1.0, 0.5]], [[0.25]]),
     "ss two": lambda: ct.ss([[-1.0]], [[1.0, 2.0]], [[1.0], [3.0]], np.eye(2)),
@@ -65,6 +68,7 @@ OPERANDS = {
     "0d": lambda: np.array(2.0),
     "array": lambda: np.array([[2.0]]),
     "matrix": lambda: np.array([[1.0, 2.0], [0.0, 3.0]]),
+    "rising": lambda: np.array([[1.0, 3.0], [0.0, 1.0]]),
     "text": lambda: "two",
     "None": lambda: None,
 }
@@ -92,7 +96,8 @@ def total(a, b):
 
 
 def chain(a, b):
-    a, b = promoted(a, b, np.eye)
+    if a.size == 1 or b.size == 1:
+        return a.item() * b if a.size == 1 else a * b.item()
     return a @ b
 
 
@@ -119,17 +124,24 @@ TABLE = [
     ("ph", "+", "two", SS), ("two", "+", "ph", SS),
     ("ph", "+", "ss", SS), ("ss", "+", "ph", SS), ("two", "+", "ss two", SS), ("ss two", "+", "two", SS),
     ("two", "+", "ss", SS), ("ss", "+", "two", SS), ("ph", "+", "ss two", SS), ("ss two", "+", "ph", SS),
-    ("ph", "+", "tf", SS), ("tf", "+", "ph", TF),
-    ("ph", "+", "2", SS), ("2", "+", "ph", SS), ("ph", "+", "0.5", SS), ("0.5", "+", "ph", SS), ("ph", "+", "True", SS),
-    ("ph", "+", "array", SS), ("array", "+", "ph", SS), ("two", "+", "matrix", SS), ("matrix", "+", "two", SS),
-    ("nothing", "+", "2", SS), ("nothing", "+", "ss", SS), ("ss", "+", "nothing", SS),
+    ("ph", "+", "tf", SS), ("tf", "+", "ph", TF), ("ph", "+", "True", SS),
+    ("ph", "+", "lossy", LOSSY), ("lossy", "+", "ph", LOSSY), ("lossy", "+", "lossy", LOSSY),
+    ("two", "+", "lossy two", LOSSY), ("lossy", "+", "0", LOSSY), ("0", "+", "lossy", LOSSY), ("lossy", "+", "ss", SS),
+    ("ss", "+", "lossy", SS), ("lossy", "+", "lossy two", SS), ("lossy", "+", "sampled", ValueError),
+    ("sensors", "+", "ss two", ValueError), ("lossy", "+", "text", TypeError), ("nothing", "+", "lossy", LOSSY),
+    # and with a gain that takes energy: a resistor beside
+    ("ph", "+", "2", LOSSY), ("2", "+", "ph", LOSSY), ("ph", "+", "0.5", LOSSY), ("0.5", "+", "ph", LOSSY),
+    ("ph", "+", "array", LOSSY), ("array", "+", "ph", LOSSY), ("two", "+", "matrix", LOSSY),
+    ("matrix", "+", "two", LOSSY), ("two", "+", "2", LOSSY), ("nothing", "+", "2", LOSSY), ("lossy", "+", "0.5", LOSSY),
+    ("ph", "+", "-2", SS), ("lossy", "+", "-2", SS), ("two", "+", "rising", SS), ("rising", "+", "two", SS),
+    ("nothing", "+", "ss", SS), ("ss", "+", "nothing", SS),
     ("ph", "+", "sampled", ValueError), ("sampled", "+", "ph", ValueError),
     ("ph", "+", "text", TypeError), ("text", "+", "ph", TypeError), ("ph", "+", "None", TypeError),
     # differences: never, except from nothing
     ("ph", "-", "ph", SS), ("ph", "-", "modal", SS), ("two", "-", "two", SS), ("nothing", "-", "ph", SS),
     ("ph", "-", "ss", SS), ("ss", "-", "ph", SS), ("ph", "-", "tf", SS), ("tf", "-", "ph", TF),
     ("ph", "-", "2", SS), ("2", "-", "ph", SS), ("0", "-", "ph", SS), ("ph", "-", "array", SS),
-    ("array", "-", "ph", SS),
+    ("array", "-", "ph", SS), ("lossy", "-", "lossy", SS), ("lossy", "-", "0", LOSSY), ("ph", "-", "-2", LOSSY),
     # products: PH with a positive number
     ("ph", "*", "2", PH), ("2", "*", "ph", PH), ("ph", "*", "0.5", PH), ("0.5", "*", "ph", PH),
     ("int64", "*", "ph", PH),
@@ -141,16 +153,24 @@ TABLE = [
     ("ph", "*", "ph", SS), ("ph", "*", "modal", SS), ("ph", "*", "two", SS), ("two", "*", "ph", SS),
     ("nothing", "*", "ph", SS), ("ph", "*", "ss", SS), ("ss", "*", "ph", SS), ("two", "*", "ss two", SS),
     ("ss two", "*", "two", SS), ("ss", "*", "two", SS), ("ss two", "*", "ph", SS), ("ph", "*", "tf", SS),
+    ("lossy", "*", "2", LOSSY), ("0.5", "*", "lossy", LOSSY), ("sensors", "*", "2", LOSSY),
+    ("2", "*", "sensors", LOSSY),
+    ("lossy two", "*", "int64", LOSSY), ("lossy", "*", "-2", SS), ("-2", "*", "lossy", SS), ("lossy", "*", "0", SS),
+    ("lossy", "*", "True", SS), ("lossy", "*", "ph", SS), ("ph", "*", "lossy", SS), ("lossy", "*", "array", SS),
+    ("tf", "*", "lossy", TF), ("lossy", "*", "tf", SS), ("ss", "*", "lossy", SS), ("lossy", "*", "text", TypeError),
     ("tf", "*", "ph", TF), ("ph", "*", "sampled", ValueError), ("sampled", "*", "ph", ValueError),
     ("ph", "*", "text", TypeError), ("None", "*", "ph", TypeError),
     # quotients: PH by a positive number; a strictly proper system has no inverse
     ("ph", "/", "2", PH), ("modal", "/", "0.5", PH), ("two", "/", "2", PH), ("nothing", "/", "2", PH),
     ("ph", "/", "0d", PH), ("ph", "/", "-2", SS), ("ph", "/", "array", SS), ("ph", "/", "tf", SS),
     ("ph", "/", "0", ZeroDivisionError), ("ph", "/", "ph", TypeError), ("2", "/", "ph", TypeError),
-    ("ss", "/", "ph", TypeError),
+    ("ss", "/", "ph", TypeError), ("lossy", "/", "2", LOSSY), ("sensors", "/", "0.5", LOSSY), ("lossy", "/", "-2", SS),
+    ("lossy", "/", "0", ZeroDivisionError),
     # connections
     ("ph", "parallel", "ph", PH), ("two", "parallel", "two", PH), ("ph", "parallel", "ss", SS),
-    ("ss", "parallel", "ph", SS), ("tf", "parallel", "ph", TF), ("ph", "parallel", "2", SS),
+    ("ss", "parallel", "ph", SS), ("tf", "parallel", "ph", TF), ("ph", "parallel", "2", LOSSY),
+    ("lossy", "parallel", "ph", LOSSY), ("ph", "parallel", "-2", SS), ("lossy", "series", "2", LOSSY),
+    ("lossy", "series", "ph", SS),
     ("ph", "series", "2", PH), ("2", "series", "ph", PH), ("ph", "series", "ph", SS), ("ph", "series", "ss", SS),
     ("ss", "series", "ph", SS), ("ph", "series", "tf", TF), ("tf", "series", "ph", SS),
     ("two", "series", "ss two", SS), ("ph", "series", "-2", SS),
@@ -160,8 +180,16 @@ TABLE = [
     ("two", "feedback", "matrix", LOSSY), ("nothing", "feedback", "ph", PH), ("ph", "feedback", "nothing", PH),
     ("ph", "feedback", "two", ValueError), ("ph", "feedback", "sampled", ValueError),
     ("ph", "feedback", "text", TypeError),
-    ("ph", "append", "ph", SS), ("ph", "append", "ss", SS), ("ss", "append", "ph", SS), ("two", "append", "2", SS),
-    ("nothing", "append", "two", SS), ("ph", "append", "tf", SS),
+    ("ph", "feedback", "lossy", LOSSY), ("lossy", "feedback", "ph", LOSSY), ("lossy", "feedback", "2", LOSSY),
+    ("lossy", "feedback", "-2", SS), ("ph", "feedback", "-2", SS), ("two", "feedback", "rising", SS),
+    ("lossy two", "feedback", "two", LOSSY), ("lossy", "feedback", "ss", SS), ("lossy", "feedback", "text", TypeError),
+    # side by side: PH with PH, and with a gain that takes energy
+    ("ph", "append", "ph", PH), ("two", "append", "ph", PH), ("modal", "append", "two", PH),
+    ("ph", "append", "nothing", PH), ("nothing", "append", "two", PH), ("ph", "append", "0", PH),
+    ("lossy", "append", "ph", LOSSY),
+    ("ph", "append", "lossy two", LOSSY), ("two", "append", "2", LOSSY), ("ph", "append", "matrix", LOSSY),
+    ("ph", "append", "rising", SS), ("two", "append", "-2", SS), ("ph", "append", "ss", SS), ("ss", "append", "ph", SS),
+    ("ph", "append", "tf", SS), ("sensors", "append", "ph", SS), ("ph", "append", "sensors", LOSSY),
 ]  # fmt: skip
 
 
@@ -180,7 +208,7 @@ def test_each_operation_gives_the_documented_type_and_the_right_transfer_functio
         got = value_at(result, s)
         assert got.shape == truth.shape
         assert np.max(np.abs(got - truth)) < 1000 * EPS * max(1.0, np.max(np.abs(truth)))
-        if expected is PH:
+        if expected in (PH, LOSSY):
             # the modal path agrees with the matrices
             assert np.max(np.abs(np.atleast_2d(result(s)) - truth)) < 1000 * EPS * max(1.0, np.max(np.abs(truth)))
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
 from control.nlsys import NonlinearIOSystem
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import eigh
 
 from .. import _checks
 from .._checks import EPS
@@ -17,7 +16,6 @@ from .._display import html_heading, latex_matrix
 from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space
 from ..modal.modal_form import Cluster, ModalForm
-from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import symplectic_form
 from .base import LosslessSystem, View, refuse_losses
 from .port_hamiltonian import PortHamiltonian
@@ -26,7 +24,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
-_PARTS = ("Q", "G", "J", "R", "P", "S", "N", "sensor_rows", "sensor_feedthrough")
+PARTS = ("Q", "G", "J", "R", "P", "S", "N", "sensor_rows", "sensor_feedthrough")
 
 
 def _lossless_only(name: str, what: str) -> Any:
@@ -111,7 +109,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
         self._take(parts, names)
 
     def _take(self, parts: dict[str, Array], names: dict[str, Any]) -> None:
-        self._parts = {name: _checks.readonly(parts[name]) for name in _PARTS}
+        self._parts = {name: _checks.readonly(parts[name]) for name in PARTS}
         self._given, self._modes = None, None
         n, m = self._parts["G"].shape
         if "dt" in names:
@@ -248,48 +246,23 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def _named(self, names: dict[str, Any]) -> DissipativePortHamiltonian:
         """Return the same system with other names."""
-        return _restored(self._parts, names, self.time_unit)
+        return restored(self._parts, names, self.time_unit)
 
     def _converted(self, **names: Any) -> Any:
         return self
 
     # --- what python-control asks a system ------------------------------------------------------------------------
 
-    def _parallel(self, first: PortHamiltonian, second: PortHamiltonian) -> Any:
-        """Parallel connection of two systems, PH where both have the same ports and no sensors."""
-        if first.ninputs != second.ninputs or first.noutputs != first.ninputs or second.noutputs != second.ninputs:
-            return _plain(first) + _plain(second)
-        join = np.vstack([np.eye(first.ninputs)] * 2)
-        return _connected([first, second], np.zeros((2 * first.ninputs,) * 2), join)
-
-    def __add__(self, other: Any) -> Any:
-        """Parallel connection; PH with a PH system of the same ports, or with the number 0."""
-        if isinstance(other, PortHamiltonian):
-            return self._parallel(self, other)
-        return self if _is_number(other) and other == 0 else _plain(self) + other
-
-    def __radd__(self, other: Any) -> Any:
-        """Parallel connection; `0 + sys` is `sys`."""
-        return NotImplemented if isinstance(other, ct.StateSpace) else self + other
-
-    def __mul__(self, other: Any) -> Any:
-        """Series connection; PH if `other` is a positive number: ports are scaled by its square root."""
-        if not (_is_number(other) and 0 < other < np.inf):
-            return _plain(self) * other
-        root = np.sqrt(float(other))
-        scale = {"G": root, "P": root, "S": other, "N": other, "sensor_rows": root, "sensor_feedthrough": other}
+    def _scaled(self, factor: float) -> DissipativePortHamiltonian:
+        """Input and output of the ports each by the square root; those of the sensors by both."""
+        root = np.sqrt(factor)
+        scale = {"G": root, "P": root, "S": factor, "N": factor, "sensor_rows": root, "sensor_feedthrough": factor}
         parts = {name: scale.get(name, 1.0) * part for name, part in self._parts.items()}
-        # R stays, and P P^T / S with it
-        return _restored(parts, {}, self.time_unit)
-
-    def __rmul__(self, other: Any) -> Any:
-        """Series connection; PH if `other` is a positive number."""
-        if _is_number(other):
-            return self * other
-        return NotImplemented if isinstance(other, ct.StateSpace) else other * _plain(self)
+        _checks.in_range(f"B times the square root of {factor:.3g}", parts["G"], _checks.SMALLEST_SQUARED)
+        return restored(parts, {}, self.time_unit)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (dict(self._parts), self._names(), self.time_unit)
+        return restored, (dict(self._parts), self._names(), self.time_unit)
 
     def _repr_eval_(self) -> str:
         given = [f"{name}={np.array2string(self._parts[name], separator=', ')}" for name in "RPSNJ"]
@@ -312,117 +285,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
         )
 
 
-def interconnect(systems: Sequence[PortHamiltonian], F: ArrayLike) -> PortHamiltonian:
-    """Connect port-Hamiltonian systems through their ports, `u = F y + w`.
-
-    Parameters
-    ----------
-    systems : sequence of PortHamiltonian
-        Their ports one after another make `u` and `y`.  Sensors stay, after all ports.
-    F : array_like, shape (m, m)
-        Connection of all m ports; it must not make energy: `F + F^T <= 0`.  A skew `F` conserves power.
-
-    Returns
-    -------
-    PortHamiltonian
-        With the ports `w` and `y`, and the sum of the energies, `Q = diag(Q_1, Q_2, ..)`.  With losses a
-        `DissipativePortHamiltonian`; without any a lossless system, in Darboux coordinates of the new structure matrix.
-
-    Raises
-    ------
-    StructureError
-        If `F` makes energy, or the loop of feedthroughs is singular.
-
-    Notes
-    -----
-    With `M = S + N` and `L = (I - F M)^{-1}`: `J - R` grows by `(B - P) L F (B + P)^T`, inputs become `(B - P) L`,
-    outputs `(I + M L F) (B + P)^T`, and the feedthrough `M L`.
-
-    Examples
-    --------
-    A mass on a spring with an absorber at its port, that is, negative feedback:
-
-    >>> import numpy as np, control as ct, ph_control as phc
-    >>> plant = phc.ph(np.diag([1.0, 1.0]), [0.0, 1.0])
-    >>> absorber = phc.ph(np.diag([0.2, 5.0]), [1.0, 0.0], R=np.diag([0.3, 0.0]))
-    >>> closed = phc.interconnect([plant, absorber], [[0.0, -1.0], [1.0, 0.0]])
-    >>> bool(closed.poles().real.max() < 0), phc.passivity(closed).is_passive
-    (True, True)
-    >>> loop = ct.feedback(plant, absorber)
-    >>> type(loop).__name__, bool(np.allclose(loop(1j), closed[0, 0](1j)))
-    ('DissipativePortHamiltonian', True)
-    """
-    if isinstance(systems, PortHamiltonian) or not isinstance(systems, Sequence):
-        raise StructureError(f"the systems are a {type(systems).__name__}; pass a list of PortHamiltonian systems")
-    members = list(systems)
-    for one in members:
-        if not isinstance(one, PortHamiltonian):
-            raise StructureError(f"this is a {type(one).__name__}; pass PortHamiltonian systems, made by ph")
-    ports = sum(one.ninputs for one in members)
-    matrix = _shaped("F", F, (ports, ports))
-    _checks.in_range("F", matrix, _checks.SMALLEST_SQUARED)
-    if not members:
-        raise StructureError("the list of systems is empty; give at least one")
-    sym = 0.5 * (matrix + matrix.T)
-    largest = float(np.linalg.eigvalsh(sym)[-1])
-    if largest > _ROUNDING * ports * EPS * float(np.linalg.norm(matrix)):
-        raise StructureError(
-            f"F makes energy: F + F^T has the eigenvalue {2 * largest:.3g}, allowed are none above 0; power-conserving "
-            "connections are skew"
-        )
-    return _connected(members, matrix, np.eye(ports))
-
-
-def feedback(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
-    """Negative feedback of a PH system through another, or through a matrix `K + K^T >= 0`; None where it is not PH."""
-    m = first.ninputs
-    square = first.noutputs == m
-    if isinstance(other, PortHamiltonian):
-        if not square or other.ninputs != m or other.noutputs != m:
-            return None
-        F = np.block([[np.zeros((m, m)), -np.eye(m)], [np.eye(m), np.zeros((m, m))]])
-        return _connected([first, other], F, np.eye(2 * m)[:, :m])
-    if not square or not isinstance(other, int | float | np.number | np.ndarray):
-        return None
-    K = np.asarray(other, float) * (np.eye(m) if np.ndim(other) == 0 else 1.0)
-    if K.shape != (m, m) or np.linalg.eigvalsh(K + K.T)[0] < 0:
-        return None
-    return _connected([first], -K, np.eye(m))
-
-
-def _connected(members: Sequence[PortHamiltonian], F: Array, inputs: Array) -> PortHamiltonian:
-    """Systems with `u = F y + E w`, `y_w = E^T y`; with a feedthrough only where the pair stays a pair of ports."""
-    parts = [_parts_of(one) for one in members]
-    whole = {name: block_diag(*(part[name] for part in parts)) for name in _PARTS}
-    sizes = {name: tuple(sum(part[name].shape[k] for part in parts) for k in (0, 1)) for name in _PARTS}
-    whole = {name: matrix.reshape(sizes[name]) for name, matrix in whole.items()}
-    G, P, M = whole["G"], whole["P"], whole["S"] + whole["N"]
-    loop = np.eye(len(F)) - F @ M
-    if len(loop) and not np.linalg.cond(loop) < 1 / np.sqrt(EPS):
-        raise StructureError("the loop of feedthroughs is singular: I - F (S + N) cannot be inverted")
-    L = np.linalg.inv(loop)
-    forward = (G - P) @ L
-    K = whole["J"] - whole["R"] + forward @ F @ (G + P).T
-    into = forward @ inputs
-    out = inputs.T @ (np.eye(len(F)) + M @ L @ F) @ (G + P).T
-    through = inputs.T @ M @ L @ inputs
-    rows, row_through = whole["sensor_rows"], whole["sensor_feedthrough"]
-    J, R = 0.5 * (K - K.T), -0.5 * (K + K.T)
-    lossless = not (R.any() or P.any() or M.any() or len(whole["sensor_rows"]))
-    if lossless and len(J) % 2 == 0 and (not len(J) or np.linalg.cond(J) < 1 / np.sqrt(EPS)):
-        return PortHamiltonian(*normal_form(whole["Q"], into, J)[:2])
-    return _restored(
-        {
-            "Q": whole["Q"], "J": J, "R": R, "G": 0.5 * (out.T + into),
-            "P": 0.5 * (out.T - into), "S": 0.5 * (through + through.T), "N": 0.5 * (through - through.T),
-            "sensor_rows": rows + row_through @ L @ F @ (G + P).T @ whole["Q"],
-            "sensor_feedthrough": row_through @ L @ inputs,
-        },
-        {}, None,
-    )  # fmt: skip
-
-
-def _parts_of(sys: PortHamiltonian) -> dict[str, Array]:
+def parts_of(sys: PortHamiltonian) -> dict[str, Array]:
+    """Matrices of the equations of any port-Hamiltonian system."""
     if isinstance(sys, DissipativePortHamiltonian):
         return sys._parts
     (n, m), none = sys.B.shape, np.zeros
@@ -432,15 +296,8 @@ def _parts_of(sys: PortHamiltonian) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
-def _plain(sys: PortHamiltonian) -> ct.StateSpace:
-    return ct.ss(np.array(sys.A), np.array(sys.B), np.array(sys.C), np.array(sys.D), name=sys.name)
-
-
-def _restored(parts: dict[str, Array], names: dict[str, Any], time_unit: str | None) -> DissipativePortHamiltonian:
+def restored(parts: dict[str, Array], names: dict[str, Any], time_unit: str | None) -> DissipativePortHamiltonian:
+    """System of matrices that have been checked."""
     system = DissipativePortHamiltonian.__new__(DissipativePortHamiltonian)
     system._take(parts, names)
     system.time_unit = time_unit

@@ -19,7 +19,7 @@ from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
 from ..symplectic.darboux_and_casimirs import normal_form
-from ..symplectic.forms_and_williamson import apply_form, direct_sum, energy_coordinates, port_spectrum, williamson
+from ..symplectic.forms_and_williamson import apply_form, energy_coordinates, port_spectrum, williamson
 from .base import LosslessSystem, View, inherited_names
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
@@ -307,14 +307,13 @@ class PortHamiltonian(LosslessSystem):
     # --- what python-control asks a system ------------------------------------------------------------------------
 
     def __add__(self, other: Any) -> Any:
-        """Parallel connection; PH with a PH system of the same number of ports, or with the number 0."""
-        if isinstance(other, PortHamiltonian) and not other._in_normal_form:
-            return other._parallel(self, other)
-        if isinstance(other, PortHamiltonian) and other.ninputs == self.ninputs:
-            return PortHamiltonian._from_matrices(*direct_sum((self.Q, self.B), (other.Q, other.B)))
-        if _is_number(other) and other == 0:
+        """Parallel connection; PH with a PH system of the same number of ports, or with a gain that takes energy."""
+        from .interconnection import parallel
+
+        if is_number(other) and other == 0:
             return self
-        return super().__add__(other)
+        found = parallel(self, other)
+        return super().__add__(other) if found is None else found
 
     def __radd__(self, other: Any) -> Any:
         """Parallel connection; `0 + sys` is `sys`, so that `sum` of PH systems is PH."""
@@ -323,13 +322,13 @@ class PortHamiltonian(LosslessSystem):
 
     def __mul__(self, other: Any) -> Any:
         """Series connection; PH if `other` is a positive number: `B` is scaled by its square root."""
-        if _is_number(other) and 0 < other < np.inf:
+        if is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         return super().__mul__(other)
 
     def __rmul__(self, other: Any) -> Any:
         """Series connection; PH if `other` is a positive number."""
-        if _is_number(other) and 0 < other < np.inf:
+        if is_number(other) and 0 < other < np.inf:
             return self._scaled(float(other))
         # Python asks the subclass first; StateSpace.__rmul__ would hand the question back without end
         return NotImplemented if isinstance(other, ct.StateSpace) else super().__rmul__(other)
@@ -355,7 +354,7 @@ class PortHamiltonian(LosslessSystem):
         >>> type(closed).__name__, bool(closed.poles().real.max() < 0)
         ('DissipativePortHamiltonian', True)
         """
-        from .dissipative import feedback
+        from .interconnection import feedback
 
         closed = feedback(self, other) if sign == -1 else None
         if closed is not None:
@@ -364,6 +363,30 @@ class PortHamiltonian(LosslessSystem):
             return super().feedback(other, sign)
         except AttributeError:  # of python-control, which finds no system in it
             raise TypeError(f"a {type(other).__name__} cannot be the feedback of a system") from None
+
+    def append(self, other: Any) -> Any:
+        """Systems side by side, PH with a PH system or with a gain that takes energy.
+
+        Parameters
+        ----------
+        other : PortHamiltonian, control.LTI, number or matrix
+            What comes after this system.
+
+        Returns
+        -------
+        PortHamiltonian or control.StateSpace
+
+        Examples
+        --------
+        >>> import control as ct, ph_control as phc
+        >>> two = ct.append(phc.frenkel_kontorova(2), phc.frenkel_kontorova(1))
+        >>> type(two).__name__, two.ninputs, two.nstates
+        ('PortHamiltonian', 2, 6)
+        """
+        from .interconnection import append
+
+        found = append(self, other)
+        return super().append(other) if found is None else found
 
     def _scaled(self, factor: float) -> PortHamiltonian:
         root = np.sqrt(factor)
@@ -467,7 +490,8 @@ def _restore(
     return self
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether it is a number, True and False excepted."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
