@@ -8,6 +8,7 @@ these lists in O(n) per value.  `propagation.py` moves them through time.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from decimal import localcontext
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -20,7 +21,9 @@ from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.polynomials import (
     COEFFICIENT_LIMIT,
+    WIDE,
     ScaledCoefficients,
+    decimals,
     modes_from_coefficients,
     plain_coefficients,
     transfer_coefficients,
@@ -495,9 +498,9 @@ class ModalForm(ShownModes):
         """
         if self.nports != 1:
             raise StructureError(f"coefficients are those of a one-port; this system has {self.nports} ports")
-        x = np.concatenate([np.zeros(len(self.rigid)), np.square(self.d.astype(np.longdouble))])
-        weight = self.r.astype(np.longdouble) * self.d
-        return transfer_coefficients(x, np.concatenate([self.rigid[:, 0].astype(np.longdouble) ** 2, weight]))
+        with localcontext(WIDE):
+            d, still = decimals(self.d), decimals(self.rigid[:, 0])
+            return transfer_coefficients(np.append(0 * still, d * d), np.append(still * still, d * decimals(self.r)))
 
     @classmethod
     def from_coefficients(cls, a: ArrayLike, c: ArrayLike) -> ModalForm:

@@ -1,7 +1,7 @@
 """Coefficients of a lossless transfer function, and the modes back from them.
 
 `sum_l kappa_l s / (s^2 + x_l) = s N(s^2) / P(s^2)` with `x_l = d_l^2`.  Forwards every term is positive, so nothing
-cancels; mantissas and exponents are kept apart where doubles would overflow.  Backwards the roots of `P` and the
+cancels; numbers are decimal where doubles would overflow.  Backwards the roots of `P` and the
 residues there are computed with twice the digits: what remains is the rounding of the coefficients themselves.
 """
 
@@ -10,8 +10,8 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
+from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 
@@ -21,10 +21,10 @@ from .._types import Array, NDArray
 from . import double_double as tf
 
 Exponents = NDArray[np.int64]
+Decimals = NDArray[np.object_]
 
 COEFFICIENT_LIMIT = 1e-4  # relative error of a frequency beyond which coefficients no longer tell it
-_LOWEST = -(2**60)  # stands for the exponent of 0
-_FAR = 1100  # binary places: a term that much smaller than another leaves no trace in their sum
+WIDE = Context(prec=30, Emax=MAX_EMAX, Emin=MIN_EMIN)  # of products with more digits and exponents than doubles have
 _PLAIN = 1000  # binary exponents that doubles surely hold
 _SMALLEST = -1074  # binary exponent of the smallest double
 _ROOM = np.finfo(np.longdouble).maxexp - 24  # binary exponents up to which plain numbers are used
@@ -53,13 +53,10 @@ class ScaledCoefficients(Frozen):
     exponent: Exponents
 
     @classmethod
-    def _of(cls, values: Array, shift: Exponents | int = 0) -> ScaledCoefficients:
-        """`values * 2**shift`."""
-        mantissa, exponent = np.frexp(values)
-        # a long double may round up to 1
-        mantissa, carry = np.frexp(mantissa.astype(float))
-        exponent = exponent + carry
-        return cls(mantissa, np.where(mantissa == 0, 0, exponent.astype(np.int64) + shift))
+    def _of(cls, values: Decimals) -> ScaledCoefficients:
+        near = [int(value.adjusted() * math.log2(10)) if value else 0 for value in values]
+        mantissa, carry = np.frexp([float(value / Decimal(2) ** k) for value, k in zip(values, near, strict=True)])
+        return cls(mantissa, np.array(near, np.int64) + carry)
 
     def log10(self) -> Array:
         """Decimal logarithms: what to plot, or to print.
@@ -104,12 +101,20 @@ class ScaledCoefficients(Frozen):
         return bool(np.all((live > -1021) & (live <= 1024)))
 
 
-def transfer_coefficients(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:
-    """`(a_0 .. a_{2n-1})`, odd ones 0, and `(c_1, c_3 .. c_{2n-1})` of `sum_l kappa_l s / (s^2 + x_l)`."""
-    P, N = sum_of_fractions(x, kappa)
-    mantissa, exponent = np.zeros(2 * len(x)), np.zeros(2 * len(x), np.int64)
-    mantissa[0::2], exponent[0::2] = P.mantissa[:-1], P.exponent[:-1]
-    return ScaledCoefficients(mantissa, exponent), ScaledCoefficients(N.mantissa[::-1].copy(), N.exponent[::-1].copy())
+def transfer_coefficients(x: Decimals, kappa: Decimals) -> tuple[ScaledCoefficients, ScaledCoefficients]:
+    """`(a_0 .. a_{2n-1})`, odd ones 0, and `(c_1, c_3 .. c_{2n-1})` of `sum_l kappa_l s / (s^2 + x_l)`, none negative.
+
+    Binary tree of sums `(P1 P2, N1 P2 + N2 P1)` of polynomials in `s^2`, in which all terms are positive: O(n^2).
+    """
+    with localcontext(WIDE):
+        sums = [(np.array([a, Decimal(1)]), np.array([b])) for a, b in zip(x, kappa, strict=True)]
+        while len(sums) > 1:
+            pairs = zip(sums[0::2], sums[1::2], strict=False)
+            added = [(np.convolve(P, Q), np.convolve(N, Q) + np.convolve(M, P)) for (P, N), (Q, M) in pairs]
+            sums = added + sums[2 * len(added) :]
+        a = np.full(2 * len(x), Decimal(0))
+        a[0::2] = sums[0][0][:-1] if sums else a[0::2]
+        return ScaledCoefficients._of(a), ScaledCoefficients._of(sums[0][1][::-1] if sums else a)
 
 
 def plain_coefficients(d: Array, r: Array) -> tuple[Array, Array] | None:
@@ -144,55 +149,9 @@ def plain_coefficients(d: Array, r: Array) -> tuple[Array, Array] | None:
     return a, whole.imag[n - 1 :: -1].astype(float) / epsilon
 
 
-def sum_of_fractions(x: NDArray[Any], kappa: NDArray[Any]) -> tuple[ScaledCoefficients, ScaledCoefficients]:
-    """Denominator and numerator of `sum_l kappa_l / (s^2 + x_l)`, ascending powers of `s^2`; `x, kappa >= 0`.
-
-    Binary tree of sums `(P1 P2, N1 P2 + N2 P1)`, in which all terms are positive: O(n^2), right to the last places.
-    """
-    if len(x) == 0:
-        return ScaledCoefficients._of(np.ones(1)), ScaledCoefficients._of(np.zeros(0))
-    fractions = [
-        (ScaledCoefficients._of(np.append(a, 1.0)), ScaledCoefficients._of(np.atleast_1d(b)))
-        for a, b in zip(x, kappa, strict=True)
-    ]
-    while len(fractions) > 1:
-        pairs = [fractions[k : k + 2] for k in range(0, len(fractions), 2)]
-        fractions = [_added(*pair) if len(pair) == 2 else pair[0] for pair in pairs]
-    return fractions[0]
-
-
-def _added(
-    first: tuple[ScaledCoefficients, ScaledCoefficients], second: tuple[ScaledCoefficients, ScaledCoefficients]
-) -> tuple[ScaledCoefficients, ScaledCoefficients]:
-    (P1, N1), (P2, N2) = first, second
-    return _product(P1, P2), _sum(_product(N1, P2), _product(N2, P1))
-
-
-def _sum(a: ScaledCoefficients, b: ScaledCoefficients) -> ScaledCoefficients:
-    return _column_sums(np.stack([a.mantissa, b.mantissa]), np.stack([a.exponent, b.exponent]))
-
-
-def _product(a: ScaledCoefficients, b: ScaledCoefficients) -> ScaledCoefficients:
-    """Product of two polynomials: sums along the antidiagonals of the table of all products."""
-    if len(a.mantissa) > len(b.mantissa):
-        a, b = b, a
-    mantissa = np.multiply.outer(a.mantissa, b.mantissa)
-    return _column_sums(_sheared(mantissa), _sheared(np.add.outer(a.exponent, b.exponent)))
-
-
-def _sheared(table: NDArray[Any]) -> NDArray[Any]:
-    """Shift row i of a table by i places to the right, filling with 0."""
-    rows, columns = table.shape
-    padded = np.zeros((rows, rows + columns), table.dtype)
-    padded[:, :columns] = table
-    return padded.ravel()[: rows * (rows + columns - 1)].reshape(rows, rows + columns - 1)
-
-
-def _column_sums(mantissa: Array, exponent: Exponents) -> ScaledCoefficients:
-    exponent = np.where(mantissa > 0, exponent, _LOWEST)
-    top = exponent.max(axis=0)
-    terms = np.ldexp(mantissa, np.clip(exponent - top, -_FAR, 0).astype(np.int32))
-    return ScaledCoefficients._of(terms.sum(axis=0), top)
+def decimals(values: Array) -> Decimals:
+    """Numbers without bounds of their exponents."""
+    return np.array([Decimal(value) for value in values.tolist()], object)
 
 
 def cofactors(d: Array) -> Array:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from decimal import localcontext
 
 from .. import _checks
 from .._types import Array, ArrayLike
 from ..exceptions import StructureError
-from ..numerics.polynomials import transfer_coefficients
+from ..numerics.polynomials import WIDE, decimals, transfer_coefficients
 from .forms_and_williamson import normal_form_rows
 
 
@@ -119,8 +119,9 @@ def semidefinite_coefficients(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]
     weights = _checks.real_array("v", v, 1)
     if len(weights) != 2 * n:
         raise StructureError(f"v has {len(weights)} entries; with d of {2 * n} it must have {2 * n}")
-    x, weight = energies.astype(np.longdouble).reshape(2, n), weights.astype(np.longdouble).reshape(2, n)
-    denominator, numerator = transfer_coefficients(x[0] * x[1], (x * weight**2).sum(axis=0))
+    with localcontext(WIDE):
+        x, weight = decimals(energies).reshape(2, n), decimals(weights).reshape(2, n)
+        denominator, numerator = transfer_coefficients(x[0] * x[1], (x * weight**2).sum(axis=0))
     if not (denominator.fit_doubles and numerator.fit_doubles):
         raise StructureError(
             f"the coefficients of these {n} degrees of freedom leave the range of doubles (1e-308 to 1e308); choose "
