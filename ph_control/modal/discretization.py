@@ -125,15 +125,9 @@ class Hold:
 
     def weights(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Weights of `u_k` and `u_{k+1}` in one step of `x' = p x + u`, shape of `p` each."""
-        z, rest = self._turn(p)
-        if self.method == "exact":
-            if self.intersample == "zoh":
-                return self.h * phi_1(z, rest), np.zeros_like(z)
-            later, now = _integrals(z, rest)[:2]
-            return self.h * now, self.h * later
-        return self._split(self.h * self._inverse(z) if self.method == "midpoint" else np.full_like(z, self.h))
+        return self.weights_and_derivatives(p)[:2]
 
-    def weights_and_derivatives(self, p: ComplexArray) -> tuple[ComplexArray, ...]:
+    def weights_and_derivatives(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """Both `weights` and the derivatives of both by the pole, shape of `p` each."""
         z, rest = self._turn(p)
         h = self.h
