@@ -103,8 +103,8 @@ def forced_response(
     digits, so the error after 1e5 steps is below 1e-12 of the largest output.  See theory of exact hold equivalents
     for 'zoh' and 'foh'.
 
-    States of a canonical form have ten digits of their largest value or more: where doubles have not, whole numbers of
-    many digits take their place.  Where these would take too long, a `ConditioningWarning` tells the digits, and
+    States of a canonical form have ten digits of their largest value or more: where doubles have not, decimal numbers
+    of many digits take their place.  Where these would take too long, a `ConditioningWarning` tells the digits, and
     without any the record is refused.
 
     Examples

@@ -2,7 +2,7 @@
 
 Outputs run on modal coordinates for every class.  Port-Hamiltonian states are brought back from there; those of a
 canonical form too, as long as doubles have the digits for it.  Where frequencies are many or close, its companion
-matrix is near to one with Jordan blocks, or has them, and is stepped in whole numbers.
+matrix is near to one with Jordan blocks, or has them, and is stepped in decimal numbers.
 """
 
 from __future__ import annotations
