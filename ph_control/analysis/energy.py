@@ -15,7 +15,6 @@ from .._types import Array
 from .._units import common_unit
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
-from ..symplectic.forms_and_williamson import apply_form
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 
@@ -116,11 +115,10 @@ def energy_balance(
 
     Notes
     -----
-    The supplied energy is the work of the input along the motion between samples, in closed form: `integral y^T u dt`
-    of the exact solution for 'exact', and `h u_mid^T y_mid` a step for 'midpoint', whose balance is exact as well
-    (discrete Lagrange-d'Alembert principle).  For 'euler' it is `h u_k^T y_k`, and the defect is what Euler's rule
-    makes from nothing.  With losses both flows are integrals of quadratic forms of state and input, exact for inputs
-    that are held or interpolated, and taken at the middle of a step for 'midpoint'.  O(T n^2).
+    The flows are integrals of quadratic forms of state and input over the motion between samples, in closed form:
+    `integral y^T u dt` of the exact solution for 'exact', and `h u_mid^T y_mid` a step for 'midpoint', whose balance is
+    exact as well (discrete Lagrange-d'Alembert principle).  For 'euler' it is `h u_k^T y_k`, and the defect is what
+    Euler's rule makes from nothing.  O(T n^2).
 
     Examples
     --------
@@ -143,38 +141,34 @@ def energy_balance(
     u = _trace(response.u, "inputs", sys.ninputs, len(t))
     stored = np.asarray(sys.hamiltonian(z))
     with np.errstate(over="ignore", invalid="ignore"):
-        if isinstance(sys, DissipativePortHamiltonian):
-            steps = _flows(sys, z, u, h, method, intersample)
-        else:
-            steps = _work(sys, z, u, h, method, intersample), np.zeros(len(t) - 1)
+        steps = _flows(sys, z, u, h, method, intersample)
         supplied, dissipated = (np.concatenate([[0.0], np.cumsum(step)]) for step in steps)
         defect = stored - stored[0] + dissipated - supplied
     _checks.representable("the energies supplied", supplied, dissipated, defect)
     return EnergyBalance(t.copy(), stored, supplied, defect, dissipated, common_unit(response))
 
 
-def _flows(
-    sys: DissipativePortHamiltonian, z: Array, u: Array, h: float, method: str, intersample: str
-) -> tuple[Array, Array]:
-    """Energy that is supplied and dissipated in each step: integrals of two quadratic forms of state and input."""
-    n, m = sys.G.shape
-    Q, G, P = sys.Q, sys.G, sys.P
-    to_efforts = np.block([[Q, np.zeros((n, m))], [np.zeros((m, n)), np.eye(m)]])
-    loss = to_efforts.T @ np.block([[sys.R, P], [P.T, sys.S]]) @ to_efforts
-    work = np.block([[np.zeros((n, n)), 0.5 * Q @ (G + P)], [0.5 * (G + P).T @ Q, sys.S]])
+def _flows(sys: PortHamiltonian, z: Array, u: Array, h: float, method: str, intersample: str) -> list[Array]:
+    """Energy that is supplied and dissipated in each step: integrals of quadratic forms of state and input."""
+    n, m = sys.B.shape
+    C, D = sys.C[:m], sys.D[:m]
+    forms = [np.block([[np.zeros((n, n)), 0.5 * C.T], [0.5 * C, 0.5 * (D + D.T)]])]
+    if isinstance(sys, DissipativePortHamiltonian):
+        to_efforts = np.block([[sys.Q, np.zeros((n, m))], [np.zeros((m, n)), np.eye(m)]])
+        forms.append(to_efforts.T @ np.block([[sys.R, sys.P], [sys.P.T, sys.S]]) @ to_efforts)
     now, then = u[:, :-1], u[:, 1:]
     if method == "exact":
         slope = (then - now) / h if intersample == "foh" else 0.0 * now
         points = np.concatenate([z[:, :-1], now, slope])
         M = np.zeros((n + 2 * m, n + 2 * m))
         M[:n, :n], M[:n, n : n + m], M[n : n + m, n + m :] = sys.A, sys.B, np.eye(m)
-        forms = (_integral_along(M, np.pad(form, (0, m)), h) for form in (work, loss))
-        supplied, lost = (np.sum(points * (form @ points), axis=0) for form in forms)
-        return supplied, lost
-    held = now if intersample == "zoh" or method == "euler" else 0.5 * (now + then)
-    points = np.concatenate([z[:, :-1] if method == "euler" else 0.5 * (z[:, :-1] + z[:, 1:]), held])
-    supplied, lost = (h * np.sum(points * (form @ points), axis=0) for form in (work, loss))
-    return supplied, lost
+        forms = [_integral_along(M, np.pad(form, (0, m)), h) for form in forms]
+    else:
+        held = now if intersample == "zoh" or method == "euler" else 0.5 * (now + then)
+        points = np.concatenate([z[:, :-1] if method == "euler" else 0.5 * (z[:, :-1] + z[:, 1:]), held])
+        forms = [h * form for form in forms]
+    flows = [np.sum(points * (form @ points), axis=0) for form in forms]
+    return flows if len(flows) > 1 else [*flows, 0.0 * flows[0]]
 
 
 def _integral_along(M: Array, form: Array, h: float) -> Array:
@@ -201,35 +195,3 @@ def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
     if array.shape[1] != samples:
         raise StructureError(f"the response has {array.shape[1]} samples of {what} at {samples} instants")
     return array
-
-
-def _work(sys: PortHamiltonian, z: Array, u: Array, h: float, method: str, intersample: str) -> Array:
-    """Work of the input in each step."""
-    now, then = u[:, :-1], u[:, 1:]
-    if method == "euler":
-        return h * np.sum(now * (sys.C @ z[:, :-1]), axis=0)
-    if method == "midpoint":
-        middle = now if intersample == "zoh" else 0.5 * (now + then)
-        return h * np.sum(middle * (sys.C @ (0.5 * (z[:, :-1] + z[:, 1:]))), axis=0)
-    # y = B^T Q z = B^T J^T (z' - B u), and u^T B^T J B u vanishes: the work is the area swept by B u and z
-    pushed = sys.B @ u
-    if intersample == "zoh":
-        return _area(np.diff(z, axis=1), pushed[:, :-1])
-    swept = np.diff(_area(z, pushed))
-    return swept - _area(_time_integrals(sys, z, u, h), np.diff(pushed, axis=1) / h)
-
-
-def _area(z: Array, w: Array) -> Array:
-    """`z^T J w` of each column."""
-    area: Array = np.sum(z * apply_form(w), axis=0)
-    return area
-
-
-def _time_integrals(sys: PortHamiltonian, z: Array, u: Array, h: float) -> Array:
-    """Integral of the state over each step under an interpolated input."""
-    n, m = sys.nstates, sys.ninputs
-    M = np.zeros((2 * n + 2 * m, 2 * n + 2 * m))
-    M[:n, :n], M[:n, n : n + m], M[n : n + m, n + m : n + 2 * m] = h * sys.A, h * sys.B, np.eye(m)
-    M[n + 2 * m :, :n] = h * np.eye(n)
-    row = expm(M)[n + 2 * m :]
-    return row[:, :n] @ z[:, :-1] + row[:, n : n + m] @ u[:, :-1] + row[:, n + m : n + 2 * m] @ np.diff(u, axis=1)
