@@ -59,10 +59,7 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     >>> gm, pm, wcg, round(wcp, 6)
     (inf, 90.0, nan, 1.618034)
     """
-    loop = _lossless(args[0]) if len(args) == 1 else None
-    if loop is None:
-        return _quietly(ct.margin, *args)
-    gm, pm, _, wpc, wgc, _ = _least(*_all_margins(loop, 0.0))
+    gm, pm, _, wpc, wgc, _ = stability_margins(args[0] if len(args) == 1 else args)
     return gm, pm, wpc, wgc
 
 
@@ -119,14 +116,11 @@ def stability_margins(
     """
     _checks.flags(returnall=returnall)
     epsw = float(_checks.real_array("epsw", epsw, 0))
-    _checks.flags(returnall=returnall)
     loop = _lossless(sysdata) if method == "best" else None
     if loop is None:
         return _quietly(ct.stability_margins, sysdata, returnall=returnall, epsw=epsw, method=method)
     margins = _all_margins(loop, epsw)
-    if returnall:
-        return margins
-    return _least(*margins)
+    return margins if returnall else _least(*margins)
 
 
 def _lossless(loop: Any) -> ModalForm | None:
@@ -188,9 +182,8 @@ def _least(
 ) -> tuple[float, float, float, float, float, float]:
     """Least margins of a lossless loop; where all have the same size, that of a phase of -90 degrees."""
     inside = np.flatnonzero(pm > 0)
-    if not len(inside):
-        return np.inf, np.inf, float(sm[0]), np.nan, np.nan, float(wms[0])
-    return np.inf, float(pm[inside[0]]), float(sm[0]), np.nan, float(wgc[inside[0]]), float(wms[0])
+    least, at = (float(pm[inside[0]]), float(wgc[inside[0]])) if len(inside) else (np.inf, np.nan)
+    return np.inf, least, float(sm[0]), np.nan, at, float(wms[0])
 
 
 def gain_crossings(loop: ModalForm) -> tuple[Array, Array]:
