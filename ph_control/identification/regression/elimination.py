@@ -78,7 +78,8 @@ def without(values: Array, basis: Array) -> Array:
 def inverse_gram(columns: Array) -> Array:
     """Pseudo-inverse of `J^T J`, its columns brought to unit length first."""
     lengths = column_lengths(columns)
-    inverse = np.linalg.pinv(np.linalg.qr(columns / lengths, mode="r"), rcond=max(columns.shape) * EPS)
+    # from the triangular factor: a product of columns would square their condition
+    inverse = np.linalg.pinv(np.linalg.qr(columns / lengths, mode="r"), rcond=max(1, *columns.shape) * EPS)
     return np.asarray((inverse @ inverse.T) / np.outer(lengths, lengths))
 
 

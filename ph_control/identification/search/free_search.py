@@ -22,6 +22,7 @@ from ..regression.spectral_rows import Bins, FreeWindow, Spectrum
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.variable_projection import Problem
 from .response_candidates import ranked_candidates
+from .screening import highest_peaks
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -192,11 +193,8 @@ def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:
     width = max(1, half // 3)
     total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(left) ** 2, axis=0))])
     power = total[centres + width] - total[centres - width]
-    padded = np.concatenate([[-np.inf], power, [-np.inf]])
-    peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
-    best = peaks[np.argsort(-power[peaks], kind="stable")][:_PEAKS]
-    about = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(centres) - 1))
-    return centres[about]
+    about = highest_peaks(power, _PEAKS)[:, None] + np.arange(-1, 2)
+    return centres[np.unique(np.clip(about, 0, len(centres) - 1))]
 
 
 def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

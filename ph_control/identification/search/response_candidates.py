@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from .screening import highest_peaks
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -38,9 +39,7 @@ def ranked_candidates(experiments: Sequence[FrequencyRows], left: Sequence[Compl
     for one, residual in zip(experiments, left, strict=True):
         gains += _explained(one, residual, d, width)
     gain = gains.max(axis=0, initial=0.0)
-    padded = np.concatenate([[-np.inf], gain, [-np.inf]])
-    peaks = np.flatnonzero((gain >= padded[:-2]) & (gain >= padded[2:]))
-    best = peaks[np.argsort(-gain[peaks], kind="stable")][:_COMPARED]
+    best = highest_peaks(gain, _COMPARED)
     return d[best], gain[best]
 
 
@@ -49,10 +48,7 @@ def _peaking(experiments: Sequence[FrequencyRows], left: Sequence[ComplexArray],
     chosen = []
     for one, residual in zip(experiments, left, strict=True):
         power = np.convolve(np.abs(residual) ** 2, np.ones(3), mode="same")
-        padded = np.concatenate([[-np.inf], power, [-np.inf]])
-        peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
-        peaks = peaks[np.argsort(-power[peaks], kind="stable")][:_PEAKS]
-        chosen.append(np.searchsorted(edges, one.omega[peaks]))
+        chosen.append(np.searchsorted(edges, one.omega[highest_peaks(power, _PEAKS)]))
     about = np.concatenate(chosen)[:, None] + np.arange(-2, 2)
     return np.unique(np.clip(about, 0, len(edges) - 1))
 

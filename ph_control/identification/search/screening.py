@@ -97,7 +97,7 @@ class Screen:
         gains = np.concatenate(
             [self._near(d[first : first + _BATCH], first, residuals) for first in range(0, len(d), _BATCH)]
         )
-        peaks = _peaks(gains)[:_COMPARED]
+        peaks = highest_peaks(gains, _COMPARED)
         d = d[peaks]
         explained = self._over_all(d, residuals)
         order = np.argsort(-explained, kind="stable")
@@ -108,8 +108,7 @@ class Screen:
         place = self.spectra.index(self._finest)
         power = np.abs(residuals[place]) ** 2
         smooth = np.convolve(power, np.ones(3), mode="same")
-        peaks = _peaks(smooth)[:_PEAKS]
-        return np.unique(peaks[:, None] + np.arange(-1, 2))
+        return np.unique(highest_peaks(smooth, _PEAKS)[:, None] + np.arange(-1, 2))
 
     def _near(self, d: Array, first: int, residuals: list[ComplexArray]) -> Array:
         """Energy that each candidate explains in the bins about it."""
@@ -156,11 +155,11 @@ class Screen:
         return np.asarray(total + force**2 / np.where(stiffness == 0, 1.0, stiffness))
 
 
-def _peaks(values: Array) -> Bins:
-    """Places of the local maxima, the highest first."""
+def highest_peaks(values: Array, most: int) -> Bins:
+    """Places of at most so many local maxima, the highest first."""
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
-    return peaks[np.argsort(-values[peaks], kind="stable")]
+    return peaks[np.argsort(-values[peaks], kind="stable")[:most]]
 
 
 def _window(spectrum: Spectrum, d: Array) -> Bins:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import EPS
+from ..regression.elimination import inverse_gram
 from ..regression.modal_regressors import output_weight
 from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Projection
@@ -37,7 +38,7 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     degrees = max(1, at.problem.samples - int(known.sum()))
     variance = at.loss / degrees
     covariance = np.full((len(known), len(known)), np.nan)
-    covariance[np.ix_(known, known)] = variance * _inverse_gram(J[:, known])
+    covariance[np.ix_(known, known)] = variance * inverse_gram(J[:, known])
     # no frequency is known to more digits than it has
     np.fill_diagonal(covariance[:n, :n], np.maximum(np.diag(covariance)[:n], (EPS * at.d) ** 2))
     counts = [len(own) for own in at.own]
@@ -53,15 +54,6 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     index = np.concatenate(places)
     linear = np.pad(covariance, (0, 1), constant_values=np.nan)[np.ix_(index, index)]
     return Uncertainty(variance, _in_states(linear, at, rank, total, quantity), offsets)
-
-
-def _inverse_gram(columns: Array) -> Array:
-    """Pseudo-inverse of `J^T J`, its columns brought to unit length first."""
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths = np.where(lengths > 0, lengths, 1.0)
-    # from the triangular factor: a product of columns would square their condition
-    inverse = np.linalg.pinv(np.linalg.qr(columns / lengths, mode="r"), rcond=max(1, *columns.shape) * EPS)
-    return np.asarray((inverse @ inverse.T) / np.outer(lengths, lengths))
 
 
 def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int, quantity: str) -> Array:
