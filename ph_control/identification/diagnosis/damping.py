@@ -25,7 +25,7 @@ from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import SURE, Finding, noise_size
 from ..search.criteria import criteria, free_preference, preference
 from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
-from ..search.free_search import Channels, FreeSearch, Records, free_data
+from ..search.free_search import Channels, FreeSearch, Records, free_search
 from ..search.steps import Step, crowds, mode_energies, more_than_noise
 from .damped_model import DampedModel, HypothesisTest
 
@@ -151,8 +151,8 @@ def contradiction(
     """
     if problem.samples <= 2 * free_unknowns(problem, 1) or at.loss <= 0 or _is_of_euler(problem):
         return None
-    search = FreeSearch(problem, free_data(problem))
-    step = followed or free_path(problem, search, _starts(problem, at), order, most)
+    search = free_search(problem)
+    step = followed or free_path(search, _starts(problem, at), order, most)
     p = step.at.p
     if not len(p):
         return None
@@ -160,10 +160,10 @@ def contradiction(
         p = p[np.argsort(-evidence(search, step.at), kind="stable")[:order]]
     gain = 0.0
     if rival is not None:
-        losses = [FreeProjection(free_data(one).all_rows(True), p).loss for one in (problem, rival)]
+        losses = [FreeProjection(free_search(one).all_rows(True), p).loss for one in (problem, rival)]
         gain = 0.5 * problem.samples * float(np.log(losses[0] / losses[1]))
         if gain > SURE:
-            problem, search = rival, FreeSearch(rival, free_data(rival))
+            problem, search = rival, free_search(rival)
     quantity = _quantity(problem)
     return problem, abs(gain), _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)
 
@@ -209,9 +209,9 @@ def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: s
     n, rank = len(at.p), np.argsort(at.d)
     unknowns = free_unknowns(problem, n) - (problem.driven and not at.has_feedthrough)
     variance = at.loss / max(1, problem.samples - unknowns)
-    left = search.data.left(at)
+    left = search.left(at)
     errors = _errors(search, left)
-    records, free, offsets = isinstance(search.data, Records), [], []
+    records, free, offsets = isinstance(search, Records), [], []
     for one, own in zip(problem.experiments, at.own, strict=True):
         moving = isinstance(one, RecordRows) and not one.from_rest
         free.append((2 * (own[:n, 0] + 1j * own[n : 2 * n, 0]))[rank] if moving else np.zeros(n * records, complex))
@@ -258,8 +258,8 @@ def _covariance(at: FreeProjection, variance: float, rank: NDArray[np.intp]) -> 
 
 def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[NDArray[np.float64]] | list[ComplexArray]:
     """What a model leaves of each record in time, or of each response in the scale of its weights."""
-    if isinstance(search.data, Records):
-        return [np.fft.irfft(one, len(record.u)) for one, record in zip(left, search.data.experiments, strict=True)]
+    if isinstance(search, Records):
+        return [np.fft.irfft(one, len(record.u)) for one, record in zip(left, search.experiments, strict=True)]
     return list(left)
 
 
@@ -309,8 +309,7 @@ class DampingWatch:
             return
         if self._suspects(step):
             self._asked = len(step.d)
-            search = FreeSearch(self._problem, free_data(self._problem))
-            found = free_path(self._problem, search, np.zeros(0, complex), None, _MOST)
+            found = free_path(free_search(self._problem), np.zeros(0, complex), None, _MOST)
             self._found = found if _decays(self._problem, found.at) else None
 
     def _is_better(self, path: list[Step]) -> bool:

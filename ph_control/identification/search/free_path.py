@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from ..regression.free import FreeProjection, refine_free
 from ..regression.variable_projection import Problem
 from .free_search import FreeSearch
+from .steps import stands_out
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -19,7 +19,6 @@ _APART = 3.0  # basins between modes, their half-widths added: what is closer me
 _BROADEST = 0.2  # damping ratio of what still counts as a mode
 _PATIENCE = 3  # orders without a better criterion before the path ends
 _TRIED = 3  # candidates for one more mode
-_BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
 _ROUGH = 1e-6  # relative decrease of the loss at which other refinements end
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
 _VAGUE = 0.5  # of the half-width of a peak, or of a bin: larger errors of it make no mode
@@ -53,51 +52,49 @@ def free_criterion(problem: Problem, step: FreeStep) -> float:
 
 def free_step(search: FreeSearch, p: ComplexArray) -> FreeStep:
     """Modes refined from a start, in the end over all that was measured: elsewhere, too, they have to be right."""
-    at = search.refined(p)
-    if len(p) and search.data.windowed:
-        at = refine_free(lambda _: search.data.all_rows(True), at.p, search.region, _ROUGH)
-    left = search.data.left(at)
-    return FreeStep(at, left, search.data.loss(left))
+    at = refine_free(search.rows, p, search.region)
+    if len(p) and search.windowed:
+        at = refine_free(lambda _: search.all_rows(True), at.p, search.region, _ROUGH)
+    left = search.left(at)
+    return FreeStep(at, left, search.loss(left))
 
 
-def free_path(
-    problem: Problem, search: FreeSearch, start: ComplexArray, order: int | None, most: int
-) -> FreeStep:  # fmt: skip
+def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: int) -> FreeStep:
     """Modes join one at a time; the best by the BIC of those that have at least as many as were asked for."""
     wanted = order or 0
     best = current = _sound(search, free_step(search, start))
     missed = 0
     while missed < _PATIENCE and len(current.at.p) < max(most, wanted):
         short = len(current.at.p) < wanted
-        more = _joined_by_one(problem, search, current, demanding=not short)
+        more = _joined_by_one(search, current, demanding=not short)
         if more is None:
             break
         current = more
-        if short or free_criterion(problem, current) < free_criterion(problem, best):
+        if short or free_criterion(search.problem, current) < free_criterion(search.problem, best):
             best, missed = current, 0
         else:
             missed += 1
     while wanted < len(best.at.p):
-        vague = _vagueness(problem, search, best.at)
+        vague = _vagueness(search, best.at)
         weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(evidence(search, best.at)))
         fewer = free_step(search, np.delete(best.at.p, weakest))
-        if vague.max() <= 1 and free_criterion(problem, fewer) >= free_criterion(problem, best):
+        if vague.max() <= 1 and free_criterion(search.problem, fewer) >= free_criterion(search.problem, best):
             break
         best = fewer
     return best
 
 
-def _vagueness(problem: Problem, search: FreeSearch, at: FreeProjection) -> Array:
+def _vagueness(search: FreeSearch, at: FreeProjection) -> Array:
     """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
     n = len(at.p)
-    inner = at.covariance(at.loss / max(1, at.rows - free_unknowns(problem, n)))
+    inner = at.covariance(at.loss / max(1, at.rows - free_unknowns(search.problem, n)))
     errors = np.sqrt(np.diag(inner)[n : 2 * n])
     return np.asarray(errors / np.maximum(_VAGUE * np.abs(at.sigma), _VAGUE * search.region.bin))
 
 
 def evidence(search: FreeSearch, at: FreeProjection) -> Array:
     """How much the loss would grow without each mode."""
-    rows = search.data.rows(at.p)
+    rows = search.rows(at.p)
     loss = FreeProjection(rows, at.p).loss
     return np.array([FreeProjection(rows, np.delete(at.p, k)).loss - loss for k in range(len(at.p))])
 
@@ -130,16 +127,16 @@ def _sound(search: FreeSearch, step: FreeStep) -> FreeStep:
     return step
 
 
-def _joined_by_one(problem: Problem, search: FreeSearch, step: FreeStep, demanding: bool) -> FreeStep | None:
+def _joined_by_one(search: FreeSearch, step: FreeStep, demanding: bool) -> FreeStep | None:
     """One more mode, away from those that are there; if nothing else is left, what is not even that."""
     at = step.at
-    candidates, gains = search.data.candidates(step.left)
+    candidates, gains = search.candidates(step.left)
     needed = _APART * search.region.bin + np.abs(at.sigma)
     distant = [
         (complex(p), float(gain)) for p, gain in zip(candidates, gains, strict=True)
         if np.all(np.abs(p.imag - at.p.imag) > needed)
     ]  # fmt: skip
-    if demanding and not (distant and _is_more_than_noise(problem, step, distant[0][1])):
+    if demanding and not (distant and _is_more_than_noise(search.problem, step, distant[0][1])):
         return None
     first: FreeStep | None = None
     for p, _ in distant[:_TRIED]:
@@ -151,13 +148,8 @@ def _joined_by_one(problem: Problem, search: FreeSearch, step: FreeStep, demandi
 
 
 def _is_more_than_noise(problem: Problem, step: FreeStep, gain: float) -> bool:
-    """Whether noise alone would hardly show such a mode anywhere."""
-    n = len(step.at.p)
-    spare = problem.samples - free_unknowns(problem, n)
-    if spare <= 0 or step.loss <= 0:
-        return False
-    more = free_unknowns(problem, n + 1) - free_unknowns(problem, n)
-    return bool(chdtrc(more, gain * spare / step.loss) * problem.samples < _BY_CHANCE)
+    now, then = (free_unknowns(problem, len(step.at.p) + more) for more in (0, 1))
+    return stands_out(gain, step.loss, problem.samples, now, then - now)
 
 
 def finished(search: FreeSearch, p: ComplexArray, accelerometer: bool) -> FreeProjection:
@@ -165,10 +157,10 @@ def finished(search: FreeSearch, p: ComplexArray, accelerometer: bool) -> FreePr
 
     A force is felt by an accelerometer at once; velocity and displacement follow it.
     """
-    at = refine_free(lambda _: search.data.all_rows(True), p, search.region, _EXACT)
+    at = refine_free(lambda _: search.all_rows(True), p, search.region, _EXACT)
     if accelerometer or not at.has_feedthrough:
         return at
     error = float(np.sqrt(at.covariance(at.loss / max(1, at.rows))[-1, -1]))
     if abs(at.feedthrough[0, 0]) > _THROUGH * error:
         return at
-    return refine_free(lambda _: search.data.all_rows(False), at.p, search.region, _EXACT)
+    return refine_free(lambda _: search.all_rows(False), at.p, search.region, _EXACT)

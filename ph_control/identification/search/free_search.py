@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...modal.discretization import Hold
-from ..regression.free import FreeProjection, PoleRegion, refine_free
+from ..regression.free import FreeProjection, PoleRegion
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Bins, FreeWindow, Spectrum
@@ -38,32 +37,22 @@ _COMPARED = 16
 _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
-class FreeData(Protocol):
-    """Experiments in which damped modes are looked for; `windowed` tells that `rows` are a part of all."""
+class _DampedData:
+    """Experiments of a problem, and where damped modes are looked for in them."""
 
-    windowed: bool
+    windowed = False  # whether `rows` are a part of all
 
-    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
-        """Rows of the linear problem that tell enough of these modes for a search."""
-
-    def all_rows(self, through: bool) -> Sequence[FreeRows]:
-        """Rows of all that was measured, with what is fed through or without."""
-
-    def left(self, at: FreeProjection) -> list[ComplexArray]:
-        """What a model leaves of each experiment, at all its bins or points."""
-
-    def loss(self, left: Sequence[ComplexArray]) -> float:
-        """Sum of squares, over the data as they were measured."""
-
-    def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
-        """Poles of modes that explain most of what is left, and how much; without a decay rate if none was found."""
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.region = PoleRegion(problem.bin, problem.ceiling)
 
 
-class Records:
+class Records(_DampedData):
     """Records in time."""
 
-    def __init__(self, experiments: Sequence[RecordRows]) -> None:
-        self.experiments = experiments
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.experiments = experiments = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self.spectra = [Spectrum.of(one) for one in experiments]
         self.windowed = max(len(one.u) for one in experiments) > _IN_TIME and all(
             one.complete and not one.from_rest and one.offset < 2 for one in experiments
@@ -207,14 +196,13 @@ def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[Comple
     return products, np.linalg.solve(gram, products)
 
 
-class Responses:
+class Responses(_DampedData):
     """Frequency responses."""
 
-    windowed = False
-
-    def __init__(self, experiments: Sequence[FrequencyRows]) -> None:
-        self._responses = [FreeResponse(one) for one in experiments]
-        self.experiments = experiments
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.experiments = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+        self._responses = [FreeResponse(one) for one in self.experiments]
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All points."""
@@ -241,21 +229,10 @@ class Responses:
         return np.asarray(np.nan + 1j * d, complex), gain
 
 
-def free_data(problem: Problem) -> Records | Responses:
-    """The data of a problem, for damped modes."""
-    in_time = [one for one in problem.experiments if isinstance(one, RecordRows)]
-    return Records(in_time) if in_time else Responses(
-        [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-    )  # fmt: skip
+FreeSearch = Records | Responses
 
 
-class FreeSearch:
-    """Data, and where modes are looked for in them."""
-
-    def __init__(self, problem: Problem, data: FreeData) -> None:
-        self.problem, self.data = problem, data
-        self.region = PoleRegion(problem.bin, problem.ceiling)
-
-    def refined(self, p: ComplexArray, rtol: float = 1e-8) -> FreeProjection:
-        """The best damped modes near these poles."""
-        return refine_free(self.data.rows, p, self.region, rtol)
+def free_search(problem: Problem) -> FreeSearch:
+    """Where damped modes are looked for in the data of a problem."""
+    in_time = any(isinstance(one, RecordRows) for one in problem.experiments)
+    return Records(problem) if in_time else Responses(problem)

@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..regression.frequency_rows import FrequencyRows
 from ..regression.variable_projection import Problem, refine
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
-from .free_search import FreeSearch, Responses
+from .free_search import Responses
 from .response_candidates import vector_fit
 from .steps import Report, Search, Step, mode_energies
 
@@ -32,8 +31,7 @@ class ResponseSearch(Search):
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self.data = Responses([one for one in problem.experiments if isinstance(one, FrequencyRows)])
-        self._damped = FreeSearch(problem, self.data)
+        self.data = Responses(problem)
         self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.data.experiments)
         self._poles: dict[float, complex] = {}
         self._together: dict[int, FreeStep] = {}
@@ -41,7 +39,7 @@ class ResponseSearch(Search):
     def damped(self, d: Array) -> FreeStep:
         """The best damped modes near some frequencies, from the poles that were found there before."""
         p = np.array([self._poles.get(one, complex(np.nan, one)) for one in d.tolist()], complex)
-        return self._kept(free_step(self._damped, p))
+        return self._kept(free_step(self.data, p))
 
     def _kept(self, step: FreeStep) -> FreeStep:
         self._poles.update(zip(step.at.d.tolist(), step.at.p.tolist(), strict=True))
@@ -50,7 +48,7 @@ class ResponseSearch(Search):
     def _at_once(self, n: int) -> FreeStep:
         """The best that comes of all modes found together, whatever has joined until now."""
         if n not in self._together:
-            self._together[n] = self._kept(free_step(self._damped, vector_fit(self.data.all_rows(True), n)))
+            self._together[n] = self._kept(free_step(self.data, vector_fit(self.data.all_rows(True), n)))
         return self._together[n]
 
     def is_white(self, step: FreeStep) -> bool:

@@ -194,11 +194,14 @@ def crowds(step: Step, problem: Problem) -> bool:
 
 def more_than_noise(problem: Problem, step: Step) -> bool:
     """Whether what is left shows a mode that noise alone would hardly show anywhere."""
-    spare = problem.samples - problem.unknowns(len(step.d))
-    if not len(step.gains) or spare <= 0 or step.loss <= 0:
-        return False
-    statistic = step.gains[0] * spare / step.loss
-    return bool(chdtrc(problem.unknowns(1), statistic) * problem.samples < _BY_CHANCE)
+    gain = float(step.gains[0]) if len(step.gains) else 0.0
+    return stands_out(gain, step.loss, problem.samples, problem.unknowns(len(step.d)), problem.unknowns(1))
+
+
+def stands_out(gain: float, loss: float, samples: int, unknowns: int, more: int) -> bool:
+    """Whether noise alone would hardly let a mode with so many unknowns `more` gain as much anywhere in the band."""
+    spare = samples - unknowns
+    return bool(spare > 0 and loss > 0 and chdtrc(more, gain * spare / loss) * samples < _BY_CHANCE)
 
 
 def mode_energies(at: Projection) -> Array:
