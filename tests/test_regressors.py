@@ -9,13 +9,31 @@ from reference import EPS, dense_simulation
 import ph_control as phc
 from ph_control.identification.regression import time_rows as experiment
 from ph_control.identification.regression.grouped import Modal, Shared, gram
-from ph_control.identification.regression.modal_regressors import Regressors
 from ph_control.identification.regression.time_rows import RecordColumns, RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
 
 HOLDS = [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")]
 BLOCKS = ["forced", "cosine", "sine"]
+
+
+def columns(d, u, hold, quantity="velocity"):
+    """Response of each mode to the input, and its free motions from a unit amplitude and a quarter of a turn ahead."""
+    one = RecordRows(u, u, np.ones(len(u), bool), hold, quantity=quantity)
+    return one.sensitivities(d, np.zeros(len(d)), np.zeros(len(d), complex))[:, len(d) :]
+
+
+def block_of(d, u, hold, block, quantity="velocity"):
+    """One kind of these columns, shape (T, n)."""
+    return np.split(columns(d, u, hold, quantity), 3, axis=1)[BLOCKS.index(block)]
+
+
+def slope_of(d, u, hold, block, quantity="velocity"):
+    """The derivative of each of them by the frequency of its mode."""
+    n, place = len(d), BLOCKS.index(block)
+    one = RecordRows(u, u, np.ones(len(u), bool), hold, quantity=quantity)
+    amplitude = np.full(n, [0, 1, 1j][place])
+    return one.sensitivities(d, np.full(n, float(place == 0)), amplitude)[:, :n]
 
 
 @pytest.mark.parametrize("method, intersample", HOLDS)
@@ -27,7 +45,7 @@ def test_columns_reproduce_a_simulation_with_initial_state(method, intersample):
     y = phc.forced_response(plant, h * np.arange(300), u, z0, method=method, intersample=intersample).outputs
     hold = Hold(h, method, intersample)
     amplitude = d * np.sqrt(r) * (z0[:3] + 1j * z0[3:])
-    predicted = Regressors(d, u, hold).columns() @ np.concatenate([r * d, amplitude.real, amplitude.imag])
+    predicted = columns(d, u, hold) @ np.concatenate([r * d, amplitude.real, amplitude.imag])
     assert np.abs(predicted - y).max() <= 4e3 * np.finfo(float).eps * np.abs(y).max()
 
 
@@ -37,12 +55,10 @@ def test_slopes_are_the_derivatives_of_the_columns(method, intersample, block):
     rng = np.random.default_rng(3)
     u, hold, step = rng.standard_normal(250), Hold(0.1, method, intersample), 1e-5
     d = np.array([1e-3, 0.3, 4.0, 29.0]) if method != "euler" else np.array([1e-3, 0.3, 1.0, 2.0])
-    difference = (getattr(Regressors(d + step, u, hold), block) - getattr(Regressors(d - step, u, hold), block)) / (
-        2 * step
-    )
-    slope = getattr(Regressors(d, u, hold), block + "_slope")
+    difference = (block_of(d + step, u, hold, block) - block_of(d - step, u, hold, block)) / (2 * step)
+    slope = slope_of(d, u, hold, block)
     # a central difference is right to step^2 |f'''| / 6 plus rounding / step
-    third = (250 * 0.1) ** 3 * np.abs(getattr(Regressors(d, u, hold), block)).max()
+    third = (250 * 0.1) ** 3 * np.abs(block_of(d, u, hold, block)).max()
     allowed = third * step**2 / 6 + 1e3 * np.finfo(float).eps * np.abs(slope).max() / step
     assert np.abs(slope - difference).max() <= allowed
     assert np.abs(slope).max() > 1e2 * allowed
@@ -78,7 +94,7 @@ def test_columns_of_every_sensor_are_those_of_a_dense_simulation(method, intersa
     rng = np.random.default_rng(4)
     samples, h, d = 301, 0.05, np.array([0.7, 3.0, 11.0])
     u, free = rng.standard_normal(samples), {"velocity": 1, "displacement": 1j / d, "acceleration": -1j * d}[quantity]
-    found = Regressors(d, u, Hold(h, method, intersample), quantity)
+    hold = Hold(h, method, intersample)
     for l in range(3):
         one, nil = np.array([1.0 + 0j]), np.zeros(samples)
         # a free motion is named by what it shows at the output
@@ -89,7 +105,7 @@ def test_columns_of_every_sensor_are_those_of_a_dense_simulation(method, intersa
             "sine": simulated(d[[l]], np.zeros(1), 1j * start, nil, h, method, intersample, quantity),
         }
         for block in BLOCKS:
-            column = getattr(found, block)[:, l]
+            column = block_of(d, u, hold, block, quantity)[:, l]
             size = np.abs(expected[block]).max()
             assert np.abs(column - expected[block]).max() <= 10 * samples * EPS * size, block
 
@@ -101,8 +117,8 @@ def test_slopes_of_every_sensor_are_the_derivatives_of_its_columns(method, inter
     u, hold, step = rng.standard_normal(130), Hold(0.1, method, intersample), 1e-5
     d = np.array([0.05, 0.3, 1.0, 2.0])
     for block in BLOCKS:
-        ahead, here, behind = (getattr(Regressors(d + s, u, hold, quantity), block) for s in (step, 0.0, -step))
-        slope = getattr(Regressors(d, u, hold, quantity), block + "_slope")
+        ahead, here, behind = (block_of(d + s, u, hold, block, quantity) for s in (step, 0.0, -step))
+        slope = slope_of(d, u, hold, block, quantity)
         # relative changes of the frequency, and of the weights 1/d of a displacement, bound the third derivative
         reach = 13.0 + 3 / d
         allowed = step**2 * reach**3 * np.abs(here).max(axis=0) + 1e3 * EPS * np.abs(here).max(axis=0) / step
@@ -136,6 +152,8 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
         return len(blocks), np.concatenate(blocks, axis=1), np.concatenate(sensitive, axis=1), at.predict(kappa, own)
 
     whole = rows()
+    F, cos, sin = (block_of(d, u, one.hold, block, quantity)[observed].T for block in BLOCKS)
+    slopes = [slope_of(d, u, one.hold, block, quantity)[observed].T for block in BLOCKS]
     monkeypatch.setattr(experiment, "_BLOCK", 1)
     monkeypatch.setattr(experiment, "_FEWEST", 3)
     pieces = rows()
@@ -144,12 +162,9 @@ def test_blocks_of_a_long_record_are_those_of_one_piece(
         size = np.abs(entire).max(axis=-1, keepdims=True)
         assert (np.abs(piece - entire) <= 200 * samples * EPS * size).all()
     # and they are the columns and slopes over the whole record
-    found = Regressors(d, u, one.hold, quantity)
-    F, cos, sin = (getattr(found, block)[observed].T for block in BLOCKS)
     expected = [] if from_rest else [cos, sin]
     expected += [np.ones((1, int(observed.sum())))] * offset + [F] * driven + [y[None, observed]]
     assert np.allclose(whole[1], np.concatenate(expected), rtol=0, atol=1e3 * EPS * np.abs(F).max() + 1e3 * EPS)
-    slopes = [getattr(found, block + "_slope")[observed].T for block in BLOCKS]
     moving = (np.zeros(3), np.zeros(3)) if from_rest else (own[:3], own[3:6])
     by_d = sum(c[:, None] * slope for c, slope in zip((kappa * driven, *moving), slopes, strict=True))
     assert np.allclose(whole[2][-4:-1], by_d, rtol=0, atol=1e4 * EPS * np.abs(by_d).max())
@@ -216,7 +231,7 @@ def test_a_long_record_gives_the_same_projection_with_and_without_columns(monkey
     rng = np.random.default_rng(10)
     u = rng.standard_normal(samples)
     hold = Hold(1.0)
-    y = Regressors(d, u, hold).columns() @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
+    y = columns(d, u, hold) @ np.array([1.0, 0.5, 2.0, 3.0, -1.0, 0.5, 0.2, 0.1, -3.0])
     y += noise * np.std(y) * rng.standard_normal(samples)
     problem = Problem((RecordRows(u, y, np.ones(samples, bool), hold),))
     fast, slow = problem.project(d), problem.project(d)

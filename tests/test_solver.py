@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import ph_control as phc
-from ph_control.identification.regression.modal_regressors import Regressors
 from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.steps import TimeSearch
@@ -29,7 +28,7 @@ def problem_of(d, r, *, samples=400, h=0.1, noise=0.05, sign=1.0, seed=0, method
 def dense(problem, d):
     """Columns of the linear problem over the whole record, residues first."""
     (one,) = problem.experiments
-    columns = Regressors(d, one.u, one.hold).columns()
+    columns = one.sensitivities(d, np.zeros(len(d)), np.zeros(len(d), complex))[:, len(d) :]
     return columns[:, : len(d)] if one.from_rest else columns
 
 
@@ -65,14 +64,12 @@ def test_jacobian_has_the_gram_matrix_of_the_dense_one():
     d = np.array([0.41, 1.08])
     at = problem.project(d)
     (one,) = problem.experiments
-    found = Regressors(d, one.u, one.hold)
-    slopes, own = found.slopes(), at.own[0]
-    by_d = slopes[:, :2] * at.kappa + slopes[:, 2:4] * own[:2] + slopes[:, 4:] * own[2:]
-    J = np.concatenate([by_d, found.columns()], axis=1)
+    own = at.own[0]
+    J = one.sensitivities(d, at.kappa, own[:2] + 1j * own[2:])
+    by_d, inside = J[:, :2], J[:, 2:]
     reduced, known = at.jacobian()
     assert known.all() and len(reduced) < 20
     assert np.allclose(reduced.T @ reduced, J.T @ J, rtol=1e-10, atol=1e-10 * np.abs(J.T @ J).max())
-    inside = found.columns()
     left = by_d - inside @ np.linalg.lstsq(inside, by_d, rcond=None)[0]
     assert np.allclose(at.gram, left.T @ left, rtol=1e-8)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference import EPS
 
-from ph_control.identification.regression.modal_regressors import QUANTITIES, Regressors, SampledModes
+from ph_control.identification.regression.modal_regressors import QUANTITIES, SampledModes
 from ph_control.identification.regression.spectral_rows import Spectrum, TransformColumns, Window
 from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem
@@ -22,8 +22,9 @@ def experiment_of(samples=200, hold=("exact", "zoh"), quantity="velocity", drive
     hold = Hold(0.1, *hold)
     u = rng.standard_normal(samples) if driven else np.zeros(samples)
     free = rng.standard_normal(3) + 1j * rng.standard_normal(3)
-    longer = Regressors(D, np.concatenate([u, u[:1]]), hold, quantity)
-    y = (longer.columns() @ np.concatenate([KAPPA * driven, free.real, free.imag]))[:samples]
+    u_next = np.append(u, u[0])
+    longer = RecordRows(u_next, u_next, np.ones(samples + 1, bool), hold, quantity=quantity)
+    y = (longer.sensitivities(D, KAPPA, free)[:, 3:] @ np.concatenate([KAPPA * driven, free.real, free.imag]))[:samples]
     one = RecordRows(u, y, np.ones(samples, bool), hold, quantity=quantity, driven=driven)
     return one, free, _ends(one, free)
 
@@ -112,7 +113,7 @@ def test_transforms_of_motions_lie_in_the_span_of_the_columns_on_a_bin_as_well(h
     real = np.concatenate(list(Window(spectrum, bins).at(d).blocks()))[:-1].T
     real = real / np.linalg.norm(real, axis=0)
     assert np.linalg.cond(real) < 1e3
-    motions = np.fft.rfft(Regressors(d, one.u, one.hold).columns(), axis=0)[bins]
+    motions = np.fft.rfft(one.sensitivities(d, KAPPA[:1], np.zeros(1, complex))[:, 1:], axis=0)[bins]
     targets = np.concatenate([motions.real, motions.imag])
     left = targets - real @ np.linalg.lstsq(real, targets, rcond=None)[0]
     assert (np.linalg.norm(left, axis=0) <= 1e3 * 400 * EPS * np.linalg.norm(targets, axis=0)).all()

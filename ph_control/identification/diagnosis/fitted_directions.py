@@ -13,7 +13,7 @@ from ...modal.discretization import Hold
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.frequency_rows import modal_columns
-from ..regression.modal_regressors import Regressors
+from ..regression.time_rows import RecordRows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -59,13 +59,9 @@ def of_record(
 
     `weighted` are the modes whose residue is not held at 0, `moving` those whose free motion was estimated.
     """
-    shared, parts = np.zeros((record.samples, 0)), [np.zeros((record.samples, 0))]
-    if len(d):
-        found = Regressors(d, record.u, hold, quantity)
-        # without an input the forced columns are 0
-        by_d = kappa * found.forced_slope + free.real * found.cosine_slope + free.imag * found.sine_slope
-        shared = np.concatenate([by_d, found.forced[:, weighted]], axis=1)
-    if free.any():
-        parts += [found.cosine[:, moving], found.sine[:, moving]]
+    rows = RecordRows(record.u, record.y, record.observed, hold, quantity=quantity)
+    # without an input the forced columns are 0
+    by_d, forced, cosine, sine = np.split(rows.sensitivities(d, kappa, free), 4, axis=1)
+    parts = [cosine[:, moving], sine[:, moving]] if free.any() else []
     parts.append(np.arange(float(record.samples))[:, None] ** np.arange(offset))
-    return Directions(shared, np.concatenate(parts, axis=1))
+    return Directions(np.concatenate([by_d, forced[:, weighted]], axis=1), np.concatenate(parts, axis=1))

@@ -16,7 +16,7 @@ from ...modal.modal_form import ModalForm, imaginary
 from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
 from ..data.time_record import Record
-from ..regression.modal_regressors import QUANTITIES, Regressors
+from ..regression.modal_regressors import QUANTITIES
 from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Problem, Projection
 from ..uncertainty.fisher import Combination, Information, joint_information, model_information
@@ -270,7 +270,7 @@ def _check_phases(problem: RecordRows, d: Array) -> None:
 def _free_motion(problem: RecordRows, model: ModalForm) -> tuple[ComplexArray, float]:
     """Modal initial states that fit the outputs best, given the model, and the deviation of what is left."""
     n = model.n
-    columns = problem.seen(Regressors(model.d, problem.u, problem.hold, problem.quantity).columns())
+    columns = problem.seen(problem.sensitivities(model.d, model.kappa, np.zeros(n, complex)))[:, n:]
     with np.errstate(over="ignore", invalid="ignore"):  # what leaves the range of doubles is refused
         left = problem.target - columns[:, :n] @ model.kappa
         _checks.representable("the outputs of the model", left * left)

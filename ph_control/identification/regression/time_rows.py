@@ -190,6 +190,13 @@ class RecordRows:
         """The rows at frequencies `d`."""
         return TimeEvaluation(self, d)
 
+    def sensitivities(self, d: Array, kappa: Array, amplitudes: ComplexArray) -> Array:
+        """Derivatives of the output by `(d, kappa, Re, Im of the free motion)`, at all samples, (T, 4n)."""
+        n, own = len(d), np.concatenate([amplitudes.real, amplitudes.imag])
+        whole = RecordRows(self.u, self.y, np.ones(len(self.u), bool), self.hold, quantity=self.quantity)
+        rows = np.concatenate(list(whole.at(d).sensitive_blocks(kappa, own)), axis=1)
+        return np.concatenate([rows[3 * n : 4 * n], rows[2 * n : 3 * n], rows[: 2 * n]]).T
+
 
 @dataclass(frozen=True, eq=False)
 class FreeRecord:

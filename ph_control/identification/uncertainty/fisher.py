@@ -18,7 +18,7 @@ from scipy.linalg import qr
 from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
-from ..regression.modal_regressors import SHORT, Kernel, Regressors, SampledModes, output_weight
+from ..regression.modal_regressors import SHORT, Kernel, SampledModes, output_weight
 from ..regression.time_rows import RecordRows
 from ..regression.triangular import reduced
 from ..regression.variable_projection import Projection, eliminate
@@ -233,21 +233,9 @@ def model_information(problem: RecordRows, d: Array, r: Array, amplitudes: Compl
     `amplitudes` (n,) are the modal states `x_l(0)`, whose real parts are the free motion at the output.
     """
     n = len(d)
-    jacobian = _sensitivities(problem, d, r, amplitudes)
+    jacobian = problem.seen(problem.sensitivities(d, r * d, amplitudes))
     kept = 2 * n if problem.from_rest else 4 * n
     return information_of(problem, jacobian[:, :kept], d, r, amplitudes)
-
-
-def _sensitivities(problem: RecordRows, d: Array, r: Array, amplitudes: ComplexArray) -> Array:
-    """Derivatives of the output by `(d, kappa, Re x(0), Im x(0))` at a model, shape (T, 4n)."""
-    n = len(d)
-    found = Regressors(d, problem.u, problem.hold, problem.quantity)
-    coefficients = np.concatenate([r * d, amplitudes.real, amplitudes.imag])
-    columns, slopes = problem.seen(found.columns()), problem.seen(found.slopes())
-    if not problem.driven:
-        columns[:, :n], slopes[:, :n] = 0.0, 0.0
-    by_d = (slopes * coefficients).reshape(len(columns), 3, n).sum(axis=1)
-    return np.concatenate([by_d, columns], axis=1)
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -258,7 +246,7 @@ def joint_information(
     n, samples = len(d), sum(len(one.target) for one in problems)
     parts = []
     for one, amplitudes in zip(problems, states, strict=True):
-        J = _sensitivities(one, d, r, amplitudes)
+        J = one.seen(one.sensitivities(d, r * d, amplitudes))
         parts.append(_of_modes(J[:, : 2 * n] if one.from_rest else J, n, samples))
     return Information.of(in_weights(np.concatenate(parts), d, r), parameter_names(n, True), rows=samples)
 
