@@ -125,6 +125,9 @@ class Hold:
 
     def weights(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Weights of `u_k` and `u_{k+1}` in one step of `x' = p x + u`, shape of `p` each."""
+        if (self.method, self.intersample) == ("exact", "zoh"):
+            z, rest = self._turn(p)
+            return self.h * phi_1(z, rest), np.zeros_like(z)
         return self.weights_and_derivatives(p)[:2]
 
     def weights_and_derivatives(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:

@@ -49,7 +49,7 @@ class Passivity:
 
     def __init__(self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool) -> None:
         self.matrices, self.scattering = (A, B, C, D), scattering
-        self.modes = from_matrices(A, B, C, D)
+        self.modes = from_matrices(A, B, C, D.copy())
 
     def smallest(self, omega: Any) -> tuple[Array, Array]:
         """Smallest eigenvalue of `Phi` at each frequency, and what rounding leaves of it."""
