@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._frozen import Frozen
 from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
@@ -24,8 +25,23 @@ from .relations import reduced_residuals, star_equivalent
 from .unique_coordinates import power_of_two
 
 
+class _Arrow(Frozen):
+    """What arrows of both groupoids share."""
+
+    __array_ufunc__ = None  # an array beside an arrow is an error, not a table of arrows
+
+    @classmethod
+    def _takes(cls, *parts: Any) -> bool:
+        """Whether the constructor takes them."""
+        try:
+            cls(*parts)
+        except StructureError:
+            return False
+        return True
+
+
 @dataclass(frozen=True, eq=False)
-class PortHamiltonianGroupoid:
+class PortHamiltonianGroupoid(_Arrow):
     """Arrow `(L, (Q, B))` of the port-Hamiltonian groupoid, an isomorphism of systems of one port with its source.
 
     Its target is `(J^T L J Q L^{-1}, L B)`.  Definition 4.10 of the paper; the orbits are the classes of `~sys`.
@@ -63,16 +79,11 @@ class PortHamiltonianGroupoid:
     L: Array
     source: PortHamiltonian
 
-    __array_ufunc__ = None  # an array beside an arrow is an error, not a table of arrows
-
     def __post_init__(self) -> None:
         _one_port(self.source)
-        L = _invertible("L", self.L, self.source.nstates)
-        object.__setattr__(self, "L", _checks.readonly(L))
+        object.__setattr__(self, "L", _invertible("L", self.L, self.source.nstates))
+        super().__post_init__()
         self._refuse_no_arrow()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.L.copy(), self.source)
 
     @np.errstate(over="ignore", invalid="ignore")  # what overflows is no arrow
     def _refuse_no_arrow(self) -> None:
@@ -82,21 +93,17 @@ class PortHamiltonianGroupoid:
         moved = turned @ Q @ inverse
         products = np.abs(turned) @ np.abs(Q) @ np.abs(inverse)
         port_products = np.abs(L).T @ np.abs(apply_form(np.abs(L) @ np.abs(B)))
-        allowed = _allowed(len(L))
-        for what, residual in (
-            ("J^T L J Q L^-1 is not symmetric: off", _relative(moved - moved.T, products)),
-            ("B differs from J^T L^T J L B", _relative(B + apply_form(L.T @ apply_form(L @ B)), port_products)),
-        ):
-            if residual > allowed:
-                raise StructureError(
-                    f"L is not an arrow from this system: {what} by {residual:.1e} of the products in it, allowed "
-                    f"{allowed:.1e}"
-                )
+        refused = "L is not an arrow from this system: "
+        residuals = {
+            "J^T L J Q L^-1 is not symmetric: off": _relative(moved - moved.T, products),
+            "B differs from J^T L^T J L B": _relative(B + apply_form(L.T @ apply_form(L @ B)), port_products),
+        }
+        _refuse_off(refused, len(L), residuals)
         smallest, tolerance = _definite.smallest_scaled_eigenvalue(0.5 * (moved + moved.T))
         if smallest <= tolerance or np.diag(moved).min(initial=np.inf) <= 0:
             raise StructureError(
-                "L is not an arrow from this system: J^T L J Q L^-1 is not positive definite: smallest eigenvalue "
-                f"after scaling {smallest:.3g}, needed > {tolerance:.1e}"
+                f"{refused}J^T L J Q L^-1 is not positive definite: smallest eigenvalue after scaling {smallest:.3g}, "
+                f"needed > {tolerance:.1e}"
             )
 
     @cached_property
@@ -212,15 +219,11 @@ class PortHamiltonianGroupoid:
         --------
         See `PortHamiltonianGroupoid`.
         """
-        try:
-            cls(_checks.real_array("L", L), source)
-        except StructureError:
-            return False
-        return True
+        return cls._takes(L, source)
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedGroupoid:
+class ReducedGroupoid(_Arrow):
     """Arrow `((P, A), (d, v))` of the reduced port-Hamiltonian groupoid.
 
     Its source is `(d, v)`, its target `(P d, diag(P, P) A v)`; the orbits are the classes of `~star`.  Definition 4.12
@@ -263,32 +266,22 @@ class ReducedGroupoid:
     d: Array
     v: Array
 
-    __array_ufunc__ = None
-
     def __post_init__(self) -> None:
         d, v = _checks.parameter_pair(self.d, self.v)
         P = _checks.real_array("P", self.P, 2)
         n = len(d)
         A = _invertible("A", self.A, 2 * n)
         for name, value in (("P", P), ("A", A), ("d", d), ("v", v)):
-            object.__setattr__(self, name, _checks.readonly(value))
-        ones = (P == 1).sum(axis=0), (P == 1).sum(axis=1)
-        if P.shape != (n, n) or not np.all((P == 0) | (P == 1)) or any((count != 1).any() for count in ones):
+            object.__setattr__(self, name, value)
+        super().__post_init__()
+        if P.shape != (n, n) or not (np.isin(P, (0, 1)).all() and np.array_equal(P @ P.T, np.eye(n))):
             raise StructureError(
                 f"P is not a permutation matrix of {n} modes: its shape is {P.shape}; it needs a single 1 in each row "
                 "and column, and 0 elsewhere"
             )
-        allowed = _allowed(2 * n)
-        residuals = reduced_residuals(A, d, v)
-        for residual, condition in zip(residuals, ("A^T Dhat A v = Dhat v", "A J Dhat = J Dhat A"), strict=True):
-            if residual > allowed:
-                raise StructureError(
-                    f"(P, A) is not an arrow from this (d, v): {condition} is off by {residual:.1e} of the products in "
-                    f"it, allowed {allowed:.1e}"
-                )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.P.copy(), self.A.copy(), self.d.copy(), self.v.copy())
+        conditions = "A^T Dhat A v = Dhat v is off", "A J Dhat = J Dhat A is off"
+        residuals = dict(zip(conditions, reduced_residuals(A, d, v), strict=True))
+        _refuse_off("(P, A) is not an arrow from this (d, v): ", 2 * n, residuals)
 
     @property
     def source(self) -> tuple[Array, Array]:
@@ -420,11 +413,7 @@ class ReducedGroupoid:
         --------
         See `ReducedGroupoid`.
         """
-        try:
-            cls(*(_checks.real_array(name, value) for name, value in (("P", P), ("A", A), ("d", d), ("v", v))))
-        except StructureError:
-            return False
-        return True
+        return cls._takes(P, A, d, v)
 
 
 def _one_port(system: PortHamiltonian) -> None:
@@ -477,6 +466,14 @@ def _composable(target: tuple[Array, Array], source: tuple[Array, Array], condit
 def _conjugate(L: Array) -> Array:
     """`J^T L J` without forming J."""
     return apply_form(apply_form(L.T).T)
+
+
+def _refuse_off(refused: str, size: int, residuals: dict[str, float]) -> None:
+    for condition, residual in residuals.items():
+        if residual > _allowed(size):
+            raise StructureError(
+                f"{refused}{condition} by {residual:.1e} of the products in it, allowed {_allowed(size):.1e}"
+            )
 
 
 def _allowed(size: int) -> float:
