@@ -103,6 +103,8 @@ from .systems.lifting import lift as lift
 from .systems.models import frenkel_kontorova as frenkel_kontorova
 from .systems.models import from_second_order as from_second_order
 from .systems.models import lc_circuit as lc_circuit
+from .systems.models import msd_chain as msd_chain
+from .systems.models import rcl_ladder as rcl_ladder
 from .systems.models import spring_chain as spring_chain
 from .systems.port_hamiltonian import PortHamiltonian as PortHamiltonian
 from .systems.port_hamiltonian import modes as modes

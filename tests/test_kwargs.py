@@ -123,6 +123,8 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "impulse_response": [lambda **k: phc.impulse_response(plant(), T, **k)],
     "initial_response": [lambda **k: phc.initial_response(plant(), T, 1.0, **k)],
     "lc_circuit": [lambda **k: phc.lc_circuit([1.0, 2.0], 1.0, **k)],
+    "msd_chain": [lambda **k: phc.msd_chain(3, **k)],
+    "rcl_ladder": [lambda **k: phc.rcl_ladder(3, **k)],
     "modes_plot": [lambda **k: phc.modes_plot(plant(), **k)],
     "order_plot": [lambda **k: phc.order_plot(phc.order_selection(fitted().record, 2), **k)],
     "order_selection": [lambda **k: phc.order_selection(fitted().record, 2, **k)],

@@ -12,7 +12,16 @@ from scipy.io import mmread
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
-from ph_control import PortHamiltonian, StructureError, frenkel_kontorova, from_second_order, lc_circuit, spring_chain
+from ph_control import (
+    PortHamiltonian,
+    StructureError,
+    frenkel_kontorova,
+    from_second_order,
+    lc_circuit,
+    msd_chain,
+    rcl_ladder,
+    spring_chain,
+)
 
 EPS = np.finfo(float).eps
 BENCHMARK = Path(__file__).resolve().parents[2] / "shared" / "data" / "models" / "phbench_params_and_refs.json"
@@ -382,11 +391,103 @@ def test_the_benchmark_chain_with_its_dampers_added_has_the_published_response()
     case = benchmark()["SingleMSD_Gugercin"]
     n, m, k, c = case["n_cells"], case["m"], case["k"], case["c"]
     sys = spring_chain(np.full(n, m), k, ground=k * np.eye(n)[-1], port=[0, 1])
+    by_dampers = msd_chain()
     damped = ct.ss(sys.A - np.diag(np.repeat([0.0, c], n)) @ sys.Q, sys.B, sys.C, sys.D)
     for reference in case["H_ref"]:
         s = complex(*reference["s"])
         expected = np.array(reference["H_re"]) + 1j * np.array(reference["H_im"])
         np.testing.assert_allclose(dense_response(damped, s), expected, rtol=0, atol=case["tol"])
+        # all digits that are printed there
+        shown = [[complex(float(f"{x.real:.6g}"), float(f"{x.imag:.6g}")) for x in row] for row in by_dampers(s)]
+        np.testing.assert_array_equal(shown, expected)
+    assert by_dampers.nstates == 2 * n and not by_dampers.is_lossless
+
+
+def test_the_benchmark_chain_has_its_published_H2_norm():
+    sys = msd_chain()
+    assert abs(ct.system_norm(ct.ss(sys), 2) - 0.36462) < 5e-6
+
+
+@quick
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_a_ladder_has_the_impedance_of_its_elements(n, seed):
+    """From the far end: in series with R and L, and across C, cell by cell."""
+    rng = np.random.default_rng(seed)
+    R, C, L, load = rng.uniform(0, 2, n), rng.uniform(0.1, 2, n), rng.uniform(0.1, 2, n), rng.uniform(0, 1)
+    one, two = rcl_ladder(n, R=R, C=C, L=L, load=load), rcl_ladder(n, R=R, C=C, L=L, load=load, ports=2)
+    for s in (0.7j, 0.3 + 1j, 2.0):
+        impedance = load
+        for k in range(n)[::-1]:
+            impedance = 1 / (s * C[k] + 1 / (s * L[k] + R[k] + impedance))
+        assert abs(one(s) / impedance - 1) < 1e-11
+        assert abs(two(s)[0, 0] / impedance - 1) < 1e-11
+        back = 0.0  # admittance that is seen from the end, inductors first
+        for k in range(n):
+            back = 1 / (s * L[k] + R[k] + load * (k == n - 1) + 1 / (s * C[k] + back))
+        assert abs(two(s)[1, 1] / back - 1) < 1e-11
+    assert one.is_lossless == (not R.any() and load == 0)
+
+
+def test_the_benchmark_ladders_are_those_of_the_collection():
+    cases = benchmark()
+    for name, sys in (
+        ("RCLLadder_PS10", rcl_ladder()), ("RCLLadder_GPBS12", rcl_ladder(R=3, C=0.1, L=0.1, load=1, ports=2)),
+    ):  # fmt: skip
+        case = cases[name]
+        n = case["n_cells"]
+        # in the order of the collection, charge and flux cell by cell
+        J = np.diag(np.ones(2 * n - 1), -1) - np.diag(np.ones(2 * n - 1), 1)
+        first, last = (float(part.partition("*")[0].strip("[]")) for part in case["R"].split("+"))
+        R = np.diag(np.tile([0.0, first], n))
+        R[-1, -1] += last
+        A = (J - R) @ np.diag(np.tile([1 / case["C"], 1 / case["L"]], n))
+        order = np.arange(2 * n).reshape(2, n).T.ravel()
+        np.testing.assert_array_equal(sys.A[np.ix_(order, order)], A)
+        assert sys.ninputs == case["io_dim"]
+
+
+@quick
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_a_chain_with_dampers_has_the_response_of_its_equations_of_motion(n, seed):
+    rng = np.random.default_rng(seed)
+    m, k, g = rng.uniform(0.5, 2, n), rng.uniform(0, 2, n - 1), rng.uniform(0, 2, n)
+    c, drag = rng.uniform(0, 1, n - 1), rng.uniform(0, 1, n)
+    sys = spring_chain(m, k, ground=g, c=c, ground_c=drag, port=n - 1)
+    D = np.diff(np.eye(n), axis=0)
+    for s in (0.4j, 1.3j, 0.5 + 1j):
+        dynamic = s**2 * np.diag(m) + s * (np.diag(drag) + D.T @ (c[:, None] * D)) + np.diag(g) + D.T @ (k[:, None] * D)
+        assert abs(sys(s) / (s * np.linalg.inv(dynamic)[-1, -1]) - 1) < 1e-10
+    assert sys.state_labels[0] == "q_1" and sys.input_labels == ["F"]
+
+
+def test_resistors_damp_the_branches_they_are_in():
+    C, L, R = np.array([1.0, 0.3, 0.05]), np.array([2.0, 0.7, 0.4]), np.array([0.1, 0.0, 2.0])
+    sys = lc_circuit(C, L, R=R)
+    for s in (0.3j, 1j, 0.2 + 5j):
+        assert abs(sys(s) / np.sum(1 / (s * L + R + 1 / (s * C))) - 1) < 1e-13
+    np.testing.assert_allclose(np.sort(sys.damping_ratios), np.sort(R * np.sqrt(C / L) / 2), atol=1e-15)
+    assert type(lc_circuit(C, L, R=0.0)) is type(spring_chain([1.0, 2.0], c=0)) is PortHamiltonian
+    np.testing.assert_array_equal(lc_circuit(C, L, R=0.2).R, np.diag([0, 0, 0, 0.2, 0.2, 0.2]))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: lc_circuit(1.0, 1.0, R=-1.0), r"R\[0\] = -1; a resistance is not negative"),
+        (lambda: lc_circuit([1.0, 1.0], 1.0, R=[1.0, 2.0, 3.0]), "the 2 branches"),
+        (lambda: spring_chain([1.0, 1.0], c=[1.0, 1.0]), "the 1 dampers"),
+        (lambda: spring_chain([1.0, 1.0], ground_c=[0.0, -2.0]), r"ground_c\[1\] = -2; a viscosity"),
+        (lambda: msd_chain(0), "number of masses"),
+        (lambda: msd_chain(3, m=[1.0, 2.0]), "m has 2 entries"),
+        (lambda: msd_chain(3, ports=4), "number of ports"),
+        (lambda: rcl_ladder(2, C=[1.0, 1.0, 1.0]), "C has 3 entries"),
+        (lambda: rcl_ladder(2, load=-1.0), "load"),
+        (lambda: rcl_ladder(2, ports=3), "number of ports"),
+    ],
+)
+def test_bad_losses_are_refused_by_name(make, message):
+    with pytest.raises(StructureError, match=message):
+        make()
 
 
 def test_the_benchmark_ladder_without_resistors_is_a_chain_with_capacitors_for_masses():

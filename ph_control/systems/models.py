@@ -26,11 +26,12 @@ _MARGIN = 10.0  # between a negative energy and the positive ones that are round
 _LARGEST = 10**6  # masses of a chain: its matrices are dense
 
 
-def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
-    """Circuit of n parallel branches, in each an inductor in series with a capacitor, across a voltage source.
+def lc_circuit(C: ArrayLike, L: ArrayLike, *, R: ArrayLike = 0.0, **names: Any) -> PortHamiltonian:
+    """Circuit of n parallel branches across a voltage source, each an inductor, a capacitor and a resistor in series.
 
     The paper's non-dissipative circuit, and Foster's second form of a lossless admittance: branch l has the
-    natural frequency `1 / sqrt(L_l C_l)` and contributes `(s / L_l) / (s^2 + 1 / (L_l C_l))`.
+    natural frequency `1 / sqrt(L_l C_l)` and contributes `(s / L_l) / (s^2 + 1 / (L_l C_l))`.  Resistors damp it by
+    the ratio `R_l sqrt(C_l / L_l) / 2`.
 
     Parameters
     ----------
@@ -38,6 +39,8 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
         Capacitances, positive, farad.  A number is the capacitance of every branch.
     L : array_like, shape (n,), or a number
         Inductances, positive, henry.  A number is the inductance of every branch.
+    R : array_like, shape (n,), or a number
+        Resistances in series, not negative, ohm; default none.  A number is the resistance of every branch.
     **names
         `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default the input is `V`, the output `I`
         and the states are `Q_1 .. Q_n, phi_1 .. phi_n`.
@@ -45,17 +48,18 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
     Returns
     -------
     PortHamiltonian
-        From source voltage (V) to source current (A).  States: charges (C) and flux linkages (Wb).
+        From source voltage (V) to source current (A).  States: charges (C) and flux linkages (Wb).  With resistors a
+        `DissipativePortHamiltonian`.
 
     Raises
     ------
     StructureError
-        If a value is not positive and finite, or the sizes differ.
+        If a value is not positive (a resistance not negative) and finite, or the sizes differ.
 
     Notes
     -----
-    `H = sum_l Q_l^2 / (2 C_l) + phi_l^2 / (2 L_l)`, `B = (0 .. 0, 1 .. 1)`.  Branches with equal products `L C`
-    resonate as one: the system is then not canonical.
+    `H = sum_l Q_l^2 / (2 C_l) + phi_l^2 / (2 L_l)`, `B = (0 .. 0, 1 .. 1)`, `R = diag(0 .. 0, R_l)`.  Branches with
+    equal products `L C` resonate as one: without resistors the system is then not canonical.
 
     Examples
     --------
@@ -63,6 +67,8 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
     >>> circuit = phc.lc_circuit([1.0, 0.25], [1.0, 4.0 / 9.0])
     >>> circuit.d, circuit.modes.kappa
     (array([1., 3.]), array([1.  , 2.25]))
+    >>> phc.lc_circuit([1.0, 0.25], [1.0, 4.0 / 9.0], R=[0.2, 0.0]).damping_ratios
+    array([0.1, 0. ])
     """
     capacitance, inductance = _values("C", C, "a capacitance"), _values("L", L, "an inductance")
     n = max(capacitance.size, inductance.size)
@@ -73,7 +79,9 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, **names: Any) -> PortHamiltonian:
         )
     energy = np.concatenate([np.ones(n) / capacitance, np.ones(n) / inductance])
     port = np.repeat([0.0, 1.0], n)
-    return ph(np.diag(energy), port, **_named(names, ["V"], ["I"], _numbered("Q", n) + _numbered("phi", n)))
+    resistance = _values("R", R, "a resistance", n, f"the {n} branches")
+    named = _named(names, ["V"], ["I"], _numbered("Q", n) + _numbered("phi", n))
+    return ph(np.diag(energy), port, R=_losses(resistance), **named)
 
 
 def spring_chain(
@@ -81,10 +89,12 @@ def spring_chain(
     stiffnesses: ArrayLike = 1.0,
     *,
     ground: ArrayLike = 0.0,
+    c: ArrayLike = 0.0,
+    ground_c: ArrayLike = 0.0,
     port: int | Sequence[int] = 0,
     **names: Any,
 ) -> PortHamiltonian:
-    """Chain of masses, each tied to the next by a spring, and to the ground by another where wanted.
+    """Chain of masses, each tied to the next by a spring and a damper, and to the ground by others where wanted.
 
     Parameters
     ----------
@@ -95,6 +105,10 @@ def spring_chain(
     ground : array_like, shape (n,), or a number
         Stiffnesses of the springs from each mass to the ground, not negative, N/m; default none.  Without any the
         chain floats: its Hamiltonian is only positive semidefinite, and the system has a pole at 0.
+    c : array_like, shape (n - 1,), or a number
+        Viscosities of the dampers beside the springs between neighbours, not negative, N s/m; default none.
+    ground_c : array_like, shape (n,), or a number
+        Viscosities of the dampers from each mass to the ground, not negative, N s/m; default none.
     port : int, or a sequence of int
         The mass on which the force acts and whose velocity is the output, counted from 0; several make a system
         with as many ports.
@@ -106,17 +120,18 @@ def spring_chain(
     Returns
     -------
     PortHamiltonian
-        From force (N) to velocity (m/s).  States: displacements (m) and momenta (kg m/s).
+        From force (N) to velocity (m/s).  States: displacements (m) and momenta (kg m/s).  With dampers a
+        `DissipativePortHamiltonian`.
 
     Raises
     ------
     StructureError
-        If a mass is not positive, a stiffness is negative, the sizes do not fit, or there is no mass `port`.
+        If a mass is not positive, a stiffness or viscosity negative, the sizes do not fit, or there is no mass `port`.
 
     Notes
     -----
     `H = sum_i p_i^2 / (2 m_i) + k_i (q_{i+1} - q_i)^2 / 2 + g_i q_i^2 / 2`, `B` the unit vector of the momentum of
-    the mass `port`.  The matrices are dense.
+    the mass `port`.  The dampers take `sum_i c_i (v_{i+1} - v_i)^2 + ground_c_i v_i^2`.  The matrices are dense.
 
     Examples
     --------
@@ -126,18 +141,23 @@ def spring_chain(
     array([1., 3.])
     >>> round(phc.spring_chain([1.0, 3.0]).modes.kappa_0, 12)  # the whole chain as one rigid body: 1 / (1 + 3)
     0.25
+    >>> phc.spring_chain([1.0, 1.0], 4.0, ground=1.0, c=0.5).damping_ratios.round(6)
+    array([0.      , 0.166667])
     """
     mass = _values("masses", masses, "a mass")
     n = mass.size
     between = _values("stiffnesses", stiffnesses, "a stiffness", n - 1, f"the {n - 1} springs between {n} masses")
     to_ground = _values("ground", ground, "a stiffness", n, f"the {n} masses")
+    dampers = _values("c", c, "a viscosity", n - 1, f"the {n - 1} dampers between {n} masses")
+    drag = _values("ground_c", ground_c, "a viscosity", n, f"the {n} masses")
     Q = np.zeros((2 * n, 2 * n))
     Q[:n, :n] = np.diag(to_ground) + _laplacian(between)
     Q[n:, n:] = np.diag(1.0 / mass)
     ports = _port_indices(port, n)
     B = np.zeros((2 * n, len(ports)))
     B[n + np.array(ports), np.arange(len(ports))] = 1.0
-    return ph(Q, B, **_named(names, *_forces(len(ports)), _numbered("q", n) + _numbered("p", n)))
+    loss = np.diag(drag) + _laplacian(dampers) if dampers.any() or drag.any() else np.zeros(n)
+    return ph(Q, B, R=_losses(loss), **_named(names, *_forces(len(ports)), _numbered("q", n) + _numbered("p", n)))
 
 
 def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
@@ -174,11 +194,122 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
     >>> phc.frenkel_kontorova().d.round(6)
     array([0.618034, 1.618034])
     """
-    if isinstance(n, bool) or not isinstance(n, int | np.integer) or not 1 <= n <= _LARGEST:
-        raise StructureError(
-            f"n is {_checks.shown(n)}; the number of masses is a whole number, at least 1 and at most {_LARGEST}"
-        )
-    return spring_chain(np.ones(n), 1.0, ground=np.eye(1, int(n))[0], **names)
+    n = _count("n", n, "masses", _LARGEST)
+    return spring_chain(np.ones(n), 1.0, ground=np.eye(1, n)[0], **names)
+
+
+def msd_chain(
+    n: int = 50, *, m: ArrayLike = 4.0, k: ArrayLike = 4.0, c: ArrayLike = 1.0, ports: int = 2, **names: Any
+) -> PortHamiltonian:
+    """Chain of masses with dampers to the ground, the last mass on a spring to a wall: a benchmark of model reduction.
+
+    Parameters
+    ----------
+    n : int
+        Number of masses, at least 1.
+    m : array_like, shape (n,), or a number
+        Masses, positive, kg.
+    k : array_like, shape (n,), or a number
+        Stiffnesses, not negative, N/m: of the springs to the next mass, the last one of that to the wall.
+    c : array_like, shape (n,), or a number
+        Viscosities of the dampers between each mass and the ground, not negative, N s/m.
+    ports : int
+        Number of ports: forces on, and velocities of, the first masses.
+    **names
+        As for `spring_chain`.
+
+    Returns
+    -------
+    PortHamiltonian
+        From forces to velocities.  States: `q_1 .. q_n, p_1 .. p_n`; the benchmark sorts them `q_1, p_1, q_2, ..`.
+
+    Raises
+    ------
+    StructureError
+        If a number or a size is not as said.
+
+    Notes
+    -----
+    The chain of Gugercin, Polyuga, Beattie and van der Schaft (Automatica, 2012), which the port-Hamiltonian benchmark
+    collection has too; its H2 norm is 0.36462 with the default values.  The matrices are dense.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> chain = phc.msd_chain()
+    >>> chain(0.1j)[0].round(6)
+    array([0.125712+0.073217j, 0.122624+0.050628j])
+    """
+    n = _count("n", n, "masses", _LARGEST)
+    stiffness = _values("k", k, "a stiffness", n, f"the {n} masses")
+    m = _positive("m", m, "a mass", n, "masses")
+    return spring_chain(
+        m, stiffness[:-1], ground=stiffness[-1] * np.eye(1, n, n - 1)[0], ground_c=c,
+        port=range(_count("ports", ports, "ports", n)), **names,
+    )  # fmt: skip
+
+
+def rcl_ladder(
+    n: int = 50, *, R: ArrayLike = 0.2, C: ArrayLike = 1.0, L: ArrayLike = 1.0, load: float = 0.4, ports: int = 1,
+    **names: Any,
+) -> PortHamiltonian:  # fmt: skip
+    """Ladder of n cells, each a capacitor across and a resistor and an inductor along: a benchmark of model reduction.
+
+    Parameters
+    ----------
+    n : int
+        Number of cells, at least 1.
+    R, C, L : array_like, shape (n,), or a number
+        Resistances (not negative, ohm), capacitances (positive, farad) and inductances (positive, henry).
+    load : float
+        Resistance that ends the ladder, in series with the last inductor, not negative, ohm.
+    ports : {1, 2}
+        1: the current into, and the voltage of, the first capacitor; 2: also a voltage source at the end, with its
+        current.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default `I` and `V` (two ports: `I, V_end` and
+        `V, I_end`), and the states `Q_1 .. Q_n, phi_1 .. phi_n`.
+
+    Returns
+    -------
+    PortHamiltonian
+        States: charges (C) and flux linkages (Wb); the benchmark sorts them `Q_1, phi_1, Q_2, ..`.
+
+    Raises
+    ------
+    StructureError
+        If a number or a size is not as said.
+
+    Notes
+    -----
+    `V_k = Q_k / C_k`, `I_k = phi_k / L_k`; `Q_k' = I_{k-1} - I_k`, `phi_k' = V_k - V_{k+1} - R_k I_k`.  The defaults
+    are the ladder of Polyuga and van der Schaft (Automatica, 2010); that of Gugercin, Polyuga, Beattie and van der
+    Schaft (Automatica, 2012) is `rcl_ladder(R=3.0, C=0.1, L=0.1, load=1.0, ports=2)`.  The matrices are dense.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> ladder = phc.rcl_ladder(3)
+    >>> ladder(0.0).real.round(12).item()  # all resistors in series
+    1.0
+    """
+    n = _count("n", n, "cells", _LARGEST)
+    resistance = _values("R", R, "a resistance", n, f"the {n} cells")
+    end = _values("load", load, "a resistance", 1, "the end")
+    capacitance = _positive("C", C, "a capacitance", n, "cells")
+    inductance = _positive("L", L, "an inductance", n, "cells")
+    resistance[-1] += end[0]
+    J, G = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, _count("ports", ports, "ports", 2)))
+    J[:n, n:] = np.eye(n, k=-1) - np.eye(n)
+    J[n:, :n] = -J[:n, n:].T
+    G[0, 0] = 1.0
+    signals = (["I"], ["V"])
+    if ports == 2:
+        G[-1, 1], signals = 1.0, (["I", "V_end"], ["V", "I_end"])
+    return ph(
+        np.diag(1.0 / np.concatenate([capacitance, inductance])), G, J=J, R=_losses(resistance),
+        **_named(names, *signals, _numbered("Q", n) + _numbered("phi", n)),
+    )  # fmt: skip
 
 
 def from_second_order(
@@ -376,6 +507,23 @@ def _laplacian(stiffness: Array) -> Array:
     return np.diag(inner[:-1] + inner[1:]) - np.diag(stiffness, 1) - np.diag(stiffness, -1)
 
 
+def _losses(block: Array) -> Array | None:
+    """`R = diag(0, block)`, where there is any; of a vector its diagonal matrix."""
+    if not block.any():
+        return None
+    n, R = len(block), np.zeros((2 * len(block), 2 * len(block)))
+    R[n:, n:] = np.diag(block) if block.ndim == 1 else block
+    return R
+
+
+def _positive(name: str, value: ArrayLike, what: str, count: int, of: str) -> Array:
+    """Check positive values, one each or a number for all."""
+    array = _values(name, value, what)
+    if len(array) not in (1, count):
+        raise StructureError(f"{name} has {len(array)} entries; give a number, or one for each of {count} {of}")
+    return np.full(count, array[0]) if len(array) == 1 else array
+
+
 def _values(name: str, value: ArrayLike, what: str, count: int | None = None, of: str = "every branch") -> Array:
     """Check physical values, one each `of` something or a number for all; positive, where no count of them is given."""
     array = _checks.real_array(name, value)
@@ -391,6 +539,15 @@ def _values(name: str, value: ArrayLike, what: str, count: int | None = None, of
         with np.errstate(over="ignore"):
             _checks.representable(f"the reciprocals of {name}", 1.0 / array)
     return array
+
+
+def _count(name: str, value: Any, what: str, most: int) -> int:
+    """Check a number of masses or the like."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise StructureError(
+            f"{name} is {_checks.shown(value)}; the number of {what} is a whole number, at least 1 and at most {most}"
+        )
+    return int(value)
 
 
 def _port_indices(port: Any, n: int) -> list[int]:
