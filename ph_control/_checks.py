@@ -136,8 +136,10 @@ def representable(what: str, *arrays: NDArray[Any], nonzero: NDArray[np.bool_] |
 
 def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     """Check points of the complex plane: a number or a vector, no NaN; infinity is a point."""
+    if np.ma.is_masked(value):
+        raise StructureError(f"{name} have masked entries; fill them, since a mask would be lost here")
     try:
-        points = np.atleast_1d(value).astype(complex, copy=False)
+        points = np.atleast_1d(np.asarray(value)).astype(complex, copy=False)
     except (TypeError, ValueError, OverflowError):
         raise StructureError(f"{name} are not complex numbers: {shown(value)}; give a number or a vector") from None
     if points.ndim > 1:

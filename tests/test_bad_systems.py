@@ -462,3 +462,23 @@ def test_frequencies_of_a_form_that_are_no_vector_are_refused():
     for form in (phc.ch, phc.oh, phc.ObservableHamiltonian):
         refusal(lambda form=form: form(np.array([[1.0, 2.0]]), [1.0, 0.5]))
         refusal(lambda form=form: form(np.zeros((2, 2, 2)), np.ones(8)))
+
+
+LOSSY = phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 0.1]))
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: phc.ph(np.eye(2), [0.0, 1.0], R=[[0.0, 0.0], [0.0]]), "R is not a rectangular array"),
+        (lambda: phc.modes([7e305, 2.0], [0.5, 0.5], damping=0.01), "d is out of range"),
+        (lambda: phc.modes(1.0, 0.5, damping=-1e300), "damping is out of range"),
+        (lambda: LOSSY.horner(np.ma.masked_array([1j, 2j], [False, True])), "the points have masked entries"),
+        (lambda: ct.feedback(LOSSY, np.array([[1e300]])), "the gain is out of range"),
+        (lambda: phc.passivity(ct.tf([1.0, 0.0, 0.0], [1.0, 1.0])), "non-proper"),
+        (lambda: phc.passivity(ct.ss(np.full((2, 2), 1e200), [[1.0], [1.0]], [[1.0, 1.0]], 0.0)), "A is out of range"),
+        (lambda: phc.gradient_descent((np.ones(9), np.ones(9)), 1, dt=1.0, learning_rate=10**400), "learning_rate is"),
+    ],
+)
+def test_what_is_no_number_of_a_double_is_refused_before_it_is_used(call, message):
+    assert message in refusal(call)

@@ -206,7 +206,10 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
 
 def _state_space(sys: Any) -> ct.StateSpace:
     if isinstance(sys, ct.TransferFunction):
-        sys = ct.ss(sys)
+        try:
+            sys = ct.ss(sys)
+        except ValueError as error:
+            raise StructureError(f"{error}; passivity is tested of proper transfer functions") from None
     if not isinstance(sys, ct.StateSpace):
         raise StructureError(f"this is a {type(sys).__name__}; pass a StateSpace or a TransferFunction")
     if sys.isdtime(strict=True):
@@ -217,7 +220,9 @@ def _state_space(sys: Any) -> ct.StateSpace:
             "both: select them with sys[outputs, inputs]"
         )
     for name in "ABCD":
-        _checks.finite(name, np.asarray(getattr(sys, name)))
+        matrix = np.asarray(getattr(sys, name))
+        _checks.finite(name, matrix)
+        _checks.in_range(name, matrix)
     return sys
 
 

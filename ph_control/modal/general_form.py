@@ -279,12 +279,15 @@ def from_vectors(poles: ArrayLike, shapes: ArrayLike, participation: ArrayLike) 
 def with_damping(d: ArrayLike, r: ArrayLike, damping: ArrayLike) -> ModalForm:
     """Modes `kappa s / (s^2 + 2 zeta d s + d^2)`, `kappa = r d`, of one port, with the damping ratios `zeta`."""
     given, d = d, _checks.natural_frequencies(d)
-    kappa = d * _checks.residue_weights(r, len(d))
+    weights = _checks.residue_weights(r, len(d))
     zeta = _checks.real_array("damping", damping)
     if zeta.shape not in ((), d.shape):
         raise StructureError(f"damping has shape {zeta.shape}; it must be a number or one for each of {len(d)} modes")
     if not zeta.any():
         return from_frequencies(given, r)
+    for name, array in (("d", d), ("r", weights), ("damping", zeta)):
+        _checks.in_range(name, array)
+    kappa = d * weights
     zeta = np.broadcast_to(zeta, d.shape)
     square = (1.0 - zeta) * (1.0 + zeta)
     critical = np.abs(square) < _CONDITION**-2

@@ -168,7 +168,8 @@ class LosslessSystem(ct.StateSpace):
             kwargs.setdefault("initial_phase", 0)
         try:
             return super().bode_plot(*args, **kwargs)
-        except AttributeError as error:  # python-control hands what it does not know to the lines of matplotlib
+        # python-control hands what it does not know to the lines of matplotlib
+        except (AttributeError, KeyError) as error:
             raise TypeError(str(error)) from None
 
     def poles(self) -> ComplexArray:

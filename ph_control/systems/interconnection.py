@@ -560,7 +560,10 @@ def _gain(value: Any, m: int, spread: Array) -> Array | None:
         K = np.asarray(value, float) * (spread if value.ndim == 0 else 1.0)
     else:
         return None
-    if K.shape != (m, m) or not np.isfinite(K).all() or np.linalg.eigvalsh(K + K.T).min(initial=0.0) < 0:
+    if K.shape != (m, m) or not np.isfinite(K).all():
+        return None
+    _checks.in_range("the gain", K)
+    if np.linalg.eigvalsh(K + K.T).min(initial=0.0) < 0:
         return None
     return K
 

@@ -569,7 +569,8 @@ def ph(
             "system was sampled; this one is not sampled"
         )
     losses = {"R": R, "P": P, "S": S, "N": N}
-    if B is not None and (sensors is not None or any(value is not None and np.any(value) for value in losses.values())):
+    lossy = any(value is not None and _checks.real_array(name, value).any() for name, value in losses.items())
+    if B is not None and (sensors is not None or lossy):
         from .dissipative import DissipativePortHamiltonian
 
         return DissipativePortHamiltonian(Q, B, **losses, J=J, sensors=sensors, **names)

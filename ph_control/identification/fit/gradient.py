@@ -351,8 +351,8 @@ def _vector(name: str, value: Any, size: int) -> Array:
 
 
 def _number(name: str, value: Any, kinds: Any, needed: str) -> Any:
-    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 < value < np.inf:
-        raise StructureError(f"{name} is {value!r}; it must be {needed}")
+    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 < value < float(np.finfo(float).max):
+        raise StructureError(f"{name} is {_checks.shown(value)}; it must be {needed}")
     return value
 
 
