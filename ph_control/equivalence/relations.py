@@ -73,8 +73,8 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     found = filter_mismatch(first, second, rtol)
     if found.decides:
         return Verdict(False, found.residual, found.allowed, None, found.reason)
-    witness = first.minimal() if rtol is None else first.modes.minimal(rtol=rtol)
-    return Verdict(True, found.residual, found.allowed, witness, "poles and residues agree")
+    witness = first if rtol is None else separate(first.modes, rtol=rtol)
+    return Verdict(True, found.residual, found.allowed, witness.minimal(), "poles and residues agree")
 
 
 def _separated(sys: Any) -> Separation:

@@ -17,7 +17,7 @@ from scipy.linalg import rsf2csf
 
 from .. import _checks
 from .._display import ShownModes
-from .._types import Array, ArrayLike, ComplexArray, NDArray
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.polynomials import (
     COEFFICIENT_LIMIT,
@@ -592,19 +592,11 @@ class ModalForm(ShownModes):
         >>> phc.modes([1.0, 1.0, 3.0], [0.25, 0.5, 0.0]).minimal()
         modes([1.0], [0.75])
         """
-        close = 8 * max(1, self.n) * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
-        weight = np.linalg.norm(np.sqrt(self.d)[:, None] * self.nu, axis=1) ** 2
-        live = weight > (0.0 if rtol is None else close * weight.max(initial=0.0))
-        d, nu, r = self.d[live], self.nu[live], self.r[live]
-        first = np.flatnonzero(np.diff(d, prepend=-np.inf) > close * d)
-        if self.nports == 1:
-            merged = np.add.reduceat(r, first) if len(first) else r[:0]
-            rigid = np.full((1, 1), np.linalg.norm(self.rigid)) if self.rigid.any() else self.rigid[:0]
-            return ModalForm._of(d[first].copy(), np.sqrt(merged).astype(complex)[:, None], rigid, merged)
-        groups = np.split(np.arange(len(d)), first[1:]) if len(d) else []
-        rows = [_row_space(nu[g]) for g in groups]
-        repeated = np.concatenate([np.zeros(0), *[np.full(len(x), d[g[0]]) for g, x in zip(groups, rows, strict=True)]])
-        return ModalForm._of(repeated, np.concatenate([nu[:0], *rows]), _row_space(self.rigid))
+        from .error_bounds import separate
+        from .minimal import minimal_of_exact
+
+        known = minimal_of_exact(self) if rtol is None else None
+        return separate(self, rtol=rtol).minimal() if known is None else known
 
 
 def _weights_beside(nu: ComplexArray, r: ArrayLike) -> Array:
@@ -627,13 +619,6 @@ def imaginary(w: Array) -> ComplexArray:
     out = np.zeros(np.shape(w), complex)
     out.imag = w
     return out
-
-
-def _row_space(rows: NDArray) -> NDArray:
-    """Fewest rows `X` with `X^H X = rows^H rows`."""
-    _, sigma, Vh = np.linalg.svd(rows, full_matrices=False)
-    kept = sigma > max(rows.shape) * _checks.EPS * sigma.max(initial=0.0)
-    return sigma[kept, None] * Vh[kept]
 
 
 def from_frequencies(d: ArrayLike, r: ArrayLike) -> ModalForm:
