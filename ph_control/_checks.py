@@ -284,19 +284,23 @@ def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     return readonly(frequencies), readonly(vector)
 
 
+def symplectic_defect(S: Array) -> float:
+    """Largest entry of `S^T J S - J` relative to the size of a matrix of even size."""
+    in_range("S", S)
+    n = len(S) // 2
+    half = S[:n].T @ S[n:]
+    residual = half - half.T
+    residual[:n, n:] -= np.eye(n)
+    residual[n:, :n] += np.eye(n)
+    return float(np.max(np.abs(residual), initial=0.0)) / max(1.0, float(np.linalg.norm(S, 2)) ** 2 if n else 1.0)
+
+
 def symplectic_matrix(S: ArrayLike, size: int) -> Array:
     """Check a symplectic matrix of a given size: `S^T J S = J` relative to the size of `S`."""
     array = real_array("S", S, 2)
     if array.shape != (size, size):
         raise StructureError(f"S has shape {array.shape}; needed ({size}, {size})")
-    in_range("S", array)
-    n = size // 2
-    half = array[:n].T @ array[n:]
-    residual = half - half.T
-    residual[:n, n:] -= np.eye(n)
-    residual[n:, :n] += np.eye(n)
-    scale = max(1.0, float(np.linalg.norm(array, 2)) ** 2) if size else 1.0
-    measured, allowed = float(np.max(np.abs(residual), initial=0.0)) / scale, 100 * size * EPS
+    measured, allowed = symplectic_defect(array), 100 * size * EPS
     if measured > allowed:
         raise StructureError(
             f"S is not symplectic: max |S^T J S - J| / ||S||^2 = {measured:.1e}, allowed {allowed:.1e}; "

@@ -98,15 +98,8 @@ def is_symplectic(S: ArrayLike, *, rtol: float | None = None) -> bool:
     >>> phc.is_symplectic(np.diag([2.0, 0.5])), phc.is_symplectic(2 * np.eye(2))
     (True, False)
     """
-    array = _checks.real_array("S", S, 2)
-    rows, columns = array.shape
-    if rows != columns or rows % 2:
-        return False
-    _checks.in_range("S", array)
-    allowed = 100 * rows * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
-    residual = array.T @ apply_form(array) - symplectic_form(rows // 2)
-    scale = max(1.0, float(np.linalg.norm(array, 2)) ** 2) if rows else 1.0
-    return bool(np.max(np.abs(residual), initial=0.0) <= allowed * scale)
+    array, allowed = _even_square("S", S, rtol)
+    return allowed is not None and _checks.symplectic_defect(array) <= allowed
 
 
 def is_hamiltonian_matrix(A: ArrayLike, *, rtol: float | None = None) -> bool:
@@ -135,14 +128,20 @@ def is_hamiltonian_matrix(A: ArrayLike, *, rtol: float | None = None) -> bool:
     >>> phc.is_hamiltonian_matrix([[0, 1], [-4, 0]]), phc.is_hamiltonian_matrix([[1, 0], [0, 1]])
     (True, False)
     """
-    array = _checks.real_array("A", A, 2)
-    rows, columns = array.shape
-    if rows != columns or rows % 2:
+    array, allowed = _even_square("A", A, rtol)
+    if allowed is None:
         return False
-    allowed = 100 * rows * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
     product = apply_form(array)
     asymmetry = np.max(np.abs(product - product.T), initial=0.0)
     return bool(asymmetry <= allowed * np.max(np.abs(array), initial=0.0))
+
+
+def _even_square(name: str, M: ArrayLike, rtol: float | None) -> tuple[Array, float | None]:
+    """Check a matrix that is to be tested, and the tolerance; None for that if the matrix is of no size it could be."""
+    array = _checks.real_array(name, M, 2)
+    rows, columns = array.shape
+    allowed = 100 * rows * _checks.EPS if rtol is None else _checks.relative_tolerance(rtol)
+    return array, allowed if rows == columns and rows % 2 == 0 else None
 
 
 def williamson(Q: ArrayLike, *, rtol: float | None = None) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from ..modal.modal_form import ModalForm
 from ..numerics import definiteness as _definite
 from ..numerics.pole_residue import Resolvent
 from ..symplectic.forms_and_williamson import apply_form
-from .base import LosslessSystem, View, in_normal_form, inherited_names, refuse_losses
+from .base import LosslessSystem, View, in_normal_form, inherited_names, refuse_losses, restored
 from .port_hamiltonian import PortHamiltonian, ph
 
 
@@ -168,7 +168,7 @@ class AffineHamiltonian(LosslessSystem):
         return np.delete(zeros, at_zero[:1]) if not len(self.modes.rigid) else zeros.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self._velocity, self._interaction, self._names())
+        return restored, (type(self), self._velocity, self._interaction, self._names())
 
     def _repr_eval_(self) -> str:
         return self._repr_of(self.Q, self._interaction)
@@ -242,14 +242,6 @@ def _derivative(sys: Any) -> Any:
     if abs(product) > allowed:
         raise NotLosslessError([f"the transfer function is not even: C B = {product:.6g}, allowed {allowed:.1e}"])
     return ct.ss(sys.A, sys.B, sys.C @ sys.A, 0.0)
-
-
-def _restore(
-    kind: type[AffineHamiltonian], velocity: PortHamiltonian, ports: Array, names: dict[str, Any]
-) -> AffineHamiltonian:
-    self = kind.__new__(kind)
-    self._fill(velocity, ports, names)
-    return self
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,8 @@ class View:
 class LosslessSystem(ct.StateSpace):
     """Base of the system classes: names and sizes at once, matrices and modes on demand.
 
-    A subclass gives `A`, `B`, `C` as views, its `modes`, the call `_factory` that makes it, and `__reduce__`.
+    A subclass gives `A`, `B`, `C` as views, its `modes`, the call `_factory` that makes it, `__reduce__`, and `_fill`,
+    which takes its parts.
     """
 
     _factory: str
@@ -238,6 +239,13 @@ class LosslessSystem(ct.StateSpace):
         text = f"{self._factory.partition('(')[0]}(\n" + ",\n".join(literal(array) for array in arrays)
         labels = self._label_repr()
         return text + (f",\n{labels})" if labels else ")")
+
+
+def restored(kind: type[Any], *parts: Any) -> Any:
+    """System of parts that have been checked; the constructor of a subclass may take other arguments."""
+    self = object.__new__(kind)
+    self._fill(*parts)
+    return self
 
 
 def in_normal_form(sys: Any) -> bool:

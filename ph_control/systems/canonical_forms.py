@@ -18,7 +18,7 @@ from ..exceptions import ConditioningWarning, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import digits
 from ..symplectic.forms_and_williamson import symplectic_inverse
-from .base import LosslessSystem, View, inherited_names
+from .base import LosslessSystem, View, inherited_names, restored
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 _ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix should carry
@@ -28,7 +28,10 @@ class _CanonicalForm(LosslessSystem):
     """What both forms share: the parameters, their modes, and the coefficients."""
 
     def __init__(self, d: ArrayLike, v: ArrayLike, **names: Any) -> None:
-        self._d, self._v = _checks.hamiltonian_parameters(d, v)
+        self._fill(*_checks.hamiltonian_parameters(d, v), names)
+
+    def _fill(self, d: Array, v: Array, names: dict[str, Any]) -> None:
+        self._d, self._v = _checks.readonly(d), _checks.readonly(v)
         self._setup(len(self._v), 1, names)
 
     @property
@@ -142,7 +145,7 @@ class _CanonicalForm(LosslessSystem):
         return PortHamiltonian._from_modes(modes, **inherited_names(self, names, "inputs", "outputs"))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore, (type(self), self._d.copy(), self._v.copy(), self._names())
+        return restored, (type(self), self._d.copy(), self._v.copy(), self._names())
 
     def _repr_eval_(self) -> str:
         return self._repr_of(self._d, self._v)
@@ -350,13 +353,6 @@ def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -
     moved = np.eye(1, len(still))[0] * np.linalg.norm(modes.rigid)
     doubled = np.concatenate([still, d, still + 1.0, d])
     return kind(doubled, np.concatenate([still, nu.real, moved, nu.imag]), **names)
-
-
-def _restore(kind: type[Any], d: Array, v: Array, names: dict[str, Any]) -> Any:
-    self: Any = object.__new__(kind)
-    # the constructor of a subclass may take other arguments
-    _CanonicalForm.__init__(self, d, v, **names)
-    return self
 
 
 def warn_of_lost_digits(n: int, kept: float, what: str, *, stacklevel: int) -> None:

@@ -11,6 +11,7 @@ from .. import _checks
 from .._types import Array, ArrayLike, Indices
 from ..exceptions import StructureError
 from ..modal.error_bounds import Energy
+from ..symplectic.forms_and_williamson import direct_sum
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
@@ -77,10 +78,8 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
         return system
     _warn_of_jordan_blocks(system, added)
     old, new = np.r_[0:n, m : m + n], np.r_[n:m, m + n : 2 * m]
-    Q, B = np.zeros((2 * m, 2 * m)), np.zeros((2 * m, system.ninputs))
-    Q[np.ix_(old, old)] = system.Q
-    Q[new, new] = np.concatenate([added, added])
-    B[old] = system.B
+    beside = np.diag(np.concatenate([added, added])), np.zeros((2 * len(added), system.ninputs))
+    Q, B = direct_sum((system.Q, system.B), beside)
     lifted = PortHamiltonian(Q, B, inputs=system.input_labels, outputs=system.output_labels)
     lifted._views["_energy"] = _lifted_energy(system._energy, added, old, new)
     return lifted

@@ -20,7 +20,7 @@ from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
 from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import apply_form, energy_coordinates, port_spectrum, williamson
-from .base import LosslessSystem, View, inherited_names
+from .base import LosslessSystem, View, inherited_names, restored
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
@@ -99,12 +99,12 @@ class PortHamiltonian(LosslessSystem):
     @classmethod
     def _from_modes(cls, modes: ModalForm, **names: Any) -> PortHamiltonian:
         """System in Williamson coordinates, its matrices not built until somebody looks."""
-        return _restore(cls, None, modes, names)
+        return restored(cls, None, modes, names)
 
     @classmethod
     def _from_matrices(cls, Q: Array, B: Array, **names: Any) -> PortHamiltonian:
         """System from arrays that have been checked as the constructor does."""
-        return _restore(cls, (Q, B), None, names)
+        return restored(cls, (Q, B), None, names)
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -394,7 +394,7 @@ class PortHamiltonian(LosslessSystem):
             if self._given is not None:
                 B = root * self.B
                 _checks.in_range(f"B times the square root of {factor:.3g}", B, _checks.SMALLEST_SQUARED)
-                return _restore(PortHamiltonian, (self.Q, B), None, {}, self._kept(_OF_Q))
+                return restored(PortHamiltonian, (self.Q, B), None, {}, self._kept(_OF_Q))
             m = self.modes
             scaled = ModalForm._of(m.d, root * m.nu, root * m.rigid, factor * m.r)
             what = f"the modal weights times {factor:.3g}"
@@ -408,7 +408,7 @@ class PortHamiltonian(LosslessSystem):
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
-        return _restore, (type(self), *known), {"time_unit": self.time_unit}
+        return restored, (type(self), *known), {"time_unit": self.time_unit}
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
@@ -475,19 +475,6 @@ class PortHamiltonian(LosslessSystem):
         from .canonical_forms import oh
 
         return oh(self, **names)
-
-
-def _restore(
-    kind: type[PortHamiltonian],
-    given: tuple[Array, Array] | None,
-    modes: ModalForm | None,
-    names: dict[str, Any],
-    kept: dict[str, Any] | None = None,
-) -> PortHamiltonian:
-    # the constructor of a subclass may take other arguments
-    self = kind.__new__(kind)
-    self._fill(given, modes, names, kept)
-    return self
 
 
 def is_number(value: Any) -> bool:
@@ -591,7 +578,7 @@ def ph(
         return source._named(inherited_names(source, names, *_SIGNALS))
     if isinstance(source, PortHamiltonian):
         names = inherited_names(source, names, *_SIGNALS)
-        twin = _restore(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))
+        twin = restored(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))
         twin.time_unit = source.time_unit
         return twin
     if isinstance(source, LosslessSystem):
