@@ -39,6 +39,7 @@ _CROWDED = 0.5  # basins between modes of a lossless model that look like one wi
 _MOST = 20
 _IN_TIME = 128  # samples up to which all are asked; of longer records the bins about the modes
 _BROAD = 0.5  # bins: half-width of a peak that many lossless modes would mimic
+_ALONE = 0.9  # of the power about a peak, which a pair of lossless modes does not leave to one with damping
 _PAST = 2  # lossless modes more than damped ones before the two are compared
 REFUSED = 1e-3  # probability below which a hypothesis is refused
 
@@ -323,7 +324,7 @@ class DampingWatch:
         return self._found is not None
 
     def _suspects(self, step: Step) -> bool:
-        """Whether one more mode would stand beside another, or the mode that was strongest first is broad."""
+        """Whether one more mode would stand beside a single peak, or that of the first strongest mode is broad."""
         if not len(step.d) or not len(step.candidates):
             return False
         beside = crowds(step, self._problem)
@@ -331,8 +332,9 @@ class DampingWatch:
             return False
         if self._broad is None:
             strongest = float(step.d[int(np.argmax(step.weights))])
-            self._broad = any(_is_broad(one, strongest) for one in self._records)
-        return bool(beside or self._broad)
+            self._broad = any(_half_width(one, strongest) > _BROAD * one.bin for one in self._records)
+        nearest = float(step.d[int(np.argmin(np.abs(step.d - step.candidates[0])))])
+        return self._broad or (beside and any(_half_width(one, nearest) > 0 for one in self._records))
 
 
 def _decays(problem: Problem, at: FreeProjection) -> bool:
@@ -342,8 +344,10 @@ def _decays(problem: Problem, at: FreeProjection) -> bool:
     return bool(np.any(np.abs(at.sigma) > _ERRORS * np.sqrt(np.diag(inner)[n : 2 * n])))
 
 
-def _is_broad(record: RecordRows, d: float) -> bool:
-    """Whether the strongest peak near a frequency is broader than that of a mode without damping."""
+def _half_width(record: RecordRows, d: float) -> float:
+    """Half-width of the peak near a frequency, if one damped mode makes nearly all of it; else 0."""
     spectrum = Spectrum.of(record)
-    p, gain = Channels.of(spectrum).modes(spectrum.Y[None], around=float(spectrum.place(np.array([d]))[0]))
-    return len(p) > 0 and bool(-p[int(np.argmax(gain))].real > _BROAD * record.bin)
+    place = float(spectrum.place(np.array([d]))[0])
+    p, gain, energy = Channels.of(spectrum).modes(spectrum.Y[None], around=place)
+    alone = gain > _ALONE * energy
+    return float(np.max(-p[alone].real, initial=0.0))

@@ -91,7 +91,7 @@ class Records(_DampedData):
 
     def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
-        found = [Channels.of(spectrum).modes(one[None]) for spectrum, one in zip(self.spectra, left, strict=True)]
+        found = [Channels.of(spectrum).modes(one[None])[:2] for spectrum, one in zip(self.spectra, left, strict=True)]
         p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
         width = min(one.bin for one in self.experiments)
         chosen: list[int] = []
@@ -119,13 +119,13 @@ class Channels:
         one = spectrum.experiment
         return cls(spectrum.U[None][: int(one.driven)], spectrum.length, one.hold, one.ceiling)
 
-    def modes(self, left: ComplexArray, around: float | None = None) -> tuple[ComplexArray, Array]:
-        """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
+    def modes(self, left: ComplexArray, around: float | None = None) -> tuple[ComplexArray, Array, Array]:
+        """Poles of modes that explain something of what is left of outputs (q, K), and how much, and of what; O(q T).
 
         Each within a window, in windows everywhere, or `around` one place (in bins).
         """
         last = (self.length - 1) // 2
-        found = [(np.zeros(0, complex), np.zeros(0))]
+        found = [(np.zeros(0, complex), np.zeros(0), np.zeros(0))]
         for half in _HALF_WIDTHS:
             if 4 * half > last and half > _HALF_WIDTHS[0]:
                 break
@@ -140,10 +140,10 @@ class Channels:
                 centres = _peaking(left, half, centres)
             size = max(1, _PIECE // (len(left) * (2 * half + 1)))
             found += [self._local(left, half, centres[k : k + size]) for k in range(0, len(centres), size)]
-        p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return p, gain
+        p, gain, energy = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return p, gain, energy
 
-    def _local(self, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array]:
+    def _local(self, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array, Array]:
         """One mode in each window, frequencies in bins from its centre: `(s - pole) E = sum beta U + gamma z`.
 
         The pole is that of all outputs: what inputs and ends explain of `E` and of `s E` is taken out of both.
@@ -174,7 +174,8 @@ class Channels:
         gain = np.sum(products.conj() * solved, axis=(1, 2)).real
         p = self.hold.pole(np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T)))
         kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < self.ceiling)
-        return p[kept], gain[kept] * (2.0 / T)
+        everything = np.sum(np.abs(E[kept]) ** 2, axis=(1, 2))
+        return p[kept], gain[kept] * (2.0 / T), everything * (2.0 / T)
 
 
 def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:
