@@ -101,7 +101,6 @@ from .systems.interconnection import interconnect as interconnect
 from .systems.interconnection import transformer as transformer
 from .systems.lifting import lift as lift
 from .systems.models import frenkel_kontorova as frenkel_kontorova
-from .systems.models import from_second_order as from_second_order
 from .systems.models import lc_circuit as lc_circuit
 from .systems.models import msd_chain as msd_chain
 from .systems.models import rcl_ladder as rcl_ladder
@@ -114,6 +113,7 @@ from .systems.realization import KalmanDecomposition as KalmanDecomposition
 from .systems.realization import canonical_margins as canonical_margins
 from .systems.realization import kalman_decomposition as kalman_decomposition
 from .systems.realization import minreal as minreal
+from .systems.second_order import from_second_order as from_second_order
 from .systems.transfer_function import tf as tf
 
 __version__: str

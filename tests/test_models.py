@@ -291,7 +291,7 @@ def test_condensing_where_every_degree_of_freedom_has_mass_changes_nothing():
     assert np.array_equal(plain.Q, condensed.Q)
 
 
-STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "b": [1.0, 0.0]}
+STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "F": [1.0, 0.0]}
 
 
 @pytest.mark.parametrize(
@@ -310,15 +310,72 @@ STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "b": [1.
             {"M": np.diag([1.0, 0.0]), "K": np.diag([1.0, 0.0]), "condense": True},
             "one of their motions meets no spring",
         ),
-        ({"b": [1.0, 0.0, 0.0]}, r"b has shape \(3,\); .* it must be \(2,\) or \(2, number of ports\)"),
-        ({"b": np.zeros((2, 0))}, "b has no columns"),
-        ({"b": 1.0}, r"b has shape \(\)"),
+        ({"F": [1.0, 0.0, 0.0]}, r"F has shape \(3,\); .* it must be \(2,\) or \(2, number of ports\)"),
+        ({"F": np.zeros((2, 0))}, "F has no columns"),
+        ({"F": 1.0}, r"F has shape \(\)"),
+        ({"C": [[1.0, 0.0], [0.0, -0.5]]}, "C has a negative eigenvalue: -0.5 "),
+        ({"C": [[1.0, 3.0], [3.0, 1.0]]}, "C has a negative eigenvalue: -2 "),
+        ({"C": [[1.0, 0.5], [0.0, 1.0]]}, "C is not symmetric"),
+        ({"C": np.eye(3)}, r"C has shape \(3, 3\); it must be \(2, 2\)"),
+        ({"C": np.nan * np.eye(2)}, "C is not finite"),
+        ({"sensors": {"speed": [1.0, 0.0]}}, "the sensors measure 'speed'; known are 'position', 'velocity'"),
+        ({"sensors": {"velocity": [1.0, 0.0, 0.0]}}, "the sensors of velocity have shape"),
+        (
+            {"M": np.diag([1.0, 0.0]), "C": np.eye(2), "condense": True},
+            "dampers act on degrees of freedom without mass .among 2,",
+        ),
         ({"M": csr_array(np.eye(2))}, r"pass an array \(a sparse matrix by its toarray\(\)\)"),
     ],
 )
 def test_a_bad_structure_is_refused_by_name(change, message):
     with pytest.raises(StructureError, match=message):
         from_second_order(**(STRUCTURE | change))
+
+
+@quick
+@given(st.integers(1, 6), st.integers(1, 2), st.integers(0, 2**32 - 1))
+def test_damping_and_sensors_are_those_of_the_equations_of_motion(n, ports, seed):
+    rng = np.random.default_rng(seed)
+    M, K = random_structure(n, rng)
+    half = rng.standard_normal((n, rng.integers(1, n + 1)))
+    C, F = 0.3 * half @ half.T, rng.standard_normal((n, ports))
+    rows = {kind: rng.standard_normal((2, n)) for kind in ("acceleration", "position", "velocity")}
+    sys = from_second_order(M, K, F, C=C, sensors=rows)
+    inverse, condition = np.linalg.inv(M), np.linalg.cond(M) * np.linalg.cond(K)
+    assert np.array_equal(sys.R[n:, n:], 0.5 * (C + C.T)) and not sys.R[:n].any() and not sys.is_lossless
+    for s in (1.0 + 2j, 0.5, 0.1 + 10j):
+        q = np.linalg.solve(s**2 * M + s * C + K, F.astype(complex))
+        factor = {"position": 1, "velocity": s, "acceleration": s**2}
+        truth = np.vstack([s * F.T @ q, *(factor[kind] * part @ q for kind, part in rows.items())])
+        assert np.max(np.abs(sys.horner(s)[:, :, 0] - truth)) < 1e4 * n * EPS * condition * np.max(np.abs(truth))
+    np.testing.assert_allclose(sys.D[ports : ports + 2], rows["acceleration"] @ inverse @ F, rtol=1e-8, atol=1e-10)
+    assert sys.output_labels[ports:] == [f"{kind}_{k}" for kind in rows for k in (1, 2)]
+
+
+def test_without_damping_and_sensors_a_structure_is_what_it_was():
+    plain = from_second_order(**STRUCTURE)
+    for same in ({"C": np.zeros((2, 2))}, {"sensors": {}}, {"sensors": {"velocity": np.zeros((0, 2))}}):
+        other = from_second_order(**STRUCTURE, **same)
+        assert type(plain) is type(other) is PortHamiltonian and np.array_equal(plain.Q, other.Q)
+    seen = from_second_order(**STRUCTURE, sensors=[0.0, 1.0])
+    assert seen.is_lossless and seen.output_labels == ["v", "position"]
+    np.testing.assert_array_equal(seen.C[1], [0, 1, 0, 0])
+
+
+def test_sensors_see_the_degrees_of_freedom_that_were_condensed():
+    """Mass - spring - massless joint - spring - mass, dampers to the ground; and the same in turned coordinates."""
+    M, C = np.diag([1.0, 0.0, 3.0]), np.diag([0.2, 0.0, 0.4])
+    K = np.array([[3.0, -2.0, 0.0], [-2.0, 5.0, -3.0], [0.0, -3.0, 3.0]])
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    rows = {"position": np.eye(3), "velocity": np.eye(3), "acceleration": np.eye(3)}
+    for T in (np.eye(3), turn):
+        F = T.T @ [1.0, 0.0, 0.0]
+        M_, C_, K_ = (T.T @ A @ T for A in (M, C, K))
+        sys = from_second_order(M_, K_, F, C=C_, sensors=rows, condense=True)
+        assert sys.n == 2
+        for s in (0.3 + 1j, 2.0):
+            q = np.linalg.solve(s**2 * M_ + s * C_ + K_, F)
+            np.testing.assert_allclose(sys(s)[1:, 0], np.concatenate([q, s * q, s**2 * q]), rtol=1e-10, atol=1e-13)
 
 
 def test_ports_and_names_of_a_structure():

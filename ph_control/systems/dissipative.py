@@ -92,7 +92,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
     ) -> None:  # fmt: skip
         Q = _checks.symmetric_matrix(Q, even=J is None)
         n = len(Q)
-        _refuse_negative("Q", Q, {"Q": slice(0, n)})
+        refuse_negative("Q", Q, {"Q": slice(0, n)})
         B = _checks.port_matrix(B, n)
         m = B.shape[1]
         parts = {
@@ -102,9 +102,9 @@ class DissipativePortHamiltonian(PortHamiltonian):
             "N": _skew("N", N, m),
         }  # fmt: skip
         W = np.block([[parts["R"], parts["P"]], [parts["P"].T, parts["S"]]])
-        _refuse_negative("W = [[R, P], [P^T, S]]", W, {"R": slice(0, n), "S": slice(n, n + m)})
+        refuse_negative("W = [[R, P], [P^T, S]]", W, {"R": slice(0, n), "S": slice(n, n + m)})
         rows, through = sensors if isinstance(sensors, tuple) else (sensors, None)
-        parts["sensor_rows"] = _rows("the sensors", rows, n)
+        parts["sensor_rows"] = checked_rows("the sensors", rows, n)
         parts["sensor_feedthrough"] = _shaped("the feedthrough of the sensors", through, (len(parts["sensor_rows"]), m))
         self._take(parts, names)
 
@@ -318,7 +318,8 @@ def _shaped(name: str, value: ArrayLike | None, shape: tuple[int, int]) -> Array
     return array
 
 
-def _rows(name: str, value: ArrayLike | None, columns: int) -> Array:
+def checked_rows(name: str, value: ArrayLike | None, columns: int) -> Array:
+    """Check rows of outputs, none of them where `value` is None."""
     if value is None:
         return np.zeros((0, columns))
     array = np.atleast_2d(_checks.real_array(name, value))
@@ -343,7 +344,7 @@ def _skew(name: str, value: ArrayLike | None, size: int) -> Array:
     return 0.5 * array - 0.5 * array.T
 
 
-def _refuse_negative(name: str, matrix: Array, blocks: dict[str, slice]) -> None:
+def refuse_negative(name: str, matrix: Array, blocks: dict[str, slice]) -> None:
     """Refuse a symmetric matrix with a negative eigenvalue, and say in which block its eigenvector lies."""
     if not matrix.any():
         return

@@ -1,4 +1,4 @@
-"""Known systems in physical coordinates: LC circuits, chains of masses and springs, mass and stiffness matrices."""
+"""Known systems in physical coordinates: circuits, ladders, chains of masses, springs and dampers."""
 
 from __future__ import annotations
 
@@ -7,21 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh
-from scipy.linalg.lapack import dpotri, dpstrf
 
 from .. import _checks
 from ..exceptions import StructureError
-from ..numerics import definiteness as _definite
 from .port_hamiltonian import PortHamiltonian, ph
 
 Array = NDArray[np.float64]
-
-_ROUNDED = 1e-9  # part of the energy of a motion that is called rounding of a stiffness where it is negative
-_FAINT = 1e-10  # the same, where it is positive, provided that
-_GAP = 1e3  # times more is the next
-_FEW = 64  # modes that are looked at, in a large structure; more are not rigid
-_MARGIN = 10.0  # between a negative energy and the positive ones that are rounding too
 
 _LARGEST = 10**6  # masses of a chain: its matrices are dense
 
@@ -80,8 +71,8 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, *, R: ArrayLike = 0.0, **names: Any) 
     energy = np.concatenate([np.ones(n) / capacitance, np.ones(n) / inductance])
     port = np.repeat([0.0, 1.0], n)
     resistance = _values("R", R, "a resistance", n, f"the {n} branches")
-    named = _named(names, ["V"], ["I"], _numbered("Q", n) + _numbered("phi", n))
-    return ph(np.diag(energy), port, R=_losses(resistance), **named)
+    signals = named(names, ["V"], ["I"], numbered("Q", n) + numbered("phi", n))
+    return ph(np.diag(energy), port, R=_losses(resistance), **signals)
 
 
 def spring_chain(
@@ -157,7 +148,7 @@ def spring_chain(
     B = np.zeros((2 * n, len(ports)))
     B[n + np.array(ports), np.arange(len(ports))] = 1.0
     loss = np.diag(drag) + _laplacian(dampers) if dampers.any() or drag.any() else np.zeros(n)
-    return ph(Q, B, R=_losses(loss), **_named(names, *_forces(len(ports)), _numbered("q", n) + _numbered("p", n)))
+    return ph(Q, B, R=_losses(loss), **named(names, *force_names(len(ports)), numbered("q", n) + numbered("p", n)))
 
 
 def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
@@ -308,197 +299,8 @@ def rcl_ladder(
         G[-1, 1], signals = 1.0, (["I", "V_end"], ["V", "I_end"])
     return ph(
         np.diag(1.0 / np.concatenate([capacitance, inductance])), G, J=J, R=_losses(resistance),
-        **_named(names, *signals, _numbered("Q", n) + _numbered("phi", n)),
+        **named(names, *signals, numbered("Q", n) + numbered("phi", n)),
     )  # fmt: skip
-
-
-def from_second_order(
-    M: ArrayLike, K: ArrayLike, b: ArrayLike, *, condense: bool = False, rtol: float | None = None, **names: Any
-) -> PortHamiltonian:
-    """Undamped structure `M q'' + K q = b u` with the velocity at the force, `y = b^T q'`, as its output.
-
-    Parameters
-    ----------
-    M : array_like, shape (n, n)
-        Mass matrix, symmetric positive definite.
-    K : array_like, shape (n, n)
-        Stiffness matrix, symmetric positive semidefinite; its kernel makes rigid-body modes.
-    b : array_like, shape (n,) or (n, m)
-        Where the forces act, one column for each port.
-    condense : bool
-        Eliminate motions without kinetic energy (the kernel of `M`: zero rows, or combinations of degrees of freedom),
-        on which no force may act.  They follow the others without delay, so nothing is lost: `K` is replaced by its
-        Schur complement.
-    rtol : float, optional
-        Modes with `w^2` of at most `rtol` times the largest are rigid.  By default those that the rounding of `K` may
-        have made of rigid ones: see Notes.
-    **names
-        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default as for `spring_chain`, `q_i, p_i` with
-        the numbers, from 1, of the degrees of freedom that have mass; where combinations of them are eliminated, `q_i`
-        stands for the i-th together with what moves the same mass.
-
-    Returns
-    -------
-    PortHamiltonian
-        From force to velocity.  States: displacements and momenta `p = M q'`.
-
-    Raises
-    ------
-    StructureError
-        If a matrix is not square, symmetric and of the size of the others, `K` is indefinite, or `M` is singular and
-        cannot be, or is not to be, condensed: the message names the massless degrees of freedom.
-
-    Notes
-    -----
-    `Q = diag(K, M^{-1})`, `B = (0, b)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The natural frequencies
-    are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  All is dense: O(n^3).
-
-    Where entries of `K` are rounded, as by an exporter, its rigid-body modes get a small `w^2` of either sign.  By
-    default a mode is rigid if its energy is less than ten times the most negative one (which is refused beyond 1e-9),
-    or less than 1e-10 and a thousand times less than that of the next; all relative to what the entries of `K` would
-    store if nothing cancelled.  `K` is then cleared of them: the number of rigid modes is `rigid_modes` of the system.
-    A suspension as soft as that needs `rtol=0`.
-
-    Examples
-    --------
-    >>> import ph_control as phc
-    >>> phc.from_second_order([[1, 0], [0, 1]], [[5, -4], [-4, 5]], [1, 0]).d
-    array([1., 3.])
-    >>> floating = phc.from_second_order([[1, 0], [0, 3]], [[1, -1], [-1, 1]], [1, 0])
-    >>> round(floating.modes.kappa_0, 12)  # as one rigid body: 1 / (1 + 3)
-    0.25
-    """
-    _checks.flags(condense=condense)
-    mass, stiffness = _square("M", M), _square("K", K)
-    if mass.shape != stiffness.shape:
-        raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
-    force = _checks.port_matrix(b, len(mass), name="b")
-    if rtol is not None:
-        _checks.relative_tolerance(rtol)
-    mass, stiffness, force, kept = _with_mass(mass, stiffness, force, condense)
-    stiffness = _with_exact_kernel(mass, stiffness, rtol)
-    n, ports = force.shape
-    Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
-    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse(mass), force
-    states = [f"{letter}_{k + 1}" for letter in "qp" for k in kept]
-    _checks.in_range("the matrix diag(K, inverse of M)", Q)
-    return PortHamiltonian._from_matrices(Q, B, **_named(names, *_forces(ports), states))
-
-
-def _square(name: str, value: ArrayLike) -> Array:
-    """Check of a mass or stiffness matrix what O(n^2) steps can: square, symmetric, not surely indefinite."""
-    array = _checks.real_array(name, value, 2)
-    n = len(array)
-    if array.shape != (n, n) or n == 0:
-        raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
-    return _symmetric(_checks.symmetric_matrix(array, name=name, even=False))
-
-
-def _symmetric(A: Array) -> Array:
-    return 0.5 * (A + A.T)
-
-
-def _with_mass(M: Array, K: Array, b: Array, condense: bool) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Mass, stiffness, forces and numbers of the degrees of freedom that have mass."""
-    n, without = len(M), np.flatnonzero(np.diag(M) == 0)
-    remedy = "from_second_order(M, K, b, condense=True) eliminates them statically, or give them mass"
-    if len(without) and not condense:
-        raise StructureError(
-            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({_listed(without)}, counted from "
-            f"1); {remedy}"
-        )
-    if _definite.definite_factor(M) is not None:
-        return M, K, b, np.arange(n)
-    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
-    _definite.refuse_indefinite("M", smallest, tolerance)
-    if smallest > tolerance:
-        return M, K, b, np.arange(n)
-    _, pivots, rank, _ = dpstrf(_definite.unit_diagonal(M)[0], tol=2 * tolerance, lower=1)
-    kept, massless = np.sort(pivots[:rank]) - 1, np.sort(pivots[rank:]) - 1
-    if rank == 0:
-        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
-    if not condense:
-        raise StructureError(
-            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
-            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
-            f"{remedy}"
-        )
-    return *_condensed(M, K, b, kept, massless), kept
-
-
-def _condensed(
-    M: Array, K: Array, b: Array, kept: NDArray[np.intp], massless: NDArray[np.intp]
-) -> tuple[Array, Array, Array]:
-    """Mass, stiffness and forces on `x = q_kept + X q_massless`, all that moves mass: `M q = M[:, kept] x`."""
-    mass = M[np.ix_(kept, kept)]
-    X = _inverse(mass) @ M[np.ix_(kept, massless)]
-    coupling, inner, moved = (K[np.ix_(*rows)] for rows in ((kept, massless), (massless, massless), (kept, kept)))
-    inner = _symmetric(inner - X.T @ coupling - coupling.T @ X + X.T @ moved @ X)
-    coupling = coupling - moved @ X
-    loaded = np.abs(b[massless] - X.T @ b[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(b[kept]))
-    if loaded.any():
-        raise StructureError(
-            f"a force acts on degrees of freedom without mass ({_listed(massless[loaded.any(axis=1)])}, counted from "
-            "1), which would make their velocity depend on the rate of the force; move the force, or give them mass"
-        )
-    smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
-    if smallest <= tolerance:
-        raise StructureError(
-            f"the degrees of freedom without mass ({_listed(massless)}, counted from 1) cannot be eliminated: the "
-            f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > "
-            f"{tolerance:.1e}; one of their motions meets no spring"
-        )
-    return mass, _symmetric(moved - coupling @ _inverse(inner) @ coupling.T), b[kept]
-
-
-def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
-    """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused.
-
-    What rounding of entries `K_ij`, in units of `sqrt(K_ii K_jj)`, can make of `w^2` is that part of
-    `(|shape|^T sqrt(diag K))^2`, the energy of a mode if nothing cancelled: a measure free of units.
-    """
-    found = _definite.definite_factor(K)
-    if rtol is None and found is not None and found[1] < 1 / _FAINT:
-        return K
-    n = len(K)
-    few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
-    squares, shapes = eigh(K, M, subset_by_index=few)
-    part = squares / np.maximum((np.abs(shapes).T @ np.sqrt(np.abs(np.diag(K)))) ** 2, _checks.TINY)
-    allowed = _ROUNDED if rtol is None else max(rtol, 8 * n * _checks.EPS)
-    if part.min() < -allowed:
-        raise StructureError(
-            f"K is indefinite: the energy of one motion is {part.min():.3g} of what its springs hold one by one, "
-            f"allowed >= {-allowed:.1e} for the rounding of K; a stored energy cannot be negative, so check the signs "
-            "in K, or say with rtol how far it is rounded"
-        )
-    if rtol is not None:
-        rigid = squares <= rtol * float(squares.max())
-    else:
-        rigid = part <= max(_MARGIN * -part.min(), 0.0)
-        order = np.argsort(part)
-        size = np.maximum(np.abs(part[order]), n * _checks.EPS)
-        # rounding leaves a gap above what it makes of rigid modes
-        gap = np.flatnonzero((size[:-1] <= _FAINT) & (size[1:] >= _GAP * size[:-1]))
-        rigid[order[: gap.max(initial=-1) + 1]] = True
-    if np.abs(part[rigid]).max(initial=0.0) <= 2 * _checks.EPS:
-        return K
-    still = shapes[:, rigid]
-    momenta, forces = M @ still, K @ still
-    change = forces @ momenta.T
-    return _symmetric(K - change - change.T + momenta @ (still.T @ forces) @ momenta.T)
-
-
-def _inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, exactly symmetric."""
-    scaled, scale = _definite.unit_diagonal(M)
-    lower, _ = dpotri(np.linalg.cholesky(scaled), lower=1, overwrite_c=1)
-    lower = np.tril(lower) / scale / scale[:, None]
-    return lower + np.tril(lower, -1).T
-
-
-def _listed(indices: NDArray[np.intp]) -> str:
-    shown = ", ".join(str(k + 1) for k in indices[:8])
-    return shown + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")
 
 
 def _laplacian(stiffness: Array) -> Array:
@@ -560,16 +362,17 @@ def _port_indices(port: Any, n: int) -> list[int]:
     return [int(index) for index in ports]
 
 
-def _forces(count: int) -> tuple[list[str], list[str]]:
+def force_names(count: int) -> tuple[list[str], list[str]]:
     """Names of so many forces, and of the velocities there."""
-    return (["F"], ["v"]) if count == 1 else (_numbered("F", count), _numbered("v", count))
+    return (["F"], ["v"]) if count == 1 else (numbered("F", count), numbered("v", count))
 
 
-def _numbered(letter: str, count: int) -> list[str]:
+def numbered(letter: str, count: int) -> list[str]:
+    """Names with numbers from 1."""
     return [f"{letter}_{k}" for k in range(1, count + 1)]
 
 
-def _named(names: dict[str, Any], inputs: list[str], outputs: list[str], states: list[str]) -> dict[str, Any]:
+def named(names: dict[str, Any], inputs: list[str], outputs: list[str], states: list[str]) -> dict[str, Any]:
     """The user's names, and these where the user gave none; python-control takes `input` as well as `inputs`."""
     defaults = {"inputs": inputs, "outputs": outputs, "states": states}
     return names | {key: value for key, value in defaults.items() if names.get(key, names.get(key[:-1])) is None}

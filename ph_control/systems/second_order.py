@@ -1,0 +1,324 @@
+"""Structures by their mass, damping and stiffness matrices, `M q'' + C q' + K q = F u`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.linalg.lapack import dpotri, dpstrf
+
+from .. import _checks
+from .._types import Array, ArrayLike, Indices
+from ..exceptions import StructureError
+from ..numerics import definiteness as _definite
+from ..symplectic.forms_and_williamson import symplectic_form
+from .dissipative import checked_rows, refuse_negative, restored
+from .models import force_names, named, numbered
+from .port_hamiltonian import PortHamiltonian
+
+_ROUNDED = 1e-9  # part of the energy of a motion that is called rounding of a stiffness where it is negative
+_FAINT = 1e-10  # the same, where it is positive, provided that
+_GAP = 1e3  # times more is the next
+_FEW = 64  # modes that are looked at, in a large structure; more are not rigid
+_MARGIN = 10.0  # between a negative energy and the positive ones that are rounding too
+
+
+_KINDS = ("position", "velocity", "acceleration")
+
+
+class _Structure(NamedTuple):
+    """Matrices on the degrees of freedom with mass, and what moves with these."""
+
+    M: Array
+    C: Array | None
+    K: Array
+    F: Array
+    motion: Array  # all degrees of freedom, of those with mass
+    kept: Indices
+
+
+def from_second_order(
+    M: ArrayLike,
+    K: ArrayLike,
+    F: ArrayLike,
+    *,
+    C: ArrayLike | None = None,
+    sensors: Mapping[str, ArrayLike] | ArrayLike | None = None,
+    condense: bool = False,
+    rtol: float | None = None,
+    **names: Any,
+) -> PortHamiltonian:
+    """Structure `M q'' + C q' + K q = F u` with the velocities at the forces, `y = F^T q'`, as its outputs.
+
+    Parameters
+    ----------
+    M : array_like, shape (n, n)
+        Mass matrix, symmetric positive definite.
+    K : array_like, shape (n, n)
+        Stiffness matrix, symmetric positive semidefinite; its kernel makes rigid-body modes.
+    F : array_like, shape (n,) or (n, m)
+        Where the forces act, one column for each port.
+    C : array_like, shape (n, n), optional
+        Damping matrix, symmetric positive semidefinite; default none.
+    sensors : dict of array_like, shape (k, n), or array_like, optional
+        Rows of further outputs by what they measure: 'position', 'velocity', 'acceleration'.  An array alone holds
+        rows of positions.
+    condense : bool
+        Eliminate motions without kinetic energy (the kernel of `M`: zero rows, or combinations of degrees of freedom),
+        on which no force or damper may act.  They follow the others without delay, so nothing is lost: `K` is replaced
+        by its Schur complement.
+    rtol : float, optional
+        Modes with `w^2` of at most `rtol` times the largest are rigid.  By default those that the rounding of `K` may
+        have made of rigid ones: see Notes.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default as for `spring_chain`, sensors by what
+        they measure, and states `q_i, p_i` with the numbers, from 1, of the degrees of freedom that have mass; where
+        combinations of them are eliminated, `q_i` stands for the i-th together with what moves the same mass.
+
+    Returns
+    -------
+    PortHamiltonian
+        From force to velocity.  States: displacements and momenta `p = M q'`.  With damping or sensors a
+        `DissipativePortHamiltonian`.
+
+    Raises
+    ------
+    StructureError
+        If a matrix is not square, symmetric and of the size of the others, `K` or `C` is indefinite, or `M` is singular
+        and cannot be, or is not to be, condensed: the message names the massless degrees of freedom.
+
+    Notes
+    -----
+    `Q = diag(K, M^{-1})`, `R = diag(0, C)`, `B = (0, F)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The
+    undamped natural frequencies are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  An accelerometer is
+    `q'' = M^{-1} (F u - K q - C q')`, with feedthrough.  All is dense: O(n^3).
+
+    Where entries of `K` are rounded, as by an exporter, its rigid-body modes get a small `w^2` of either sign.  By
+    default a mode is rigid if its energy is less than ten times the most negative one (which is refused beyond 1e-9),
+    or less than 1e-10 and a thousand times less than that of the next; all relative to what the entries of `K` would
+    store if nothing cancelled.  `K` is then cleared of them: the number of rigid modes is `rigid_modes` of the system.
+    A suspension as soft as that needs `rtol=0`.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> phc.from_second_order([[1, 0], [0, 1]], [[5, -4], [-4, 5]], [1, 0]).d
+    array([1., 3.])
+    >>> floating = phc.from_second_order([[1, 0], [0, 3]], [[1, -1], [-1, 1]], [1, 0])
+    >>> round(floating.modes.kappa_0, 12)  # as one rigid body: 1 / (1 + 3)
+    0.25
+    >>> M, K = [[1, 0], [0, 1]], [[5, -4], [-4, 5]]
+    >>> damped = phc.from_second_order(M, K, [1, 0], C=[[0.2, 0], [0, 0.2]], sensors={"acceleration": [0, 1]})
+    >>> damped.damping_ratios.round(6), damped.output_labels
+    (array([0.1     , 0.033333]), ['v', 'acceleration'])
+    """
+    _checks.flags(condense=condense)
+    mass, stiffness = _square("M", M), _square("K", K)
+    if mass.shape != stiffness.shape:
+        raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
+    force = _checks.port_matrix(F, len(mass), name="F")
+    damping = _damping(C, len(mass))
+    measured = _measured(sensors, len(mass))
+    if rtol is not None:
+        _checks.relative_tolerance(rtol)
+    built = _with_mass(mass, damping, stiffness, force, condense)
+    stiffness = _with_exact_kernel(built.M, built.K, rtol)
+    n, ports = built.F.shape
+    Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
+    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse(built.M), built.F
+    states = [f"{letter}_{k + 1}" for letter in "qp" for k in built.kept]
+    _checks.in_range("the matrix diag(K, inverse of M)", Q)
+    inputs, outputs = force_names(ports)
+    if built.C is None and not measured:
+        return PortHamiltonian._from_matrices(Q, B, **named(names, inputs, outputs, states))
+    R, none = np.zeros((2 * n, 2 * n)), np.zeros((ports, ports))
+    if built.C is not None:
+        R[n:, n:] = built.C
+    rows, through = _sensor_matrices(measured, built.motion, Q, R, B)
+    for kind, wanted in measured.items():
+        outputs = outputs + ([kind] if len(wanted) == 1 else numbered(kind, len(wanted)))
+    parts = {
+        "Q": Q, "G": B, "J": symplectic_form(n), "R": R, "P": np.zeros((2 * n, ports)), "S": none, "N": none,
+        "sensor_rows": rows, "sensor_feedthrough": through,
+    }  # fmt: skip
+    return restored(parts, named(names, inputs, outputs, states), None)
+
+
+def _damping(C: ArrayLike | None, n: int) -> Array | None:
+    """Check a damping matrix; None where there is no damping."""
+    if C is None:
+        return None
+    array = _checks.real_array("C", C, 2)
+    if array.shape != (n, n):
+        raise StructureError(f"C has shape {array.shape}; it must be {(n, n)}, as M and K are")
+    if not array.any():
+        return None
+    array = _symmetric(_checks.symmetric_matrix(array, name="C", even=False))
+    refuse_negative("C", array, {"C": slice(0, n)})
+    return array
+
+
+def _measured(sensors: Any, n: int) -> dict[str, Array]:
+    """Check rows of sensors by what they measure."""
+    if sensors is None:
+        return {}
+    given = sensors if isinstance(sensors, Mapping) else {"position": sensors}
+    unknown = [kind for kind in given if kind not in _KINDS]
+    if unknown:
+        raise StructureError(
+            f"the sensors measure {_checks.shown(unknown[0])}; known are {', '.join(map(repr, _KINDS))}"
+        )
+    found = {kind: checked_rows(f"the sensors of {kind}", value, n) for kind, value in given.items()}
+    return {kind: rows for kind, rows in found.items() if len(rows)}
+
+
+def _sensor_matrices(measured: Mapping[str, Array], motion: Array, Q: Array, R: Array, B: Array) -> tuple[Array, Array]:
+    """State and input rows: positions, velocities `M^{-1} p`, and accelerations `M^{-1} p'`."""
+    n = motion.shape[1]
+    none, still, inverse = np.zeros((n, n)), np.zeros((n, B.shape[1])), Q[n:, n:]
+    A = (symplectic_form(n) - R) @ Q
+    of_kind = {
+        "position": (np.eye(n, 2 * n), still),
+        "velocity": (np.hstack([none, inverse]), still),
+        "acceleration": (inverse @ A[n:], inverse @ B[n:]),
+    }
+    parts = [tuple(rows @ motion @ matrix for matrix in of_kind[kind]) for kind, rows in measured.items()]
+    empty = np.zeros((0, 2 * n)), np.zeros((0, B.shape[1]))
+    rows, through = (np.vstack(blocks) for blocks in zip(empty, *parts, strict=True))
+    return rows, through
+
+
+def _square(name: str, value: ArrayLike) -> Array:
+    """Check of a mass or stiffness matrix what O(n^2) steps can: square, symmetric, not surely indefinite."""
+    array = _checks.real_array(name, value, 2)
+    n = len(array)
+    if array.shape != (n, n) or n == 0:
+        raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
+    return _symmetric(_checks.symmetric_matrix(array, name=name, even=False))
+
+
+def _symmetric(A: Array) -> Array:
+    return 0.5 * (A + A.T)
+
+
+def _with_mass(M: Array, C: Array | None, K: Array, F: Array, condense: bool) -> _Structure:
+    """The structure on the degrees of freedom that have mass."""
+    n, without = len(M), np.flatnonzero(np.diag(M) == 0)
+    whole = _Structure(M, C, K, F, np.eye(n), np.arange(n))
+    remedy = "from_second_order(M, K, F, condense=True) eliminates them statically, or give them mass"
+    if len(without) and not condense:
+        raise StructureError(
+            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({_listed(without)}, counted from "
+            f"1); {remedy}"
+        )
+    if _definite.definite_factor(M) is not None:
+        return whole
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
+    _definite.refuse_indefinite("M", smallest, tolerance)
+    if smallest > tolerance:
+        return whole
+    _, pivots, rank, _ = dpstrf(_definite.unit_diagonal(M)[0], tol=2 * tolerance, lower=1)
+    kept, massless = np.sort(pivots[:rank]) - 1, np.sort(pivots[rank:]) - 1
+    if rank == 0:
+        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
+    if not condense:
+        raise StructureError(
+            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
+            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
+            f"{remedy}"
+        )
+    return _condensed(whole, kept, massless)
+
+
+def _condensed(whole: _Structure, kept: Indices, massless: Indices) -> _Structure:
+    """The structure in `x = q_kept + X q_massless`, all that moves mass: `M q = M[:, kept] x`."""
+    M, C, K, F, _, _ = whole
+    mass = M[np.ix_(kept, kept)]
+    X = _inverse(mass) @ M[np.ix_(kept, massless)]
+    moved, coupling, inner = _blocks(K, kept, massless, X)
+    loaded = np.abs(F[massless] - X.T @ F[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(F[kept]))
+    if loaded.any():
+        raise StructureError(
+            f"a force acts on degrees of freedom without mass ({_listed(massless[loaded.any(axis=1)])}, counted from "
+            "1), which would make their velocity depend on the rate of the force; move the force, or give them mass"
+        )
+    if C is not None:
+        damping, *others = _blocks(C, kept, massless, X)
+        rest, size = np.vstack(others), float(np.abs(C).max())
+        acting = np.abs(rest) > 64 * len(M) * _checks.EPS * size * (1 + float(np.abs(X).max(initial=0.0))) ** 2
+        if acting.any():
+            raise StructureError(
+                f"dampers act on degrees of freedom without mass (among {_listed(massless)}, counted from 1), which "
+                "would follow the others with a delay; give them mass, or move the dampers"
+            )
+    smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
+    if smallest <= tolerance:
+        raise StructureError(
+            f"the degrees of freedom without mass ({_listed(massless)}, counted from 1) cannot be eliminated: the "
+            f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > "
+            f"{tolerance:.1e}; one of their motions meets no spring"
+        )
+    follow = -_inverse(inner) @ coupling.T
+    motion = np.zeros((len(M), len(kept)))
+    motion[massless], motion[kept] = follow, np.eye(len(kept)) - X @ follow
+    stiffness = _symmetric(moved + coupling @ follow)
+    return _Structure(mass, None if C is None else damping, stiffness, F[kept], motion, kept)
+
+
+def _blocks(A: Array, kept: Indices, massless: Indices, X: Array) -> tuple[Array, Array, Array]:
+    """Blocks of a symmetric matrix in the coordinates `x = q_kept + X q_massless` and `q_massless`."""
+    coupling, inner, moved = (A[np.ix_(*rows)] for rows in ((kept, massless), (massless, massless), (kept, kept)))
+    inner = _symmetric(inner - X.T @ coupling - coupling.T @ X + X.T @ moved @ X)
+    return moved, coupling - moved @ X, inner
+
+
+def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
+    """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused.
+
+    What rounding of entries `K_ij`, in units of `sqrt(K_ii K_jj)`, can make of `w^2` is that part of
+    `(|shape|^T sqrt(diag K))^2`, the energy of a mode if nothing cancelled: a measure free of units.
+    """
+    found = _definite.definite_factor(K)
+    if rtol is None and found is not None and found[1] < 1 / _FAINT:
+        return K
+    n = len(K)
+    few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
+    squares, shapes = eigh(K, M, subset_by_index=few)
+    part = squares / np.maximum((np.abs(shapes).T @ np.sqrt(np.abs(np.diag(K)))) ** 2, _checks.TINY)
+    allowed = _ROUNDED if rtol is None else max(rtol, 8 * n * _checks.EPS)
+    if part.min() < -allowed:
+        raise StructureError(
+            f"K is indefinite: the energy of one motion is {part.min():.3g} of what its springs hold one by one, "
+            f"allowed >= {-allowed:.1e} for the rounding of K; a stored energy cannot be negative, so check the signs "
+            "in K, or say with rtol how far it is rounded"
+        )
+    if rtol is not None:
+        rigid = squares <= rtol * float(squares.max())
+    else:
+        rigid = part <= max(_MARGIN * -part.min(), 0.0)
+        order = np.argsort(part)
+        size = np.maximum(np.abs(part[order]), n * _checks.EPS)
+        # rounding leaves a gap above what it makes of rigid modes
+        gap = np.flatnonzero((size[:-1] <= _FAINT) & (size[1:] >= _GAP * size[:-1]))
+        rigid[order[: gap.max(initial=-1) + 1]] = True
+    if np.abs(part[rigid]).max(initial=0.0) <= 2 * _checks.EPS:
+        return K
+    still = shapes[:, rigid]
+    momenta, forces = M @ still, K @ still
+    change = forces @ momenta.T
+    return _symmetric(K - change - change.T + momenta @ (still.T @ forces) @ momenta.T)
+
+
+def _inverse(M: Array) -> Array:
+    """Inverse of a positive definite matrix, exactly symmetric."""
+    scaled, scale = _definite.unit_diagonal(M)
+    lower, _ = dpotri(np.linalg.cholesky(scaled), lower=1, overwrite_c=1)
+    lower = np.tril(lower) / scale / scale[:, None]
+    return lower + np.tril(lower, -1).T
+
+
+def _listed(indices: Indices) -> str:
+    shown = ", ".join(str(k + 1) for k in indices[:8])
+    return shown + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")
