@@ -153,7 +153,7 @@ def test_order_of_the_modes_in_the_search_does_not_matter():
     found = []
     for order in ([0, 1, 2], [2, 0, 1]):
         at = Problem((one,)).project(D[order])
-        found.append(uncertainty(at, np.argsort(at.d), N, "velocity"))
+        found.append(uncertainty(at.ascending, N, "velocity"))
     scale = np.sqrt(np.diag(found[0].covariance))
     assert np.abs((found[0].covariance - found[1].covariance) / np.outer(scale, scale)).max() <= 1e6 * EPS
     assert np.allclose(found[0].offsets, found[1].offsets, rtol=1e6 * EPS)

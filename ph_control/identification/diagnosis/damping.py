@@ -26,7 +26,7 @@ from ..search.circumstances import SURE, Finding, noise_size
 from ..search.criteria import criteria, free_preference, preference
 from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
 from ..search.free_search import Channels, FreeSearch, Records, free_search
-from ..search.steps import Step, crowds, mode_energies, more_than_noise
+from ..search.steps import Step, crowds, more_than_noise
 from .damped_model import DampedModel, HypothesisTest
 
 Array = NDArray[np.float64]
@@ -195,7 +195,7 @@ def is_crowded(at: Projection) -> bool:
 def _starts(problem: Problem, at: Projection) -> ComplexArray:
     """Modes of the lossless fit that may be modes of the plant: not held, and apart from stronger ones."""
     kept: list[float] = []
-    for k in np.argsort(-mode_energies(at)):
+    for k in np.argsort(-at.energies):
         d = float(at.d[k])
         if at.free[k] and all(abs(d - other) > _APART * problem.bin for other in kept):
             kept.append(d)

@@ -193,15 +193,8 @@ def examine(
 
 def examine_fit(at: Projection, information: Information, noise_std: float = np.nan) -> Excitation:
     """Judge a record at the end of a fit, with the information that the fit has."""
-    rank = np.argsort(at.d)
-    (record,) = at.problem.experiments
-    (own,) = at.own
-    n = len(rank)
-    amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
-    d, kappa = at.d[rank], at.kappa[rank]
-    return examine(
-        cast(RecordRows, record), d, kappa / d, amplitudes[rank], noise_std=noise_std, information=information
-    )
+    record = cast(RecordRows, at.problem.experiments[0])
+    return examine(record, at.d, at.kappa / at.d, at.amplitudes(0), noise_std=noise_std, information=information)
 
 
 def _refuse_many(n: int, most: int, problems: list[RecordRows]) -> None:

@@ -274,21 +274,17 @@ class _Refit:
 
     def estimate(self, at: Projection) -> tuple[NDArray[Any], ...]:
         """Frequencies, weights, states, offsets, and what is held; modes that the data do not show stay as they are."""
-        m, n = self.shown, self.modes.n
-        rank = np.argsort(at.d)
+        m, n, at = self.shown, self.modes.n, at.ascending
         d, r, active = self.modes.d.copy(), self.modes.r.copy(), np.zeros(n, bool)
-        d[:m] = at.d[rank]
+        d[:m] = at.d
         if self.problem.driven:
-            r[:m], active[:m] = at.kappa[rank] / at.d[rank], ~at.free[rank]
+            r[:m], active[:m] = at.kappa / at.d, ~at.free
         modes = ModalForm._of(d, np.sqrt(r).astype(complex)[:, None], np.zeros((0, 1)))
         states, offsets = [np.zeros(0)], np.zeros(len(at.own))
         for k, (rows, own) in enumerate(zip(self.problem.experiments, at.own, strict=True)):
             if not isinstance(rows, RecordRows):
                 continue
-            amplitudes = np.zeros(n, complex)
-            if not rows.from_rest:
-                amplitudes[:m] = own[:m][rank] + 1j * own[m : 2 * m][rank]
-            states.append(state_from_amplitudes(modes, amplitudes, self.quantity))
+            states.append(state_from_amplitudes(modes, np.pad(at.amplitudes(k), (0, n - m)), self.quantity))
             offsets[k] = own[-1] if rows.offset else 0.0
         return d, r, np.concatenate(states), offsets, active
 

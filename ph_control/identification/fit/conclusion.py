@@ -63,21 +63,21 @@ class Fit:
 def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> PEMResult:
     """Make the result of a fit, and warn of what the data do not show."""
     problem, found = fit.problem, fit.found
-    at: Projection = found.end.projection
-    n, rank = len(at.d), np.argsort(at.d)
-    modes = _modes(at, rank, fit.order)
-    experiments = _experiments(fit.records, at, rank, modes, quantity)
-    estimated = uncertainty(at, rank, fit.order, quantity)
+    at: Projection = found.end.projection.ascending
+    n = len(at.d)
+    modes = _modes(at, fit.order)
+    experiments = _experiments(fit.records, at, modes, quantity)
+    estimated = uncertainty(at, fit.order, quantity)
     kept = [one.record.observed for one in experiments]
     measured = np.concatenate([one.measured[k] for one, k in zip(experiments, kept, strict=True)])
     residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
     noiseless = at.loss <= found.floor
-    whiteness = 1.0 if noiseless else _whiteness(experiments, at, rank)
+    whiteness = 1.0 if noiseless else _whiteness(experiments, at)
     weights = [
         one.record.weights[one.record.observed] for one in experiments if isinstance(one.record, FrequencyRecord)
     ]
     fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
-    held = ~at.free[rank]
+    held = ~at.free
     findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
     if not (fit.examined or noiseless or found.interrupted):
         doubtful = whiteness < WHITE or (held.any() and problem.driven) or is_crowded(at)
@@ -92,7 +92,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         found_out = outliers(scaled, spare)
         experiments = tuple(replace(one, outliers=k) for one, k in zip(experiments, found_out, strict=True))
     law = record_law(fit.records, estimated.variance, fit.law)
-    information = information_at(at, rank)
+    information = information_at(at)
     figures = criteria(problem, at.loss, n)
     # a mode held at 0 in a frequency response has no trace left: that is the constraint's doing, not the input's
     blind = set(information.blind_parameters) - {f"d_{l + 1}" for l in np.flatnonzero(held)}
@@ -115,7 +115,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         from_rest=any(isinstance(one, RecordRows) and one.from_rest for one in problem.experiments),
         silent=not at.kappa.any(),
         reversed_sign=n > 0 and not (named or at.kappa.any()) and at.asks_for_negative_residues_only(),
-        drifting=tuple(int(l) for l in np.flatnonzero(at.d[rank] < problem.bin * (1 - 1e-6)) if held[l]),
+        drifting=tuple(int(l) for l in np.flatnonzero(at.d < problem.bin * (1 - 1e-6)) if held[l]),
         interrupted=found.interrupted,
         driven=problem.driven,
         contradiction=sentence(fit.damped) if fit.damped else "",
@@ -198,10 +198,10 @@ def _examined(fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Findi
     return replace(fit, found=replace(fit.found, end=end), order=order or len(d), at_limit=False)
 
 
-def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:
+def _modes(at: Projection, order: int) -> ModalForm:
     """Modal form, with placeholders for modes that the data do not show; r = 1 where no input shows it."""
-    d = at.d[rank]
-    r = at.kappa[rank] / d if at.problem.driven else np.ones(len(d))
+    d = at.d
+    r = at.kappa / d if at.problem.driven else np.ones(len(d))
     # distinct, above those that the data show
     pads = d.max(initial=0.0) * (2.0 + np.arange(float(order - len(d))))
     return ModalForm._of(
@@ -209,20 +209,15 @@ def _modes(at: Projection, rank: NDArray[np.intp], order: int) -> ModalForm:
     )
 
 
-def _experiments(
-    records: Records, at: Projection, rank: NDArray[np.intp], modes: ModalForm, quantity: str
-) -> tuple[FittedExperiment, ...]:
-    n = len(at.d)
+def _experiments(records: Records, at: Projection, modes: ModalForm, quantity: str) -> tuple[FittedExperiment, ...]:
     found: list[FittedExperiment] = []
     every: tuple[Record | FrequencyRecord, ...] = records
-    for record, rows, own, predicted in zip(every, at.problem.experiments, at.own, at.predicted(), strict=True):
+    for k, (record, rows, predicted) in enumerate(zip(every, at.problem.experiments, at.predicted(), strict=True)):
         if isinstance(record, FrequencyRecord):
             found.append(FittedExperiment(record, np.zeros(0), np.zeros(0, complex), 0.0, predicted))
             continue
         terms = rows.offset if isinstance(rows, RecordRows) else 0
-        amplitudes = np.zeros(modes.n, complex)
-        if len(own) >= 2 * n:
-            amplitudes[:n] = own[:n][rank] + 1j * own[n : 2 * n][rank]
+        own, amplitudes = at.own[k], np.pad(at.amplitudes(k), (0, modes.n - len(at.d)))
         state = state_from_amplitudes(modes, amplitudes, quantity)
         offset = float(own[-1]) if terms else 0.0
         drift = float(own[-2]) / record.dt if terms > 1 else 0.0
@@ -230,7 +225,7 @@ def _experiments(
     return tuple(found)
 
 
-def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection, rank: NDArray[np.intp]) -> float:
+def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection) -> float:
     """Of the residuals in time; neighbouring points of a response follow one another as samples do.
 
     What was fitted is missing from the residuals; short records feel that, and are asked again if they look coloured.
@@ -248,7 +243,7 @@ def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection, rank: 
     shared: list[Array] = []
     local: list[Array] = []
     for one, rows in zip(experiments, at.problem.experiments, strict=True):
-        found = _directions(one, rows, at, rank)
+        found = _directions(one, rows, at)
         shared += _in_parts(one, found.shared)
         local += _in_parts(one, found.local)
     return ljung_box(parts, _LAGS, shared=shared, local=local)
@@ -262,8 +257,8 @@ def _in_parts(one: FittedExperiment, values: NDArray[Any]) -> list[Array]:
     return [scaled.real, scaled.imag]
 
 
-def _directions(one: FittedExperiment, rows: Any, at: Projection, rank: NDArray[np.intp]) -> Directions:
-    d, kappa, weighted = at.d[rank], at.kappa[rank], at.free[rank]
+def _directions(one: FittedExperiment, rows: Any, at: Projection) -> Directions:
+    d, kappa, weighted = at.d, at.kappa, at.free
     if isinstance(one.record, FrequencyRecord):
         return of_response(one.record, d, kappa, weighted, rows.quantity)
     moving = weighted if at.problem.structured else np.ones(len(d), bool)

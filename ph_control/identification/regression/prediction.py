@@ -124,10 +124,10 @@ def estimated_state(
     free = RecordRows(
         np.zeros(record.samples), record.y - forced, record.observed, hold, False, offset, quantity, False
     )
-    own = Problem((free,)).project(modes.d[live]).own[0]
+    at = Problem((free,)).project(modes.d[live])
     amplitudes = np.zeros(len(modes.d), complex)
-    amplitudes[live] = own[: len(live)] + 1j * own[len(live) : 2 * len(live)]
-    return state_from_amplitudes(modes, amplitudes, quantity), float(own[-1]) if offset else 0.0
+    amplitudes[live] = at.amplitudes(0)
+    return state_from_amplitudes(modes, amplitudes, quantity), float(at.own[0][-1]) if offset else 0.0
 
 
 def response_on(

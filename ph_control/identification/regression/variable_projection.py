@@ -7,7 +7,7 @@ modes with any damping, whose poles are two numbers each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
@@ -24,6 +24,7 @@ from .time_rows import Rows
 from .triangular import reduced
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 Progress = Callable[[int, float], None]  # iteration, loss
 
@@ -120,17 +121,19 @@ class Projection(LinearProjection):
     def _factors(self) -> list[Array]:
         """Triangular factor of `[own, shared, output]` of each experiment."""
         pairs = zip(self._evaluations, self.problem.experiments, strict=True)
-        return [evaluation.factor(rows.samples) for evaluation, rows in pairs]
+        return [self._with_residues(evaluation.factor(rows.samples), rows) for evaluation, rows in pairs]
+
+    def _with_residues(self, factor: Array, rows: Rows) -> Array:
+        """Factor of an experiment, with zeros for the residues where it does not show them."""
+        n = len(self.d)
+        return factor if rows.driven else np.insert(factor, n * [rows.own_unknowns(n)], 0.0, axis=1)
 
     @cached_property
     def _lengths(self) -> Array:
         """Norm of each shared column over all experiments."""
         n = len(self.d)
-        squares = np.zeros(n)
-        for factor, rows in zip(self._factors, self.problem.experiments, strict=True):
-            if rows.driven:
-                squares += np.sum(factor[:, -n - 1 : -1] ** 2, axis=0)
-        return np.where(squares > 0, np.sqrt(squares), 1.0)
+        lengths = np.sqrt(sum(np.sum(factor[:, -n - 1 : -1] ** 2, axis=0) for factor in self._factors))
+        return np.where(lengths > 0, lengths, 1.0)
 
     def _own(self, place: int) -> int:
         return self.problem.experiments[place].own_unknowns(len(self.d))
@@ -159,16 +162,11 @@ class Projection(LinearProjection):
             parts = self._eliminated(self._factors, held)
             if not self.problem.driven:
                 return np.zeros(n), ~held, parts
-            stacked = np.concatenate(
-                [p.below if rows.driven else _widened(p.below, n) for p, rows in self._pairs(parts)]
-            )
+            stacked = np.concatenate([part.below for part in parts])
             kappa, free = _residues(stacked[:, :-1] / self._lengths, stacked[:, -1], held, self.problem)
             if not self.problem.structured or np.array_equal(free, ~held):
                 return kappa / self._lengths, free, parts
             held = ~free
-
-    def _pairs(self, parts: list[Eliminated]) -> Iterable[tuple[Eliminated, Rows]]:
-        return zip(parts, self.problem.experiments, strict=True)
 
     @property
     def kappa(self) -> Array:
@@ -184,22 +182,28 @@ class Projection(LinearProjection):
     def own(self) -> list[Array]:
         """What belongs to each experiment: free motion `(alpha, beta)` of each mode, then the offset."""
         found = []
-        for part, rows in self._pairs(self._solution[2]):
-            rhs = part.above[:, -1] - (part.above[:, :-1] @ self.kappa if rows.driven else 0.0)
-            own = part.inverse @ rhs
+        for part in self._solution[2]:
+            own = part.inverse @ (part.above[:, -1] - part.above[:, :-1] @ self.kappa)
             if self.problem.structured and len(own) >= 2 * len(self.d):
                 own[np.flatnonzero(np.concatenate([~self.free, ~self.free]))] = 0.0
             found.append(own)
         return found
 
+    def amplitudes(self, place: int) -> ComplexArray:
+        """Free motion of each mode at the output of an experiment, shape (n,); 0 from rest."""
+        n, own = len(self.d), self.own[place]
+        return own[:n] + 1j * own[n : 2 * n] if len(own) >= 2 * n else np.zeros(n, complex)
+
+    @cached_property
+    def ascending(self) -> Projection:
+        """The same with the frequencies in ascending order."""
+        return self if np.all(np.diff(self.d) >= 0) else self.problem.project(np.sort(self.d))
+
     @cached_property
     def loss(self) -> float:
         """Sum of squared residuals."""
-        total = 0.0
-        for part, rows in self._pairs(self._solution[2]):
-            left = part.below[:, -1] - (part.below[:, :-1] @ self.kappa if rows.driven else 0.0)
-            total += float(left @ left)
-        return total
+        left = (part.below[:, -1] - part.below[:, :-1] @ self.kappa for part in self._solution[2])
+        return float(sum(one @ one for one in left))
 
     # --- second pass: sensitivity to the frequencies ---------------------------------------------------------------
 
@@ -207,16 +211,16 @@ class Projection(LinearProjection):
     def _sensitive_factors(self) -> list[Array]:
         """Triangular factor of `[own, shared, by frequency, output]` of each experiment."""
         triples = zip(self._evaluations, self.own, self.problem.experiments, strict=True)
-        return [evaluation.sensitive_factor(rows.samples, self.kappa, own) for evaluation, own, rows in triples]
+        return [
+            self._with_residues(evaluation.sensitive_factor(rows.samples, self.kappa, own), rows)
+            for evaluation, own, rows in triples
+        ]
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
         """Residual, and its Jacobian by the frequencies with everything else moving along, both in a few rows."""
         n = len(self.d)
-        rows = []
-        for part, one in self._pairs(self._eliminated(self._sensitive_factors, ~self.free)):
-            rows.append(part.below if one.driven else _widened(part.below, n))
-        stacked = np.concatenate(rows)
+        stacked = np.concatenate([part.below for part in self._eliminated(self._sensitive_factors, ~self.free)])
         shared = stacked[:, :n][:, self.free] / self._lengths[self.free]
         rest = stacked[:, n:]
         if shared.size and self.problem.driven:
@@ -246,26 +250,25 @@ class Projection(LinearProjection):
         counts = [self._own(k) for k in range(len(self.problem.experiments))]
         ends = np.cumsum([2 * n, *counts])
         rows, known = [], [self._traced, self.free & self.problem.driven]
-        for k, (factor, one) in enumerate(zip(self._sensitive_factors, self.problem.experiments, strict=True)):
-            s, f = counts[k], n if one.driven else 0
+        for k, (factor, s) in enumerate(zip(self._sensitive_factors, counts, strict=True)):
             part = np.zeros((len(factor), int(ends[-1])))
             part[:, ends[k] : ends[k + 1]] = factor[:, :s]
-            part[:, n : n + f] = factor[:, s : s + f]
-            part[:, :n] = factor[:, s + f : s + f + n]
+            part[:, n : 2 * n], part[:, :n] = factor[:, s : s + n], factor[:, s + n : s + 2 * n]
             rows.append(part)
             parts = [self._moving, self._moving, np.ones(s - 2 * n, bool)] if s >= 2 * n else [np.ones(s, bool)]
             known.append(np.concatenate(parts))
         return np.concatenate(rows), np.concatenate(known)
 
-    def column_lengths(self) -> Array:
-        """Norms of the columns of the residues, and of what belongs to each experiment."""
-        n = len(self.d)
-        shared, own = np.zeros(n), []
-        for k, (factor, rows) in enumerate(zip(self._factors, self.problem.experiments, strict=True)):
+    @cached_property
+    def energies(self) -> Array:
+        """Output energy of each mode, roughly: of its forced and its free motion."""
+        n, found = len(self.d), np.zeros(len(self.d))
+        for factor, own in zip(self._factors, self.own, strict=True):
             squares = np.sum(factor[:, :-1] ** 2, axis=0)
-            own.append(np.sqrt(squares[: self._own(k)]))
-            shared += squares[self._own(k) :] if rows.driven else 0.0
-        return np.concatenate([np.sqrt(shared), *own])
+            found += self.kappa**2 * squares[len(own) :]
+            if len(own) >= 2 * n:
+                found += np.sum((own[: 2 * n] ** 2 * squares[: 2 * n]).reshape(2, n), axis=0)
+        return found
 
     def asks_for_negative_residues_only(self) -> bool:
         """Whether all residues would be negative, were they free to be."""
@@ -277,11 +280,6 @@ class Projection(LinearProjection):
         return [
             evaluation.predict(self.kappa, own) for evaluation, own in zip(self._evaluations, self.own, strict=True)
         ]
-
-
-def _widened(below: Array, n: int) -> Array:
-    """Rows of an experiment without residues, with zeros in their place."""
-    return np.concatenate([np.zeros((len(below), n)), below], axis=1)
 
 
 def _residues(columns: Array, rhs: Array, held: NDArray[np.bool_], problem: Problem) -> tuple[Array, NDArray[np.bool_]]:

@@ -16,7 +16,7 @@ from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
 from .free_search import Responses
 from .response_candidates import vector_fit
-from .steps import Report, Search, Step, mode_energies
+from .steps import Report, Search, Step
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -68,6 +68,6 @@ class ResponseSearch(Search):
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
         return Step(
-            damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, mode_energies(at),
+            damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, at.energies,
             not white and damped.loss > _MUCH * self.power,
         )  # fmt: skip

@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows
-from ..regression.variable_projection import Interrupted, Problem, Projection, Refinement, refine
+from ..regression.variable_projection import Interrupted, Problem, Refinement, refine
 from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
 
@@ -87,7 +87,7 @@ class Search:
             self.steps.append(self._refined(d, rtol, report))
         except Interrupted as cut:
             at, none = self.problem.project(cut.x), np.zeros(0)
-            self.steps.append(Step(at.d, at.loss, 0, False, none, none, ~at.free, mode_energies(at)))
+            self.steps.append(Step(at.d, at.loss, 0, False, none, none, ~at.free, at.energies))
             raise
         return self.steps[-1]
 
@@ -175,11 +175,11 @@ class TimeSearch(Search):
         return self._ended(end, left, loss)
 
     def _ended(self, end: Refinement, left: list[ComplexArray], loss: float) -> Step:
-        at, n = end.projection, len(end.projection.d)
+        at = end.projection
         foretold = autoregression(left, [len(one.u) for one in self._experiments])[1]
         step = Step(
             at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
-            ~at.free if n else np.zeros(0, bool), mode_energies(at) if n else at.d, foretold=foretold,
+            ~at.free, at.energies, foretold=foretold,
         )  # fmt: skip
         crowding = loss > self.problem.rounding and crowds(step, self.problem)
         return replace(step, crowding=tuple(self._experiments)) if crowding else step
@@ -202,16 +202,3 @@ def stands_out(gain: float, loss: float, samples: int, unknowns: int, more: int)
     """Whether noise alone would hardly let a mode with so many unknowns `more` gain as much anywhere in the band."""
     spare = samples - unknowns
     return bool(spare > 0 and loss > 0 and chdtrc(more, gain * spare / loss) * samples < _BY_CHANCE)
-
-
-def mode_energies(at: Projection) -> Array:
-    """Output energy of each mode, roughly: of its forced and its free motion."""
-    n = len(at.d)
-    parts = np.concatenate([at.kappa, *at.own]) * at.column_lengths()
-    energy = parts[:n] ** 2
-    place = n
-    for own in at.own:
-        if len(own) >= 2 * n:
-            energy = energy + parts[place : place + n] ** 2 + parts[place + n : place + 2 * n] ** 2
-        place += len(own)
-    return np.asarray(energy)

@@ -28,8 +28,8 @@ class Uncertainty:
     offsets: Array
 
 
-def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: str) -> Uncertainty:
-    """Uncertainty of a minimum whose modes are sorted by `rank`; of `total` modes those beyond it are NaN.
+def uncertainty(at: Projection, total: int, quantity: str) -> Uncertainty:
+    """Uncertainty of a minimum; of `total` modes those beyond it are NaN.
 
     Rows and columns of what is held or was not estimated are NaN.
     """
@@ -41,33 +41,28 @@ def uncertainty(at: Projection, rank: NDArray[np.intp], total: int, quantity: st
     covariance[np.ix_(known, known)] = variance * inverse_gram(J[:, known])
     # no frequency is known to more digits than it has
     np.fill_diagonal(covariance[:n, :n], np.maximum(np.diag(covariance)[:n], (EPS * at.d) ** 2))
-    counts = [len(own) for own in at.own]
-    starts = 2 * n + np.concatenate([[0], np.cumsum(counts)]).astype(int)
-    # (d, kappa, alpha and beta of each record), sorted; NaN where a record starts at rest
-    places, offsets = [rank, n + rank], np.full(len(at.own), np.nan)
-    for k, (start, count, rows) in enumerate(zip(starts, counts, at.problem.experiments, strict=False)):
+    # (d, kappa, alpha and beta of each record); NaN where a record starts at rest
+    places, offsets, start = [np.arange(2 * n)], np.full(len(at.own), np.nan), 2 * n
+    for k, (own, rows) in enumerate(zip(at.own, at.problem.experiments, strict=True)):
         if isinstance(rows, RecordRows):
-            moves = bool(n) and count >= 2 * n
-            places += [start + rank, start + n + rank] if moves else [np.full(n, -1)] * 2
+            places.append(np.full(2 * n, -1) if rows.from_rest else start + np.arange(2 * n))
             if rows.offset:
-                offsets[k] = np.sqrt(covariance[start + count - 1, start + count - 1])
+                offsets[k] = np.sqrt(covariance[start + len(own) - 1, start + len(own) - 1])
+        start += len(own)
     index = np.concatenate(places)
     linear = np.pad(covariance, (0, 1), constant_values=np.nan)[np.ix_(index, index)]
-    return Uncertainty(variance, _in_states(linear, at, rank, total, quantity), offsets)
+    return Uncertainty(variance, _in_states(linear, at, total, quantity), offsets)
 
 
-def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int, quantity: str) -> Array:
+def _in_states(linear: Array, at: Projection, total: int, quantity: str) -> Array:
     """From `(d, kappa, alpha, beta, ...)` to `(d, r, q, p, ...)`.
 
     `r = kappa / d`, and `q + i p` is the free amplitude divided by `c sqrt(d kappa)`, `c` the weight in the output.
     """
-    n = len(at.d)
-    states = [own for own, rows in zip(at.own, at.problem.experiments, strict=True) if isinstance(rows, RecordRows)]
-    records = len(states)
-    d, kappa, free = at.d[rank], at.kappa[rank], at.free[rank]
-    driven = at.problem.driven
+    d, kappa, driven, n = at.d, at.kappa, at.problem.driven, len(at.d)
+    states = [at.amplitudes(k) for k, rows in enumerate(at.problem.experiments) if isinstance(rows, RecordRows)]
     # of a combination that leaves no trace the smallest solution is 0: a weight of 0 is not an estimate either
-    held = ~free | (kappa == 0) if driven else np.zeros(n, bool)
+    held = ~at.free | (kappa == 0) if driven else np.zeros(n, bool)
     safe = np.where(held, 1.0, kappa) if driven else d
     k = np.arange(n)
     T = np.zeros((len(linear), len(linear)))
@@ -76,8 +71,7 @@ def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int
     factor = 1.0 / (output_weight(d, quantity)[0] * np.sqrt(d * safe))
     # without an input r is fixed, so that kappa turns with d
     by_d = (_TURN[quantity] - (0.0 if driven else 0.5)) / d
-    for record, own in enumerate(states):
-        amplitude = own[:n][rank] + 1j * own[n : 2 * n][rank] if len(own) >= 2 * n else np.zeros(n, complex)
+    for record, amplitude in enumerate(states):
         state = factor * amplitude
         q, p = 2 * n * (1 + record) + k, 2 * n * (1 + record) + n + k
         T[q, q], T[q, p], T[p, q], T[p, p] = factor.real, -factor.imag, factor.imag, factor.real
@@ -87,14 +81,14 @@ def _in_states(linear: Array, at: Projection, rank: NDArray[np.intp], total: int
                 T[place, n + k] = -0.5 * part / safe
     missing = np.isnan(np.diag(linear))
     missing[n : 2 * n] |= held | (not driven)
-    for record in range(records):
-        missing[2 * n * (1 + record) : 2 * n * (2 + record)] |= np.concatenate([held, held])
+    missing[2 * n :] |= np.tile(held, 2 * len(states))
     inner = T @ np.where(np.isnan(linear), 0.0, linear) @ T.T
     inner[missing] = np.nan
     inner[:, missing] = np.nan
     if total == n:
         return inner
-    full = np.full(((2 + 2 * records) * total,) * 2, np.nan)
-    parts = np.concatenate([k + part * total for part in range(2 + 2 * records)])
+    kinds = 2 + 2 * len(states)
+    full = np.full((kinds * total, kinds * total), np.nan)
+    parts = (np.arange(kinds)[:, None] * total + k).ravel()
     full[np.ix_(parts, parts)] = inner
     return full

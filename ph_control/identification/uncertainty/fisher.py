@@ -272,25 +272,20 @@ def information_of(problem: RecordRows, jacobian: Array, d: Array, r: Array, amp
     )
 
 
-def information_at(at: Projection, rank: NDArray[np.intp]) -> Information:
-    """Information at the end of a fit, modes sorted by `rank`.
+def information_at(at: Projection) -> Information:
+    """Information at the end of a fit.
 
     Of one record all parameters; of several, or of a response, `d` and `r` with all else unknown.
     """
-    n = len(at.d)
+    d, r, n = at.d, at.kappa / at.d, len(at.d)
     jacobian, _ = at.jacobian()
-    d, kappa = at.d[rank], at.kappa[rank]
     one = at.problem.experiments[0]
     if len(at.problem.experiments) == 1 and isinstance(one, RecordRows) and one.driven and not one.offset:
-        sorting = (np.arange(jacobian.shape[1] // max(n, 1))[:, None] * n + rank).ravel()
-        own = at.own[0]
-        amplitudes = own[:n] + 1j * own[n:] if len(own) else np.zeros(n, complex)
-        return information_of(one, jacobian[:, sorting], d, kappa / d, amplitudes[rank])
-    order = np.concatenate([rank, n + rank, np.arange(2 * n, jacobian.shape[1])])
-    shown, names = _of_modes(jacobian[:, order], n, at.problem.samples), parameter_names(n, True)
+        return information_of(one, jacobian, d, r, at.amplitudes(0))
+    shown, names = _of_modes(jacobian, n, at.problem.samples), parameter_names(n, True)
     if not at.problem.driven:
         return Information.of(shown[:, :n], names[:n], rows=at.problem.samples)
-    return Information.of(in_weights(shown, d, kappa / d), names, rows=at.problem.samples)
+    return Information.of(in_weights(shown, d, r), names, rows=at.problem.samples)
 
 
 def _state_sizes(problem: RecordRows, d: Array) -> tuple[Array, Array]:
