@@ -293,7 +293,7 @@ def test_a_form_is_named_ph_ch_or_oh(form, one_mode):
 
 @pytest.mark.parametrize("experiment", [1, -1, 0.0, True, None])
 def test_an_experiment_that_is_not_there_is_refused(experiment, one_mode):
-    with pytest.raises(phc.StructureError, match=r"experiment is .* this fit has 1, counted from 0"):
+    with pytest.raises(phc.StructureError, match=r"experiment is .* counted from 0 to 0"):
         one_mode.initial_state_in("oh", experiment)
 
 

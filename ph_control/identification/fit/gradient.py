@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 PARAMETERS = ("natural", "unique")
 OPTIMIZERS = ("plain", "adam")
 
+_MOST = 10**9  # steps
 _MOMENTUM, _MEMORY, _FLOOR = 0.9, 0.999, 1e-8  # what Kingma and Ba recommend for Adam
 
 
@@ -216,11 +217,12 @@ def gradient_descent(
     """
     _checks.choice("parameters", parameters, PARAMETERS)
     _checks.choice("optimizer", optimizer, OPTIMIZERS)
-    whole = (int, np.integer), "a whole number >= 1"
-    rate = float(_number("learning_rate", learning_rate, (int, float, np.integer, np.floating), "a positive number"))
-    steps = int(_number("epochs", epochs, *whole))
+    number = isinstance(learning_rate, int | float | np.integer | np.floating) and not isinstance(learning_rate, bool)
+    if not (number and 0 < learning_rate < float(np.finfo(float).max)):
+        raise StructureError(f"learning_rate is {_checks.shown(learning_rate)}; it must be a positive number")
+    rate, steps = float(learning_rate), _checks.whole_number("epochs", epochs, 1, _MOST)
     record = as_record(data, dt)
-    n = _order(record, int(_number("order", order, *whole)))
+    n = _order(record, _checks.whole_number("order", order, 1))
     after = None if validation is None else as_record(validation, record.dt)
     if after is not None and not after.observed.any():
         raise StructureError("the validation record has no outputs to hold the model against; pass (u, y) with outputs")
@@ -348,12 +350,6 @@ def _vector(name: str, value: Any, size: int) -> Array:
     if array.shape != (size,):
         raise StructureError(f"{name} has shape {array.shape}; with this order it must be ({size},)")
     return array
-
-
-def _number(name: str, value: Any, kinds: Any, needed: str) -> Any:
-    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 < value < float(np.finfo(float).max):
-        raise StructureError(f"{name} is {_checks.shown(value)}; it must be {needed}")
-    return value
 
 
 def _order(record: Record, order: int) -> int:

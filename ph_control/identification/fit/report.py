@@ -24,16 +24,14 @@ class FitReport(Report):
     """What the result of a fit shows of itself."""
 
     @property
-    def time_unit(self) -> str | None:
+    def time_unit(self: Any) -> str | None:
         """Unit of time of the data, as 'ms', and so of `d` in radians per unit; None where it is not known."""
-        result: Any = self
-        return common_unit([one.record for one in result.experiments])
+        return common_unit([one.record for one in self.experiments])
 
     @property
-    def natural_frequencies(self) -> Array:
+    def natural_frequencies(self: Any) -> Array:
         """Natural frequencies, ascending, rad per unit time: `d`."""
-        result: Any = self
-        return np.asarray(result.d)
+        return np.asarray(self.d)
 
     @property
     def hertz(self) -> Array:
@@ -43,22 +41,20 @@ class FitReport(Report):
     def __str__(self) -> str:
         return summary_of(self)
 
-    def _headline(self) -> str:
-        result: Any = self
-        return f"{_modes(result.order)}, fit {percent(result.fit_percent)}, {result.verdict}"
+    def _headline(self: Any) -> str:
+        return f"{_modes(self.order)}, fit {percent(self.fit_percent)}, {self.verdict}"
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self: Any) -> str:
         """HTML for notebooks: the summary, its modes as a table."""
-        result: Any = self
         above, _, _ = summary_of(self).partition("\n\n")
         title, _, lines = above.partition("\n")
-        head, *rows = mode_table(result)
+        head, *rows = mode_table(self)
         head = [text.replace("+-", "±") for text in head]
         return (
             html_heading(title)
             + html_report(lines)
             + html_table(head, rows)
-            + html_report(in_unit(result.message, result.time_unit))
+            + html_report(in_unit(self.message, self.time_unit))
         )
 
 

@@ -375,11 +375,10 @@ class Formulation:
         own = problem.unknowns(0)
         per_mode = problem.unknowns(1) - own
         carried = problem.carried
-        for name, value in (("order", order), ("max_order", max_order)):
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool) and value >= 1
-            if not (whole or (name == "order" and isinstance(value, str) and value == "auto")):
-                allowed = "'auto' or a whole number >= 1" if name == "order" else "a whole number >= 1"
-                raise StructureError(f"{name} is {_checks.shown(value)}; it must be {allowed}")
+        most = _checks.whole_number("max_order", max_order, 1)
+        if isinstance(order, str) and order != "auto":
+            raise StructureError(f"order is {order!r}; it must be 'auto' or a whole number of at least 1")
+        wanted = min(most, carried) if isinstance(order, str) else _checks.whole_number("order", order, 1)
         what = (
             "observed output samples" if isinstance(problem.experiments[0], RecordRows) else "real and imaginary parts"
         )
@@ -388,23 +387,15 @@ class Formulation:
                 f"the record has {problem.samples} {what}; one mode alone has {per_mode + own} unknowns, so "
                 f"at least {per_mode + own + 1} are needed"
             )
-        if order == "auto":
-            if len(guess) > min(max_order, carried):
-                raise StructureError(
-                    f"initial_guess has {len(guess)} modes, more than the {min(max_order, carried)} that 'auto' "
-                    "may take"
-                )
-            return int(min(max_order, carried))
-        if int(order) > carried:
+        if wanted > carried:
             raise IdentificationError(
-                f"order {_checks.shown(int(order))} has {_checks.shown(per_mode * int(order) + own)} unknowns, more "
-                f"than the {problem.samples} {what} can carry; the largest order for this record is {carried}"
+                f"order {_checks.shown(wanted)} has {_checks.shown(per_mode * wanted + own)} unknowns, more than the "
+                f"{problem.samples} {what} can carry; the largest order for this record is {carried}"
             )
-        if len(guess) > int(order):
-            raise StructureError(
-                f"initial_guess has {len(guess)} modes, more than the {_checks.shown(order)} of the order"
-            )
-        return int(order)
+        if len(guess) > wanted:
+            allowed = f"{wanted} that 'auto' may take" if isinstance(order, str) else f"{wanted} of the order"
+            raise StructureError(f"initial_guess has {len(guess)} modes, more than the {allowed}")
+        return wanted
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,11 @@ from ...plotting.validation_plot import stabilisation_plot
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.time_rows import RecordRows, Rows
 from ..regression.variable_projection import Problem, refine
-from .criteria import criteria
+from .criteria import CRITERIA, criteria
 from .formulation import Callback, Formulation, reporter
 from .steps import Step
 
 Array = NDArray[np.float64]
-
-CRITERIA = ("aic", "aicc", "bic", "holdout")
 
 _LARGEST = 10  # by default
 _STABLE, _STABLE_BINS = 0.01, 2.0
@@ -272,17 +270,12 @@ def order_selection(
 def _wanted(orders: Any, problem: Problem) -> list[int]:
     if orders is None:
         orders = max(1, min(_LARGEST, problem.carried))
-    several = isinstance(orders, Sequence | np.ndarray) and np.iterable(orders) and not isinstance(orders, str)
-    wanted = list(orders) if several else [orders]
-    if not wanted or not all(
-        isinstance(n, int | np.integer) and not isinstance(n, bool) and n >= (0 if several else 1) for n in wanted
-    ):
-        raise StructureError(
-            f"orders is {_checks.shown(orders)}; it must be a whole number >= 1, or a sequence of numbers of modes"
-        )
-    if max(wanted) == 0:
-        raise StructureError("orders asks for no mode only; the largest must be at least 1")
-    return sorted({int(n) for n in wanted}) if several else list(range(int(orders) + 1))
+    if isinstance(orders, str) or not np.iterable(orders):
+        return list(range(_checks.whole_number("orders", orders, 1) + 1))
+    wanted = sorted({_checks.whole_number("one of the orders", n, 0) for n in orders})
+    if not wanted or wanted[-1] == 0:
+        raise StructureError("orders asks for no mode; the largest must be at least 1")
+    return wanted
 
 
 def _part(holdout: Any) -> float:

@@ -134,9 +134,7 @@ def draw(
 
 def draws_from(k: Any, rng: Any) -> tuple[int, np.random.Generator]:
     """Check how many draws are wanted, and from where."""
-    if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k <= _MOST:
-        raise StructureError(f"k is {_checks.shown(k)}; it must be a whole number of draws, 0 or more, at most {_MOST}")
-    return int(k), _checks.random_generator(rng)
+    return _checks.whole_number("k", k, 0, _MOST), _checks.random_generator(rng)
 
 
 def _factor(covariance: Array) -> tuple[NDArray[np.bool_], Array, Array]:

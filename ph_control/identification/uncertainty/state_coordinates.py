@@ -24,6 +24,7 @@ from ...exceptions import ConditioningWarning, StructureError
 from ...numerics.polynomials import cofactors
 from ..data.time_record import Record
 from ..regression.modal_regressors import output_weight
+from ..regression.prediction import chosen_experiment
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -83,7 +84,9 @@ class InCoordinates:
         True
         """
         _checks.choice("form", form, FORMS)
-        one = _experiment(self, experiment)
+        one = chosen_experiment(self.experiments, experiment)
+        if not isinstance(one.record, Record):
+            raise StructureError("a frequency response has no initial state; only records in time have one")
         if form == "ph":
             return np.array(one.initial_state)
         # velocity of the port, whatever was measured of it
@@ -102,15 +105,6 @@ class InCoordinates:
                 stacklevel=2,
             )
         return state
-
-
-def _experiment(result: Any, k: Any) -> Any:
-    count = len(result.experiments)
-    if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < count:
-        raise StructureError(f"experiment is {k!r}; this fit has {count}, counted from 0")
-    if not isinstance(result.experiments[k].record, Record):
-        raise StructureError("a frequency response has no initial state; only records in time have one")
-    return result.experiments[k]
 
 
 def _refuse_unreachable(r: Array, amplitudes: ComplexArray) -> None:
