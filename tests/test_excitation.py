@@ -178,7 +178,7 @@ def test_the_end_of_a_fit_is_judged_with_its_own_sensitivities(from_rest):
     u, h = white(300), 0.1
     d, r, x0 = np.array([3.0, 1.0]), np.array([0.2, 1.0]), np.array([0.5, 1 + 1j]) * (not from_rest)
     y = output_of(d, r, x0, u, h)
-    end = Problem((RecordRows(u, y, np.ones(300, bool), Hold(h), from_rest),)).project(d)
+    end = Problem((RecordRows(u, y, np.ones(300, bool), Hold(h), from_rest),)).project(d).ascending
     found = examine_fit(end, information_at(end), 0.1)
     same = excitation((u, y), (d, r), dt=h, noise_std=0.1, initial_state="zero" if from_rest else "estimate")
     assert np.allclose(found.r, same.r, rtol=1e-9) and np.array_equal(found.d, [1.0, 3.0])

@@ -35,18 +35,14 @@ _MOMENTS = 0.5 * _weights[:, None] * np.stack([1.0 - _T, _T, _T * (1.0 - _T), _T
 
 
 @dataclass(frozen=True)
-class DiscreteModes:
-    """One time step of all modes: `x_{k+1} = lambda x_k + b0 u_k + b1 u_{k+1}`, `y = Re(c x)`.
+class Multipliers:
+    """Multipliers of modes in one time step, `lambda = exp(growth + i phase)`, shapes (N,).
 
-    `lambda = exp(growth + i phase)` with the phase as a pair of doubles, so that high powers keep their phase.
-    Shapes: `growth`, `phase` (N,); `b0`, `b1` (N, m); `c` (p, N).
+    The phase is a pair of doubles, so that high powers keep it.
     """
 
     growth: Array
     phase: tf.Pair
-    b0: ComplexArray
-    b1: ComplexArray
-    c: ComplexArray
 
     def powers(self, k: Array) -> ComplexArray:
         """`lambda^k` for integers k, shape (N, len(k))."""
@@ -57,6 +53,18 @@ class DiscreteModes:
     def multiplier(self) -> ComplexArray:
         """The numbers `lambda`, shape (N,)."""
         return self.powers(np.ones(1))[:, 0]
+
+
+@dataclass(frozen=True)
+class DiscreteModes(Multipliers):
+    """One time step of all modes: `x_{k+1} = lambda x_k + b0 u_k + b1 u_{k+1}`, `y = Re(c x)`.
+
+    Shapes: `b0`, `b1` (N, m); `c` (p, N).
+    """
+
+    b0: ComplexArray
+    b1: ComplexArray
+    c: ComplexArray
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from ...modal.discretization import Hold
+from ...modal.discretization import Hold, Multipliers
 from ...modal.modal_form import imaginary
-from ...numerics import double_double
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -36,30 +35,17 @@ _DEAD = 1e-200  # of the largest state: what has died away must not leave the ra
 
 
 @dataclass(frozen=True)
-class SampledModes:
+class SampledModes(Multipliers):
     """One step `x_(k+1) = lambda x_k + b0 u_k + b1 u_(k+1)` of modes (n,), and its derivatives by their poles.
 
-    `lambda = exp(growth + i phase)` with the phase as a pair of doubles, so that high powers keep their phase; `turn`
-    is the derivative of its logarithm.
+    `turn` is the derivative of the logarithm of `lambda`.
     """
 
-    growth: Array
-    phase: double_double.Pair
     b0: ComplexArray
     b1: ComplexArray
     turn: ComplexArray
     b0_slope: ComplexArray
     b1_slope: ComplexArray
-
-    def powers(self, k: Array) -> ComplexArray:
-        """`lambda^k` for integers k, shape (n, len(k))."""
-        rotation = double_double.cis_multiples(self.phase, k)
-        return rotation * np.exp(np.multiply.outer(self.growth, k)) if self.growth.any() else rotation
-
-    @property
-    def multiplier(self) -> ComplexArray:
-        """The numbers `lambda`."""
-        return self.powers(np.ones(1))[:, 0]
 
     @classmethod
     def of(cls, hold: Hold, p: ComplexArray) -> SampledModes:
