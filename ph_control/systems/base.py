@@ -65,19 +65,17 @@ class LosslessSystem(ct.StateSpace):
                 "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
             )
         self._views = {}
-        sizes, named = {"inputs": nports, "outputs": nports, "states": nstates}, bool(names)
-        if named:
+        if names:
+            sizes = {"inputs": nports, "outputs": nports, "states": nstates}
             _checks.signal_names(names, **sizes)
-        for kind, count in sizes.items():
-            single = names.pop(kind[:-1], None)
-            if names.get(kind) is None:
-                names[kind] = count if single is None else single
-        if not named:
-            del names["states"]
+            for kind, count in sizes.items():
+                single = names.pop(kind[:-1], None)
+                if names.get(kind) is None:
+                    names[kind] = count if single is None else single
         # the constructors between would build dense matrices, and functions that hold the system
-        InputOutputSystem.__init__(self, dt=0, **names)
+        InputOutputSystem.__init__(self, dt=0, **(names or {"inputs": nports, "outputs": nports}))
         self.params, self._current_params = {}, {}
-        if not named:
+        if not names:
             self.nstates, self._state_index = nstates, None
 
     @property

@@ -19,6 +19,7 @@ from .. import _checks
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.error_bounds import Group, Separation, as_decided
+from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
 from .base import in_normal_form
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
@@ -188,8 +189,8 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     >>> small.d, small.r
     (array([0.5, 1. ]), array([2., 2.]))
     """
-    if rtol is None and isinstance(sys, ModalForm) and sys.is_lossless:
-        return PortHamiltonian._from_modes(sys.minimal())
+    if rtol is None and isinstance(sys, ModalForm) and (known := minimal_of_exact(sys)) is not None:
+        return PortHamiltonian._from_modes(known)
     system = full_port_hamiltonian(sys)
     return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
 
