@@ -333,6 +333,13 @@ def test_a_dense_matrix_of_condition_1e12_has_an_exact_normal_form(n):
     hold_to_the_bounds_of_large_matrices(0.5 * (Q + Q.T), None)
 
 
+@pytest.mark.parametrize("seed", [12, 29, 117, 159])
+def test_pairs_of_frequencies_that_rounding_parts_are_turned_by_a_rotation(seed):
+    Q, _ = random_hamiltonian([1.0, 1.0, 1e10, 1e10], np.random.default_rng(seed), 0.0)
+    d, S = phc.williamson(Q)
+    assert max(residuals(Q, d, S)) < 10
+
+
 # --- energy coordinates and the skew normal form -------------------------------------------------------------------
 
 

@@ -306,10 +306,10 @@ def _turns(d: Array, *parts: Array) -> list[Array]:
 
     Zero where frequencies are too near for a small turn.
     """
-    rate = d / d[:, None]
-    rate -= 1.0 / rate
+    # of opposite sign, to the last bit, for the two modes of a turn: what is left of one is no turn
+    rate = (d - d[:, None]) / (d + d[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
-        np.divide(2.0, rate, out=rate)
+        rate = 0.5 * (1.0 / rate - rate)
         turns = [rate * part for part in parts]
         small = [np.abs(turn) <= _TURN for turn in turns]
     for turn in turns:
