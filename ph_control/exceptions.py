@@ -48,13 +48,15 @@ class StructureError(PHControlError, ValueError):
 
 
 class NotLosslessError(StructureError):
-    """A linear system is not lossless, so that no port-Hamiltonian system has its transfer function.
+    """A linear system is not lossless where only lossless ones are defined.
 
     Parameters
     ----------
     violations : sequence of str
         One sentence for every pole, residue or feedthrough that contradicts losslessness, with its
         size and the tolerance it was held against.
+    message : str, optional
+        Message in place of the default one, which says that the system has no lossless port-Hamiltonian form.
 
     Attributes
     ----------
@@ -71,8 +73,11 @@ class NotLosslessError(StructureError):
     1 pole -0.05+1.99937i is off the imaginary axis
     """
 
-    def __init__(self, violations: Sequence[str]) -> None:
-        self.violations = tuple(violations)
+    def __init__(self, violations: Sequence[str], message: str | None = None) -> None:
+        self.violations, self._message = tuple(violations), message
+        if message is not None:
+            super().__init__(message)
+            return
         shown = self.violations[:8]
         more = len(self.violations) - len(shown)
         lines = ["the system is not lossless, so it has no port-Hamiltonian form:"]
@@ -82,8 +87,8 @@ class NotLosslessError(StructureError):
         lines.append("  a lossless system is sum_l kappa_l s/(s^2 + d_l^2) + kappa_0/s with every kappa positive")
         super().__init__("\n".join(lines))
 
-    def __reduce__(self) -> tuple[type[NotLosslessError], tuple[tuple[str, ...]]]:
-        return type(self), (self.violations,)
+    def __reduce__(self) -> tuple[type[NotLosslessError], tuple[tuple[str, ...], str | None]]:
+        return type(self), (self.violations, self._message)
 
 
 class IdentificationError(PHControlError):

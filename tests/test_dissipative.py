@@ -201,21 +201,6 @@ def test_what_makes_energy_or_does_not_fit_is_refused(parts, message):
         phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], **parts)
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda s: s.d, lambda s: s.r, lambda s: s.v, lambda s: s.is_canonical, lambda s: s.controllable_form(),
-        lambda s: s.observable_form(), phc.ch, phc.oh, phc.affine, lambda s: phc.lift(s, 3), phc.minreal,
-        phc.kalman_decomposition, lambda s: phc.same_filter(s, s), lambda s: phc.are_isomorphic(s, s),
-        lambda s: phc.PortHamiltonianGroupoid(np.eye(2), s),
-    ],
-)  # fmt: skip
-def test_what_is_defined_without_losses_only_says_so(call):
-    system = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.1]))
-    with pytest.raises((phc.NotLosslessError, AttributeError)):
-        call(system)
-
-
 @settings(max_examples=20, deadline=None)
 @SEEDS
 def test_connections_are_port_hamiltonian_and_those_of_python_control(seed):

@@ -281,7 +281,7 @@ def test_the_text_of_single_modes_is_a_call_of_modes():
 def test_what_only_lossless_forms_have_is_refused_with_the_damping():
     modes = phc.modes([1.0, 2.0], [0.5, 0.25], damping=0.1)
     for ask in (lambda: modes.d, lambda: modes.kappa, lambda: modes.minimal(), lambda: modes.coefficients()):
-        with pytest.raises(phc.NotLosslessError, match=r"poles have damping ratios 0\.1, 0\.1"):
+        with pytest.raises(phc.NotLosslessError, match=r"these have damping ratios 0\.1, 0\.1"):
             ask()
     with pytest.raises(phc.NotLosslessError, match="off the imaginary axis"):
         phc.ph(modes)

@@ -19,6 +19,7 @@ from .._types import Array
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.affine import AffineHamiltonian
+from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 
@@ -130,6 +131,8 @@ def _lossless(loop: Any) -> ModalForm | None:
     lti = isinstance(loop, ct.StateSpace | ct.TransferFunction)
     # that of an affine system is not the loop, but its derivative
     if not lti or not loop.issiso() or loop.isdtime(strict=True) or isinstance(loop, AffineHamiltonian):
+        return None
+    if isinstance(loop, PortHamiltonian) and not in_normal_form(loop):
         return None
     try:
         system = loop if isinstance(loop, PortHamiltonian) else ph(loop)

@@ -418,7 +418,7 @@ class ReducedGroupoid(_Arrow):
 
 def _one_port(system: PortHamiltonian) -> None:
     """Refuse what is no object of the groupoid."""
-    refuse_losses(system, "groupoids")
+    refuse_losses(system, "groupoids are")
     if not isinstance(system, PortHamiltonian):
         raise StructureError(
             f"an object of the groupoid is a PortHamiltonian, not a {type(system).__name__}; use ph(Q, B)"

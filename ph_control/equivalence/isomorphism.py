@@ -174,7 +174,7 @@ def _judge(
 def _definite(sys: ct.StateSpace) -> bool:
     """Whether a system is port-Hamiltonian or a canonical form of one, without rigid-body modes."""
     kinds = PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian
-    return isinstance(sys, kinds) and len(sys.modes.d) == sys.n
+    return isinstance(sys, kinds) and sys._in_normal_form and len(sys.modes.d) == sys.n
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what overflows is refused

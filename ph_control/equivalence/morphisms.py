@@ -465,7 +465,7 @@ def comparable(sys1: ct.StateSpace, sys2: ct.StateSpace) -> None:
 
 def _port_hamiltonian(sys: PortHamiltonian) -> None:
     """Refuse what has no phase-space coordinates."""
-    refuse_losses(sys, "morphisms")
+    refuse_losses(sys, "morphisms are")
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(
             f"sys is of type {type(sys).__name__}, needed a PortHamiltonian, whose states the morphism starts from; "

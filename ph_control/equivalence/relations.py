@@ -19,7 +19,7 @@ from ..modal.error_bounds import ModalErrors, Separation, separate
 from ..modal.foster_test import Judged, hamiltonian_form, lossless_modes_with_errors
 from ..modal.modal_form import ModalForm
 from ..symplectic.forms_and_williamson import apply_form
-from ..systems.base import in_normal_form
+from ..systems.base import in_normal_form, refuse_losses
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import full_port_hamiltonian
 from .filters import filter_mismatch, separation_of
@@ -79,6 +79,7 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
 
 def _separated(sys: Any) -> Separation:
     """Modes of anything lossless, with the bounds of their errors."""
+    refuse_losses(sys, "this comparison is")
     if isinstance(sys, tuple):
         if len(sys) != 2:
             raise StructureError(f"a tuple of {len(sys)} is no system; a pair (d, v) has two parts")

@@ -33,7 +33,11 @@ _CONDITION = 100.0  # of the transformations that part poles: what they may cost
 def _only_lossless(name: str) -> Any:
     def refuse(self: GeneralModalForm) -> NoReturn:
         ratios = ", ".join(f"{zeta:.3g}" for zeta in self.damping_ratios[:3])
-        raise NotLosslessError([f"its poles have damping ratios {ratios}, .., so that it has no {name}"])
+        raise NotLosslessError(
+            [f"damping ratios {ratios}, .."],
+            f"lossless modes have {name}, and these have damping ratios {ratios}, ..; all modes have "
+            "natural_frequencies, damping_ratios, shapes, participation and residues",
+        )
 
     return property(refuse)
 

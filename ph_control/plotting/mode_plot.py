@@ -15,6 +15,7 @@ from .. import _checks
 from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
+from ..systems.base import refuse_losses
 from ..systems.port_hamiltonian import ph
 from .inputs import FitResult, Subject, subjects_of, title_of
 from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
@@ -147,6 +148,7 @@ class ModeTable:
 
 def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
     """Modes of a system; of a fit, with intervals at a level."""
+    refuse_losses(subject.system, "pictures of frequencies and weights are")
     modes = (subject.system if subject.lossless else ph(subject.system)).modes
     size = (modes.kappa if quantity == "kappa" else modes.r).reshape(len(modes.d), modes.nports)
     at_zero = np.atleast_2d(modes.kappa_0).diagonal() if quantity == "kappa" else np.zeros(modes.nports)

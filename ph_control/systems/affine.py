@@ -216,7 +216,7 @@ def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonia
     if isinstance(Q, AffineHamiltonian):
         names = inherited_names(Q, names, "inputs", "outputs", "states")
         return AffineHamiltonian(Q.Q, Q._interaction, **names)
-    refuse_losses(Q, "affine Hamiltonian systems")
+    refuse_losses(Q, "affine Hamiltonian systems are")
     if isinstance(Q, PortHamiltonian):
         raise StructureError(
             "the transfer function of a port-Hamiltonian system is odd, that of an affine one even; if the time "

@@ -141,6 +141,10 @@ class LosslessSystem(ct.StateSpace):
         """Return a port-Hamiltonian system of the same size with the same transfer function."""
         raise NotImplementedError
 
+    def _beyond_lossless(self) -> list[str]:
+        """Return what the system has that lossless ones in the coordinates (q, p) have not."""
+        return []
+
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (m, m, N); `inf` at a pole, never NaN.
 
@@ -254,10 +258,12 @@ def in_normal_form(sys: Any) -> bool:
 def refuse_losses(sys: Any, what: str) -> None:
     """Refuse a system with losses where only lossless ones are defined."""
     if isinstance(sys, LosslessSystem) and not sys._in_normal_form:
-        raise NotLosslessError([
-            f"{what} are defined for lossless systems in the coordinates (q, p), and {sys.name!r} is more general; "
-            "lossless_part() is the system of the same Q and B without R, P, S, N and sensors"
-        ])  # fmt: skip
+        more = sys._beyond_lossless()
+        raise NotLosslessError(
+            more,
+            f"{what} defined for lossless systems in the coordinates (q, p), and {sys.name!r} has {', '.join(more)}; "
+            "its lossless_part() is the system of the same energy and ports without these",
+        )
 
 
 def inherited_names(source: ct.InputOutputSystem, names: dict[str, Any], *kinds: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from ..exceptions import ConditioningWarning, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import digits
 from ..symplectic.forms_and_williamson import symplectic_inverse
-from .base import LosslessSystem, View, inherited_names, restored
+from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 _ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix should carry
@@ -341,6 +341,7 @@ def _make(kind: type[Any], d: Any, v: ArrayLike | None, names: dict[str, Any]) -
     if isinstance(source, _CanonicalForm):
         return kind(source.d, source.v, **names)
     sys = full_port_hamiltonian(source)
+    refuse_losses(sys, "canonical forms are")
     if sys.ninputs != 1:
         raise StructureError(
             f"the system has {sys.ninputs} ports; canonical forms are those of one port: pick one with "

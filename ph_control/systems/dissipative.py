@@ -205,6 +205,14 @@ class DissipativePortHamiltonian(PortHamiltonian):
         canonical = len(self.J) % 2 == 0 and np.array_equal(self.J, symplectic_form(len(self.J) // 2))
         return ph(self.Q, self.G) if canonical else ph(self.Q, self.G, J=self.J)
 
+    def _beyond_lossless(self) -> list[str]:
+        matrices = {"R": "losses R", "P": "losses P", "S": "feedthrough S", "N": "feedthrough N"}
+        found = [text for name, text in matrices.items() if self._parts[name].any()]
+        n, sensors = len(self.J), len(self._parts["sensor_rows"])
+        if n % 2 or not np.array_equal(self.J, symplectic_form(n // 2)):
+            found.append("a structure matrix J of its own")
+        return found + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
+
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (p, m, N); `inf` at a pole, never NaN.  O(n) a point."""
         return self.modes.evaluate(_checks.complex_points("the points", x))
@@ -236,13 +244,14 @@ class DissipativePortHamiltonian(PortHamiltonian):
         k, U = eigh(self.Q)
         return np.sqrt(np.maximum(k, 0.0))[:, None] * U.T
 
-    d = property(_lossless_only("d", "the frequencies d and weights r"))
-    r = property(_lossless_only("r", "the frequencies d and weights r"))
-    v = property(_lossless_only("v", "Williamson coordinates"))
-    is_canonical = property(_lossless_only("is_canonical", "canonical systems"))
-    _energy = property(_lossless_only("_energy", "Williamson coordinates"))
-    _reduction = property(_lossless_only("_reduction", "lossless minimal realisations"))
-    _separation = _lossless_only("_separation", "lossless minimal realisations")
+    d = property(_lossless_only("d", "the frequencies d and weights r are"))
+    r = property(_lossless_only("r", "the frequencies d and weights r are"))
+    v = property(_lossless_only("v", "Williamson coordinates are"))
+    is_canonical = property(_lossless_only("is_canonical", "canonical systems are"))
+    _energy = property(_lossless_only("_energy", "Williamson coordinates are"))
+    _reduction = property(_lossless_only("_reduction", "minimal realisations are"))
+    rigid_modes = property(_lossless_only("rigid_modes", "rigid-body modes are"))
+    _separation = _lossless_only("_separation", "minimal realisations are")
 
     def _named(self, names: dict[str, Any]) -> DissipativePortHamiltonian:
         """Return the same system with other names."""

@@ -12,6 +12,7 @@ from .._types import Array, ArrayLike, Indices
 from ..exceptions import StructureError
 from ..modal.error_bounds import Energy
 from ..symplectic.forms_and_williamson import direct_sum
+from .base import refuse_losses
 from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
 
 _LARGEST = 100_000  # degrees of freedom of a lifted system, whose matrices have 4 m^2 entries
@@ -71,6 +72,7 @@ def lift(sys: Any, m: int, *, padding: ArrayLike | str | None = None) -> PortHam
     (array([1., 2., 4.]), array([0.5 , 0.  , 0.25]))
     """
     system = full_port_hamiltonian(sys)
+    refuse_losses(system, "lifted systems are")
     n = system.n
     m = lifted_size(m, n)
     added = _padding(system.d, m - n, padding)

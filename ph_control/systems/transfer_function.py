@@ -17,7 +17,7 @@ from .port_hamiltonian import ph
 
 
 def tf(sys: Any, **names: Any) -> ct.TransferFunction:
-    """Transfer function of a lossless system; of one port all coefficients have full relative accuracy.
+    """Transfer function; of a lossless system of one port all coefficients have full relative accuracy.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     Notes
     -----
     One port: products of positive numbers only, O(n^2).  More ports: `sum_l R_l prod_{j != l} (s^2 + d_j^2)` for each
-    entry, where residues of either sign may cancel; O(n^2 m^2).
+    entry, where residues of either sign may cancel; O(n^2 m^2).  Of a system with losses or sensors what
+    `control.ss2tf` gives.
 
     Examples
     --------
@@ -60,6 +61,8 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             names[kind] = getattr(source, label)
+    if not source._in_normal_form:
+        return ct.ss2tf(ct.ss(*(np.array(matrix) for matrix in (source.A, source.B, source.C, source.D))), **names)
     modes = source.modes.minimal()
     warn_of_lost_digits(modes.n, digits(modes.d), "transfer function", stacklevel=3)
     if modes.nports == 1:
