@@ -247,7 +247,7 @@ def test_free_decay_has_no_input(read):
         ({"input": 1, "output": False}, "output is False; give the label"),
         ({"input": 1, "output": []}, "output is an empty list; name at least one column"),
         ({"input": [], "output": 1}, "input is an empty list; name at least one column; pass input=False"),
-        ({"input": 1, "output": 1}, "column 1 ('force [N]') is chosen twice among time, input and output"),
+        ({"input": 1, "output": 1}, "column 1 ('force [N]') is chosen twice; give each its own"),
         ({"input": 1, "output": 0}, "column 0 ('time [s]') is chosen twice"),
         ({}, "which column is the input and which the output? 4 of 5 columns are left to choose from; say which with "
              "input= and output= (the columns are 0 'time [s]', 1 'force [N]'"),

@@ -114,9 +114,7 @@ def response_in(
             _checks.choice(name, units[name], allowed)
     (clock, *parts), polar = _columns_of(table, columns)
     chosen = [clock, *parts] + ([] if weights is None else [table.find(weights, "weights")])
-    for column in chosen:
-        if chosen.count(column) > 1:
-            raise StructureError(f"{table.path}: {table.name(column)} is chosen twice; give each its own")
+    table.refuse_repeats(chosen)
     values = table.columns(chosen)
     omega = _angular(table, values[0], clock, units["frequency_unit"])
     response = _polar(table, units, parts, *values[1:3]) if polar else values[1] + 1j * values[2]
@@ -140,7 +138,10 @@ def _columns_of(table: Table, given: Mapping[str, Column | None]) -> tuple[list[
     asked = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
     if len(asked) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
-    places = {role: _place(table, given[role], role) for role in _LABELS}
+    places = {
+        role: table.only(_labelled(table, role), role) if given[role] is None else table.find(given[role], role)
+        for role in _LABELS
+    }
     wanted = asked or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
     if len(wanted) > 1:
         raise StructureError(
@@ -157,16 +158,6 @@ def _columns_of(table: Table, given: Mapping[str, Column | None]) -> tuple[list[
             f"{', '.join(f'{role}=' for role in missing)}{other} ({table.listing()})"
         )
     return list(found.values()), pair == _POLAR
-
-
-def _place(table: Table, wanted: Column | None, role: str) -> int | None:
-    if wanted is not None:
-        return table.find(wanted, role)
-    places = _labelled(table, role)
-    if len(places) > 1:
-        names = " and ".join(map(table.name, places))
-        raise StructureError(f"{table.path}: {names} may both be the {role}; choose with {role}=")
-    return places[0] if places else None
 
 
 def _labelled(table: Table, role: str) -> list[int]:

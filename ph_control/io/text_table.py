@@ -113,6 +113,19 @@ class Table:
             shown = message if values is None else message.format(values[row])
             raise FileFormatError(f"{self.at(row, column)}: {shown}")
 
+    def only(self, columns: list[int], role: str) -> int | None:
+        """Return the one column that may have a role, if there is any."""
+        if len(columns) > 1:
+            names = " and ".join(map(self.name, columns))
+            raise StructureError(f"{self.path}: {names} may both be the {role}; choose with {role}=")
+        return columns[0] if columns else None
+
+    def refuse_repeats(self, columns: list[int]) -> None:
+        """Refuse a column that is to have several roles."""
+        for column in columns:
+            if columns.count(column) > 1:
+                raise StructureError(f"{self.path}: {self.name(column)} is chosen twice; give each its own")
+
     def listing(self) -> str:
         """Say which columns there are."""
         if self.labels is None:

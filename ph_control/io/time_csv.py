@@ -140,17 +140,13 @@ def _time_column(table: Table, time: Any, step: float | None) -> int | None:
     if time is not None and time is not False:
         return table.find(time, "time")
     found = [] if time is False else [j for j in range(table.width) if table.labels and is_time_label(table.labels[j])]
-    if len(found) > 1:
-        names = " and ".join(table.name(j) for j in found)
-        raise StructureError(f"{table.path}: {names} may both be the time; choose with time=")
-    if found:
-        return found[0]
-    if step is None:
+    clock = table.only(found, "time")
+    if clock is None and step is None:
         raise StructureError(
             f"{table.path}: no column is the time; name it with time=, or give the time between samples with dt= "
             f"({table.listing()})"
         )
-    return None
+    return clock
 
 
 def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) -> tuple[list[int], list[int]]:
@@ -161,9 +157,7 @@ def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) ->
     chosen = {"input": [] if input is False else _chosen(table, input, "input")}
     chosen["output"] = _chosen(table, output, "output")
     taken = [*([] if clock is None else [clock]), *(chosen["input"] or []), *(chosen["output"] or [])]
-    for column in taken:
-        if taken.count(column) > 1:
-            raise StructureError(f"{table.path}: {table.name(column)} is chosen twice among time, input and output")
+    table.refuse_repeats(taken)
     rest = [j for j in range(table.width) if j not in taken]
     missing = [name for name, columns in chosen.items() if columns is None]
     if missing and len(rest) != len(missing):
