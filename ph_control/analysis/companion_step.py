@@ -13,14 +13,11 @@ from decimal import Context, Decimal, localcontext
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._types import Array
 from ..exceptions import StructureError
-from ..numerics.polynomials import cofactors
-
-Decimals = NDArray[np.object_]
+from ..numerics.polynomials import Decimals, cofactors, common_fraction, decimals
 
 _MOST = 1e8  # products of numbers of 500 bits, a minute of them
 _TAYLOR = 4.0  # largest step of a Taylor series
@@ -48,7 +45,10 @@ class CompanionStep:
         self._affordable(20.0)
         self.context = Context(prec=math.ceil(self.bits * math.log10(2.0)))
         with localcontext(self.context):
-            self.P, self.c = _polynomials(scaled, kappa)
+            even, odd = common_fraction(decimals(scaled) ** 2, decimals(kappa))
+            # every other coefficient is 0
+            self.P, self.c = np.full((2, self.size), Decimal(0))
+            self.P[0::2], self.c[1::2] = even[:-1], odd
             self.theta = Decimal(theta)
             polynomial, now, then = self._step(method, intersample)
             rows = []
@@ -109,9 +109,9 @@ class CompanionStep:
     def states(self, u: Array, start: Array | None) -> Array:
         """States (2n, T) for input samples (T,), from a start or, without one, from that after a unit impulse."""
         self._affordable(float(len(u)))
-        force = _exact(u)
+        force = decimals(u)
         states = np.empty((len(u), self.size), object)
-        states[0] = self.struck if start is None else _exact(start)
+        states[0] = self.struck if start is None else decimals(start)
         with localcontext(self.context):
             step = np.column_stack([self.F, self.now, self.then])
             for k in range(len(u) - 1):
@@ -165,18 +165,6 @@ class CompanionStep:
         return column
 
 
-def _polynomials(d: Array, kappa: Array) -> tuple[Decimals, Decimals]:
-    """Coefficients of `P` but the first, 1, and of `c`, ascending; every other one is 0."""
-    n = len(d)
-    even, odd = _constant(1, n + 1), _constant(0, n + 1)
-    for x, weight in zip(_exact(d), _exact(kappa), strict=True):
-        odd = x * x * odd + np.roll(odd, 1) + weight * even
-        even = x * x * even + np.roll(even, 1)
-    P, c = _constant(0, 2 * n), _constant(0, 2 * n)
-    P[0::2], c[1::2] = even[:n], odd[:n]
-    return P, c
-
-
 def _times_s(f: Decimals, modulus: Decimals) -> Decimals:
     shifted: Decimals = np.roll(f, 1)
     shifted[0] = Decimal(0)
@@ -194,10 +182,6 @@ def _product(f: Decimals, g: Decimals, modulus: Decimals) -> Decimals:
 def _constant(value: int, size: int) -> Decimals:
     """Polynomial of degree 0, with so many coefficients."""
     return np.array([Decimal(value), *[Decimal(0)] * (size - 1)], object)
-
-
-def _exact(values: Array) -> Decimals:
-    return np.array([Decimal(value) for value in values.tolist()], object)
 
 
 def _power_of_two(unit: int, size: int) -> Any:

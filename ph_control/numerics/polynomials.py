@@ -107,14 +107,20 @@ def transfer_coefficients(x: Decimals, kappa: Decimals) -> tuple[ScaledCoefficie
     Binary tree of sums `(P1 P2, N1 P2 + N2 P1)` of polynomials in `s^2`, in which all terms are positive: O(n^2).
     """
     with localcontext(WIDE):
-        sums = [(np.array([a, Decimal(1)]), np.array([b])) for a, b in zip(x, kappa, strict=True)]
-        while len(sums) > 1:
-            pairs = zip(sums[0::2], sums[1::2], strict=False)
-            added = [(np.convolve(P, Q), np.convolve(N, Q) + np.convolve(M, P)) for (P, N), (Q, M) in pairs]
-            sums = added + sums[2 * len(added) :]
+        P, N = common_fraction(x, kappa)
         a = np.full(2 * len(x), Decimal(0))
-        a[0::2] = sums[0][0][:-1] if sums else a[0::2]
-        return ScaledCoefficients._of(a), ScaledCoefficients._of(sums[0][1][::-1] if sums else a)
+        a[0::2] = P[:-1]
+        return ScaledCoefficients._of(a), ScaledCoefficients._of(N[::-1])
+
+
+def common_fraction(x: Decimals, kappa: Decimals) -> tuple[Decimals, Decimals]:
+    """`P` and `N` of `sum_l kappa_l / (z + x_l) = N(z) / P(z)`, ascending, in the digits of the context."""
+    sums = [(np.array([a, Decimal(1)]), np.array([b])) for a, b in zip(x, kappa, strict=True)]
+    while len(sums) > 1:
+        pairs = zip(sums[0::2], sums[1::2], strict=False)
+        added = [(np.convolve(P, Q), np.convolve(N, Q) + np.convolve(M, P)) for (P, N), (Q, M) in pairs]
+        sums = added + sums[2 * len(added) :]
+    return sums[0] if sums else (np.array([Decimal(1)]), np.empty(0, object))
 
 
 def plain_coefficients(d: Array, r: Array) -> tuple[Array, Array] | None:
