@@ -184,9 +184,7 @@ def gapped_array(name: str, value: ArrayLike) -> Array:
 
 def _segment_length(samples: int, segments: Any) -> int:
     """Longest even length with which `segments` half-overlapping segments fit."""
-    if isinstance(segments, bool) or not isinstance(segments, int | np.integer) or segments < 1:
-        raise StructureError(f"segments is {segments!r}; it must be a whole number, at least 1")
-    half = samples // (int(segments) + 1)
+    half = samples // (_checks.whole_number("segments", segments, 1) + 1)
     if 2 * half < _SHORTEST:
         raise StructureError(
             f"{segments} segments of a record of {samples} samples have {2 * half} samples each, needed {_SHORTEST}; "

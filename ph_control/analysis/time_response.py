@@ -339,11 +339,8 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
     if isinstance(timepts, list | tuple) or np.ndim(timepts) > 0:
         return _checks.real_array("the time vector", timepts, 1)
     tfinal = None if timepts is None else _checks.sampling_step(timepts, name="the last instant")
-    if samples is not None and not (isinstance(samples, int | np.integer) and 2 <= samples <= _MOST):
-        raise StructureError(
-            f"timepts_num is {_checks.shown(samples)}; it must be a whole number of at least 2 instants, and no more "
-            f"than {_MOST:.0e}"
-        )
+    if samples is not None:
+        _checks.whole_number("timepts_num", samples, 2, _MOST)
     visible = [_visible(sys) for sys in systems]
     return default_time_vector(np.concatenate(visible), tfinal, samples)
 

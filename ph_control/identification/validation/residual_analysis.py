@@ -330,9 +330,7 @@ def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
     if lags is None:
         count = sum(int(record.observed.sum()) for record in records)
         return max(1, min(_LAGS, count // _SAMPLES_PER_LAG, longest - 1))
-    if not (isinstance(lags, int | np.integer) and not isinstance(lags, bool) and 1 <= lags < longest):
-        raise StructureError(f"lags is {lags!r}; it must be a whole number from 1 to {longest - 1}")
-    return int(lags)
+    return _checks.whole_number("lags", lags, 1, longest - 1)
 
 
 def _analysed(
