@@ -376,14 +376,10 @@ def response_of(modes: ModalForm, time: ArrayLike, integrals: int, moving: NDArr
     for l, (d, nu) in enumerate(zip(modes.d, modes.nu, strict=True)):
         # Re(d conj(nu_i) nu_j exp(-i d t)), integrated
         weight = nu.conj()[:, None] * nu[None, :] * d
-        cosine, sine = np.zeros((2, len(t)))
-        if moving is None or moving[l]:
-            cosine, sine = np.cos(d * t), np.sin(d * t)
-        if integrals == 1:
-            cosine, sine = sine / d, (1.0 - cosine) / d
-        elif integrals == 2:
-            cosine, sine = (1.0 - cosine) / d**2, (t - sine / d) / d
-        total += weight.real[:, :, None] * cosine + weight.imag[:, :, None] * sine
+        wave = np.exp(-1j * d * t) if moving is None or moving[l] else np.zeros(len(t))
+        for k in range(integrals):
+            wave = (wave - t**k) / (-1j * d)
+        total += (weight[:, :, None] * wave).real
     return total
 
 

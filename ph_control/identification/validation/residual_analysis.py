@@ -22,7 +22,7 @@ from ..data.time_record import Record
 from ..regression.prediction import chosen_experiment
 from ..uncertainty.residual_data import ResidualData, noise_scales, without_peaks
 from ..uncertainty.residual_tests import Correlation, autocorrelation, cross_correlation, influence
-from .findings import Findings
+from .findings import message_of, verdict_of
 from .measured import (
     HeldData,
     HeldExperiment,
@@ -69,10 +69,6 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     ----------
     label : str
         Name of the model.
-    verdict : str
-        The verdict, in a few words.
-    message : str
-        What it rests on, in sentences.
     autocorrelation : ndarray, shape (L,)
         Autocorrelation of the residuals at lags 1 to L, less its mean for white noise; NaN at lags without a pair.  For
         a frequency response from point to point, weighted.
@@ -101,6 +97,12 @@ class ResidualAnalysis(Report, HeldData, Frozen):
         p-value of a mean of zero in each experiment; for a frequency response, of no constant over frequency.
     noise_order : int
         Number of residuals before each that these three tests allow it to depend on; 0 if they look white.
+    means : tuple of float
+        Mean of the residuals in each experiment; of frequency responses complex, with their weights.
+    rounding : bool
+        Whether the residuals are of the size of rounding errors, of which the tests say nothing.
+    input_varies : bool
+        Whether there is an input that is not constant.
     confidence : float
         Probability of the bands; p-values below `1 - confidence` make the verdict.
     experiments : tuple of ResidualExperiment
@@ -114,8 +116,6 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     """
 
     label: str
-    verdict: str
-    message: str
     autocorrelation: Array
     autocorrelation_band: Array
     lags: NDArray[np.intp]
@@ -129,12 +129,25 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     feedback_p_value: float
     offset_p_value: float
     noise_order: int
+    means: tuple[complex, ...]
+    rounding: bool
+    input_varies: bool
     confidence: float
     experiments: tuple[ResidualExperiment, ...]
     fit_percent: float
     own_record: bool
     input_label: str
     output_label: str
+
+    @property
+    def verdict(self) -> str:
+        """The verdict, in a few words."""
+        return verdict_of(self)
+
+    @property
+    def message(self) -> str:
+        """What it rests on, in sentences."""
+        return message_of(self)
 
     @property
     def residuals(self) -> NDArray[Any]:
@@ -351,18 +364,15 @@ def _analysed(
     # rounding of recursions run in doubles grows with the samples
     rounding = largest <= _checks.EPS * sum(record.samples for record in records) * size
     spectral = isinstance(records[0], FrequencyRecord)
-    findings = Findings(
-        rounding, whiteness, causes, 1 - confidence, bool(data.v.any()), have_input, spectral,
-        _means(data, unit, spectral),
-    )  # fmt: skip
     return ResidualAnalysis(
-        label=name, verdict=findings.headline, message=findings.message(),
+        label=name,
         autocorrelation=auto.values, autocorrelation_band=auto.band, lags=cross.lags,
         cross_correlation=cross.values, cross_correlation_band=cross.band,
         outside=(auto.outside, cross.outside),
         expected_outside=((1 - confidence) * auto.expected, (1 - confidence) * cross.expected),
         ljung_box=statistic, whiteness=whiteness, response_p_value=causes.response, feedback_p_value=causes.feedback,
-        offset_p_value=causes.offset, noise_order=causes.noise_order, confidence=confidence,
+        offset_p_value=causes.offset, noise_order=causes.noise_order,
+        means=_means(data, unit, spectral), rounding=rounding, input_varies=bool(data.v.any()), confidence=confidence,
         experiments=tuple(
             ResidualExperiment(output[0], residuals, fit_to([output]), answer.own)
             for output, residuals, answer in zip(outputs, left, answers, strict=True)
@@ -372,14 +382,14 @@ def _analysed(
     )  # fmt: skip
 
 
-def _means(data: ResidualData, unit: float, spectral: bool) -> list[complex]:
+def _means(data: ResidualData, unit: float, spectral: bool) -> tuple[complex, ...]:
     """Mean of each experiment; of responses with their weights."""
     levels = [np.where(data.seen[part], data.constant[part], 0.0) for part in data.parts]
     means = [
         unit * float(level @ data.e[part]) / float(level @ level or 1.0)
         for level, part in zip(levels, data.parts, strict=True)
     ]
-    return [complex(*pair) for pair in zip(means[::2], means[1::2], strict=True)] if spectral else list(means)
+    return tuple(map(complex, means[::2], means[1::2]) if spectral else means)
 
 
 def _residual_data(
