@@ -18,7 +18,6 @@ from ._types import Array
 from .exceptions import StructureError
 
 EPS = float(np.finfo(float).eps)
-_BLOCK = 1 << 14  # samples looked at together
 _CACHED = 1 << 13  # entries of a matrix looked at together
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
@@ -184,7 +183,7 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
             f"{name} has odd size {rows}; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)"
         )
     in_range(name, array)
-    size, asymmetry = _largest(array), _asymmetry(array)
+    size, asymmetry = _largest(array), _largest(array - array.T)
     allowed = 1000 * rows * EPS if rtol is None else relative_tolerance(rtol)
     if asymmetry > allowed * size:
         raise StructureError(
@@ -203,12 +202,6 @@ def bands(rows: int) -> list[slice]:
     """Rows of a square matrix, as many at a time as stay in a cache."""
     step = max(1, _CACHED // max(1, rows))
     return [slice(start, start + step) for start in range(0, rows, step)]
-
-
-def _asymmetry(array: Array) -> float:
-    return max(
-        (_largest(array[band, band.start :] - array[band.start :, band].T) for band in bands(len(array))), default=0.0
-    )
 
 
 def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
@@ -414,16 +407,12 @@ def _refuse_instants(t: Array, off: float, allowed: float, name: str) -> None:
 
 @np.errstate(over="ignore")
 def distance_from_grid(t: Array, step: float) -> float:
-    """Largest `|t_0 + k step - t_k|`, 0 if they are equal to the last bit; by blocks that stay in a cache."""
-    worst, count = 0.0, np.arange(float(min(t.size, _BLOCK)))
-    for start in range(0, t.size, _BLOCK):
-        part = t[start : start + _BLOCK]
-        grid = count[: part.size] + start
-        grid *= step
-        grid += t[0]
-        grid -= part
-        worst = max(worst, float(grid.max()), -float(grid.min()))
-    return worst
+    """Largest `|t_0 + k step - t_k|`, 0 if they are equal to the last bit."""
+    grid = np.arange(float(t.size))
+    grid *= step
+    grid += t[0]
+    grid -= t
+    return _largest(grid)
 
 
 def sampling_step(dt: Any, *, name: str = "dt") -> float:
