@@ -81,11 +81,6 @@ def rate(unit: str | None) -> str:
     return f"rad/{unit or 'time'}"
 
 
-def in_unit(text: str, unit: str | None) -> str:
-    """Text of findings that are counted in units of time, with the name of that unit where it is known."""
-    return text.replace("rad/time", rate(unit)).replace(" time units", f" {unit}") if unit else text
-
-
 def hertz_size(unit: str | None) -> float:
     """One Hz in radians per unit of time; where that is not known, times are taken for seconds."""
     return 2 * np.pi * SECONDS["s" if unit is None else unit]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import _checks
 from ..._types import Array, ComplexArray
-from ..._units import common_unit, in_unit
+from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
@@ -126,7 +126,7 @@ def excitation(
         if order < 1:
             raise StructureError(f"order is {order}; a number of modes must be at least 1")
         _refuse_many(int(order), most, problems)
-        return _in_unit(_of_order(problem, int(order), noise), unit)
+        return _of_order(problem, int(order), noise, unit)
     model = _model(order, method, intersample)
     _refuse_many(model.n, most, problems)
     _check_phases(problem, model.d)
@@ -142,12 +142,7 @@ def excitation(
         joint = joint_information(problems, model.d, model.r, [motion for motion, _ in motions])
         # the initial states are eliminated already
         problem = replace(problem, from_rest=True)
-    return _in_unit(examine(problem, model.d, model.r, amplitudes, noise_std=noise, information=joint), unit)
-
-
-def _in_unit(found: Excitation, unit: str | None) -> Excitation:
-    """The same, told in the unit of time of the record."""
-    return replace(found, time_unit=unit, remedies=tuple(in_unit(text, unit) for text in found.remedies))
+    return examine(problem, model.d, model.r, amplitudes, noise_std=noise, information=joint, time_unit=unit)
 
 
 def examine(
@@ -159,13 +154,14 @@ def examine(
     noise_std: float = np.nan,
     information: Information | None = None,
     scanned: Scan | None = None,
+    time_unit: str | None = None,
 ) -> Excitation:
     """Judge a record at a model (n,) with frequencies ascending and modal initial states `amplitudes`.
 
     `information` spares the sensitivities where a fit has them already.
     """
     information = model_information(problem, d, r, amplitudes) if information is None else information
-    band = excited_band(problem.u, problem.hold.h)
+    band = excited_band(problem.u, problem.hold.h, time_unit)
     apparent = _apparent_frequencies(d, problem.hold)
     above = tuple(int(l) for l in np.flatnonzero(d * problem.hold.h >= np.pi)) if problem.hold.method == "exact" else ()
     found = Excitation(
@@ -187,14 +183,20 @@ def examine(
         observed=len(problem.target),
         scan=scanned,
         remedies=(),
+        time_unit=time_unit,
     )
     return replace(found, remedies=_remedies(found, problem, amplitudes))
 
 
-def examine_fit(at: Projection, information: Information, noise_std: float = np.nan) -> Excitation:
+def examine_fit(
+    at: Projection, information: Information, noise_std: float = np.nan, time_unit: str | None = None
+) -> Excitation:
     """Judge a record at the end of a fit, with the information that the fit has."""
     record = cast(RecordRows, at.problem.experiments[0])
-    return examine(record, at.d, at.kappa / at.d, at.amplitudes(0), noise_std=noise_std, information=information)
+    return examine(
+        record, at.d, at.kappa / at.d, at.amplitudes(0), noise_std=noise_std, information=information,
+        time_unit=time_unit,
+    )  # fmt: skip
 
 
 def _refuse_many(n: int, most: int, problems: list[RecordRows]) -> None:
@@ -275,11 +277,11 @@ def _free_motion(problem: RecordRows, model: ModalForm) -> tuple[ComplexArray, f
     return found[:n] + 1j * found[n:], float(np.sqrt(left @ left / spare)) if spare > 0 else np.nan
 
 
-def _of_order(problem: RecordRows, n: int, noise: float) -> Excitation:
+def _of_order(problem: RecordRows, n: int, noise: float, time_unit: str | None) -> Excitation:
     """Judge a record for n modes of equal residue, wherever they lie."""
-    band = excited_band(problem.u, problem.hold.h)
-    d = representative(n, problem, band)
-    return examine(problem, d, 1.0 / d, np.zeros(n, complex), noise_std=noise, scanned=scan(problem, n, band))
+    band = excited_band(problem.u, problem.hold.h, time_unit)
+    d, scanned = representative(n, problem, band), scan(problem, n, band)
+    return examine(problem, d, 1.0 / d, np.zeros(n, complex), noise_std=noise, scanned=scanned, time_unit=time_unit)
 
 
 def _apparent_frequencies(d: Array, hold: Hold) -> Array:
@@ -329,7 +331,8 @@ def _remedies(found: Excitation, problem: RecordRows, amplitudes: ComplexArray) 
     if span > _LONGEST * found.samples * found.dt:
         instructions.append(_instead_of_time(found, same))
     elif span:
-        instructions.append(f"record for at least {span:.3g} time units ({int(np.ceil(span / found.dt))} samples)")
+        unit = found.time_unit or "time units"
+        instructions.append(f"record for at least {span:.3g} {unit} ({int(np.ceil(span / found.dt))} samples)")
     elif found.observed < len(found.names) and not instructions:
         instructions.append(f"record at least {len(found.names) + 1} samples")
     if found.uncertain:

@@ -9,6 +9,7 @@ from scipy.ndimage import binary_closing
 
 from ..._checks import EPS
 from ..._types import Array
+from ..._units import rate
 from ..regression.triangular import triangle
 from ..uncertainty.fisher import listed
 
@@ -36,6 +37,8 @@ class ExcitedBand:
         Whether more copies may be independent than were looked at.
     bin : float
         `2 pi / (T dt)`, the resolution of the record.
+    time_unit : str, optional
+        Unit of time, where it is known.
     """
 
     intervals: tuple[tuple[float, float], ...]
@@ -43,6 +46,7 @@ class ExcitedBand:
     order: int
     full: bool
     bin: float
+    time_unit: str | None = None
 
     def __contains__(self, frequency: float) -> bool:
         return any(low <= frequency <= high for low, high in self.intervals)
@@ -50,11 +54,11 @@ class ExcitedBand:
     def __str__(self) -> str:
         if self.lines:
             lines = listed([f"{line:.4g}" for line in self.lines])
-            return f"{len(self.lines)} spectral line{'s' * (len(self.lines) > 1)}, at {lines} rad/time"
+            return f"{len(self.lines)} spectral line{'s' * (len(self.lines) > 1)}, at {lines} {rate(self.time_unit)}"
         if not self.intervals:
             return "none: the input is constant" if self.order else "none: the input is zero"
         shown = ", ".join(f"{low:.4g} .. {high:.4g}" for low, high in self.intervals[:4])
-        return shown + (" ..." if len(self.intervals) > 4 else "") + " rad/time"
+        return shown + (" ..." if len(self.intervals) > 4 else "") + f" {rate(self.time_unit)}"
 
     @property
     def shown_weights(self) -> float:
@@ -65,7 +69,7 @@ class ExcitedBand:
         return np.inf if self.full else self.order // 2
 
 
-def excited_band(u: Array, dt: float) -> ExcitedBand:
+def excited_band(u: Array, dt: float, time_unit: str | None = None) -> ExcitedBand:
     """Where an input (T,) with step `dt` has power: one FFT, and a rank over the record with 32 lags."""
     samples = len(u)
     spacing = 2 * np.pi / (samples * dt)
@@ -74,7 +78,7 @@ def excited_band(u: Array, dt: float) -> ExcitedBand:
         intervals = tuple((max(0.0, line - spacing / 2), line + spacing / 2) for line in lines)
     else:
         intervals = _intervals(u, spacing)
-    return ExcitedBand(intervals, lines, order, full, spacing)
+    return ExcitedBand(intervals, lines, order, full, spacing, time_unit)
 
 
 def _intervals(u: Array, spacing: float) -> tuple[tuple[float, float], ...]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..._types import Array, ComplexArray
+from ..._units import rate
 from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import listed, model_information, work
 from .excited_band import ExcitedBand
@@ -36,7 +37,9 @@ def input_remedy(
     low, high = _MARGIN[0] * float(d.min()), min(_MARGIN[1] * float(d.max()), 0.95 * np.pi / problem.hold.h)
     if low >= high:
         return None
-    broadband = f"use a white or multisine input of the same length over {low:.2g} .. {high:.2g} rad/time"
+    unit = rate(band.time_unit)
+    over = f"over {low:.2g} .. {high:.2g} {unit}"
+    broadband = f"use a white or multisine input of the same length {over}"
     if len(d) * work(problem, len(d)) > _WORK:
         return broadband
 
@@ -52,7 +55,7 @@ def input_remedy(
     lines = _lines_to_add(problem, d[r > 0], band, size, fewest, shows_all) if fewest <= _MOST_LINES else []
     if lines:
         several = len(lines) > 1
-        parts.append(f"add {'frequencies' if several else 'a frequency'} near {listed(lines)} rad/time to the input")
+        parts.append(f"add {'frequencies' if several else 'a frequency'} near {listed(lines)} {unit} to the input")
     if shows_all(size * multisine(len(problem.u), problem.hold.h, low, high)):
         parts.append(broadband)
     if parts:
@@ -60,10 +63,7 @@ def input_remedy(
     for factor in (2, 4, 8) if lengthen else ():
         samples = factor * len(problem.u)
         if shows_all(size * multisine(samples, problem.hold.h, low, high)):
-            return (
-                f"record {factor} times as long ({samples} samples) with a white or multisine input over "
-                f"{low:.2g} .. {high:.2g} rad/time"
-            )
+            return f"record {factor} times as long ({samples} samples) with a white or multisine input {over}"
     return None
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..._display import Report, aligned
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array
-from ..._units import in_unit, step_of
+from ..._units import rate, step_of
 from ..uncertainty.fisher import Combination, Information, listed, named_modes
 from .excited_band import ExcitedBand
 from .scan import SPACING, Scan
@@ -190,12 +190,12 @@ class Excitation(Report, Frozen):
     @property
     def message(self) -> str:
         """The gravest reason for the verdict and the first remedy, a sentence each; empty where all is well."""
-        return in_unit(" ".join(_in_brief(self)), self.time_unit)
+        return " ".join(_in_brief(self))
 
     @property
     def details(self) -> str:
         """All that the verdict rests on, and all that would cure it, in sentences; empty if there is nothing to say."""
-        return in_unit(" ".join(_sentences(self)), self.time_unit)
+        return " ".join(_sentences(self))
 
     def __str__(self) -> str:
         return f"The record {self.headline}. {self.message}".rstrip()
@@ -222,7 +222,7 @@ class Excitation(Report, Frozen):
           excited band    1 spectral line, at 1 rad/time
         ...
         """
-        information = self.information
+        information, unit = self.information, rate(self.time_unit)
         size = len(self.names)
         more = "at least " * self.band.full
         smallest = information.singular_values[-1] / max(information.singular_values[0], np.finfo(float).tiny)
@@ -230,8 +230,8 @@ class Excitation(Report, Frozen):
             f"What the record shows of {self.n} mode{'s' * (self.n != 1)}"
             + (" spread over the excited band" if self.scan is not None else ""),
             f"  verdict         {self.headline}",
-            f"  record          {self.samples} samples, {step_of(self)}: one bin is {self.band.bin:.4g} rad/time, "
-            f"Nyquist {np.pi / self.dt:.4g} rad/time",
+            f"  record          {self.samples} samples, {step_of(self)}: one bin is {self.band.bin:.4g} {unit}, "
+            f"Nyquist {np.pi / self.dt:.4g} {unit}",
             f"  excited band    {self.band}",
             f"  order           {more}{self.band.order} (of persistent excitation)",
             f"  information     rank {information.rank} of {size}, smallest singular value {smallest:.1e} relative",
@@ -239,14 +239,14 @@ class Excitation(Report, Frozen):
             *([f"  noise           standard deviation {self.noise_std:.4g}"] if self.noise_std >= 0 else []),
             "",
         ]
-        head = ["mode", "d [rad/time]", "+-", "weight r", "+-", "d inflated", "r inflated", "note"]
+        head = ["mode", f"d [{unit}]", "+-", "weight r", "+-", "d inflated", "r inflated", "note"]
         lines += aligned([head, *map(self._row, range(self.n))])
         if self.details:
             # a name such as "Re x_1(0)" is not broken
             text = self.details.replace("Re x", "Re\xa0x").replace("Im x", "Im\xa0x")
             wrapped = textwrap.wrap(text, 100, initial_indent="  ", subsequent_indent="  ")
             lines += ["", *(line.replace("\xa0", " ") for line in wrapped)]
-        return in_unit("\n".join(lines), self.time_unit)
+        return "\n".join(lines)
 
     def _row(self, l: int) -> list[str]:
         note = "" if self.apparent[l] in self.band else "outside the band"
@@ -336,13 +336,14 @@ def _of_the_input(found: Excitation) -> Iterator[str]:
             f"The input ({found.band}; order of excitation {found.band.order}) shows {most} r beside an unknown free "
             f"motion, and the model has {found.n}."
         )
+    unit = rate(found.time_unit)
     for zero in found.driven_zeros:
-        yield f"The line at {zero:.4g} rad/time drives a zero of the model, which does not answer it in the long run."
+        yield f"The line at {zero:.4g} {unit} drives a zero of the model, which does not answer it in the long run."
     driven = [l for l in range(found.n) if found.r[l] > 0 and l not in found.above_nyquist]
     outside = [l + 1 for l in driven if found.apparent[l] not in found.band]
     if outside and found.band.intervals and found.scan is None:
         where = listed([f"{found.apparent[l - 1]:.4g}" for l in outside])
-        yield f"Outside the excited band: {named_modes(outside)}, at {where} rad/time."
+        yield f"Outside the excited band: {named_modes(outside)}, at {where} {unit}."
 
 
 def _of_errors(found: Excitation) -> Iterator[str]:
@@ -355,14 +356,15 @@ def _of_errors(found: Excitation) -> Iterator[str]:
 
 
 def _of_time(found: Excitation) -> Iterator[str]:
+    unit = rate(found.time_unit)
     for l in found.above_nyquist[:_TOLD]:
         yield (
-            f"Mode {l + 1}, at {found.d[l]:.4g} rad/time, lies above the Nyquist frequency {np.pi / found.dt:.4g} and "
+            f"Mode {l + 1}, at {found.d[l]:.4g} {unit}, lies above the Nyquist frequency {np.pi / found.dt:.4g} and "
             f"looks like one at {found.apparent[l]:.4g}."
         )
     for j, k in found.unresolved[:_TOLD]:
         yield (
-            f"Modes {j + 1} and {k + 1} are {abs(found.apparent[j] - found.apparent[k]):.2g} rad/time apart, less than "
+            f"Modes {j + 1} and {k + 1} are {abs(found.apparent[j] - found.apparent[k]):.2g} {unit} apart, less than "
             f"the {found.band.bin:.2g} that the record resolves."
         )
     more = sum(max(0, len(told) - _TOLD) for told in (found.above_nyquist, found.unresolved))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..._frozen import Frozen
 from ..._types import Array
+from ..._units import rate
 from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import model_information, work
 from .excited_band import ExcitedBand
@@ -31,11 +32,14 @@ class Scan(Frozen):
         Combinations of parameters that leave no trace.
     error : ndarray, shape (K,)
         Largest relative standard error of a weight of the group, in units of the smallest of the scan; `inf` if blind.
+    time_unit : str, optional
+        Unit of time, where it is known.
     """
 
     frequencies: Array
     deficiency: NDArray[np.intp]
     error: Array
+    time_unit: str | None = None
 
     @property
     def shown(self) -> tuple[tuple[float, float], ...]:
@@ -51,7 +55,7 @@ class Scan(Frozen):
         if not self.shown:
             return "nowhere"
         bands = [f"{low:.3g} .. {high:.3g}" if low < high else f"about {low:.3g}" for low, high in self.shown]
-        return ", ".join(bands) + " rad/time"
+        return ", ".join(bands) + f" {rate(self.time_unit)}"
 
 
 def scan(problem: RecordRows, n: int, band: ExcitedBand) -> Scan:
@@ -66,7 +70,7 @@ def scan(problem: RecordRows, n: int, band: ExcitedBand) -> Scan:
     error = np.array([np.max(one.stderr(1.0)[n : 2 * n] * d[k]) for k, one in enumerate(found)])
     best = error.min()
     deficiency = np.array([one.deficiency for one in found])
-    return Scan(grid, deficiency, error / best if np.isfinite(best) else error)
+    return Scan(grid, deficiency, error / best if np.isfinite(best) else error, band.time_unit)
 
 
 def ceiling(problem: RecordRows) -> float:

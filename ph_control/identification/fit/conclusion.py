@@ -96,7 +96,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     figures = criteria(problem, at.loss, n)
     # a mode held at 0 in a frequency response has no trace left: that is the constraint's doing, not the input's
     blind = set(information.blind_parameters) - {f"d_{l + 1}" for l in np.flatnonzero(held)}
-    finding = _finding(at, information, estimated.variance) if n and (blind or not information.deficiency) else ""
+    unit = common_unit(list(fit.records))
+    finding = _finding(at, information, estimated.variance, unit) if n and (blind or not information.deficiency) else ""
     named = any(is_contrary(one, intersample) for one in findings)
     refused = next((one for one in fit.tests if one.p < REFUSED), None)
     verdict = FitVerdict(
@@ -159,7 +160,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         representation=representation,
         findings=findings,
         tests=fit.tests,
-        damped=fit.damped and replace(fit.damped, time_unit=common_unit(list(fit.records))),
+        damped=fit.damped and replace(fit.damped, time_unit=unit),
     )
 
 
@@ -266,14 +267,14 @@ def _directions(one: FittedExperiment, rows: Any, at: Projection) -> Directions:
     return of_record(one.record, d, kappa, free, weighted, moving, rows.hold, rows.quantity, rows.offset)
 
 
-def _finding(at: Projection, information: Information, variance: float) -> str:
+def _finding(at: Projection, information: Information, variance: float, unit: str | None) -> str:
     """What the data do not show, in sentences."""
     if len(at.problem.experiments) == 1 and isinstance(at.problem.experiments[0], RecordRows):
         one = at.problem.experiments[0]
         if one.driven and one.quantity == "velocity" and not one.offset and at.free.any():
             if not information.is_weak and one.hold.method != "euler":
                 return ""
-            finding = examine_fit(at, information, noise_std=float(np.sqrt(variance)))
+            finding = examine_fit(at, information, float(np.sqrt(variance)), unit)
             return finding.message if finding.blind or finding.artefacts else ""
     if not information.deficiency or not at.problem.driven:
         return ""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import Report, aligned, html_heading, html_report, html_table, percent, to_its_error
-from ..._units import common_unit, hertz_size, in_unit, rate, step_of
+from ..._units import common_unit, hertz_size, rate, step_of
 from ...exceptions import shortened
 from ..data.time_record import Record
 from ..diagnosis.damped_model import damped_lines
@@ -50,12 +50,7 @@ class FitReport(Report):
         title, _, lines = above.partition("\n")
         head, *rows = mode_table(self)
         head = [text.replace("+-", "±") for text in head]
-        return (
-            html_heading(title)
-            + html_report(lines)
-            + html_table(head, rows)
-            + html_report(in_unit(self.message, self.time_unit))
-        )
+        return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(self.message)
 
 
 def summary_of(result: Any) -> str:
@@ -77,8 +72,7 @@ def summary_of(result: Any) -> str:
     ]
     if result.damped is not None:
         lines += ["", *damped_lines(result.damped)]
-    message = in_unit(result.message, result.time_unit)
-    wrapped = textwrap.wrap(message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+    wrapped = textwrap.wrap(result.message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
     return shortened("\n".join([*lines, "", *wrapped]))
 
 
