@@ -77,7 +77,7 @@ class Table:
         rows = self.rows[start:stop]
         values = None if any('"' in row for row in rows) else _numbers(rows, self.delimiter, wanted, self.decimal)
         if values is None:
-            table = [self.split(row) for row in rows]
+            table = [_split(row, self.delimiter) for row in rows]
             cells = [_JOIN.join("nan" if f[j].strip().casefold() in _MISSING else f[j] for j in wanted) for f in table]
             values = _numbers(cells, _JOIN, range(len(wanted)), self.decimal)
         if values is None:
@@ -92,10 +92,6 @@ class Table:
             return value
         hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
         raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
-
-    def split(self, row: str) -> list[str]:
-        """Fields of a row."""
-        return _split(row, self.delimiter)
 
     def at(self, row: int, column: int) -> str:
         """Name a place: file, line and column."""
@@ -315,12 +311,10 @@ def _decimal(rows: list[str], delimiter: str) -> str:
     """Decimal sign of the first number that has one."""
     for row in rows:
         # in a file with commas between the fields only a quoted number can have a decimal comma
-        if (delimiter != "," or '"' in row) and ("," in row or "." in row):
-            for field in map(str.strip, _split(row, delimiter)):
-                if "," in field and _NUMBER[","].fullmatch(field):
-                    return ","
-                if "." in field and _NUMBER["."].fullmatch(field):
-                    return "."
+        for field in map(str.strip, _split(row, delimiter)) if "," in row or "." in row else ():
+            for sign in ",.":
+                if sign in field and _NUMBER[sign].fullmatch(field):
+                    return sign
     return "."
 
 
@@ -376,7 +370,7 @@ def _labels_in_comment(lines: list[str], first: int, delimiter: str, width: int)
 
 def _width(path: str, rows: list[str], numbers: list[int], delimiter: str, labels: tuple[str, ...] | None) -> int:
     """Number of columns; an error if a row has another one.  An empty field at the end may be there or not."""
-    sizes = [_size(row, delimiter) for row in rows]
+    sizes = [(len(fields), not fields[-1].strip()) for fields in (_split(row, delimiter) for row in rows)]
     full, spare = sizes[0]
     if labels is not None:
         width = len(labels)
@@ -395,16 +389,6 @@ def _width(path: str, rows: list[str], numbers: list[int], delimiter: str, label
         f"{_SPELLED.get(delimiter, repr(delimiter))}); complete the row, put # in front of a line that is no part of "
         "the table, or pass delimiter= if the separator is another"
     )
-
-
-def _size(row: str, delimiter: str) -> tuple[int, bool]:
-    """Number of fields of a row, and whether the last is empty."""
-    if delimiter == " ":
-        return len(row.split()), False
-    if '"' in row:
-        fields = _split(row, delimiter)
-        return len(fields), not fields[-1].strip()
-    return row.count(delimiter) + 1, row.rstrip(" ").endswith(delimiter)
 
 
 def _what_is_wrong(text: str, decimal: str) -> str:
