@@ -18,15 +18,8 @@ from .. import _checks
 from .._types import Array, ComplexArray, Mask, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import definiteness as _definite
-from ..numerics.pole_residue import (
-    SAFETY,
-    PoleResidueForm,
-    assemble,
-    clusters,
-    from_polynomials,
-    from_state_space,
-    from_zeros_poles,
-)
+from ..numerics import pole_residue
+from ..numerics.pole_residue import SAFETY, PoleResidueForm, clusters
 from ..numerics.polynomials import COEFFICIENT_LIMIT, modes_from_coefficients
 from ..symplectic.forms_and_williamson import apply_form
 from .discrete import continuous, sampling_rule
@@ -36,11 +29,6 @@ from .propagation import transfer_function
 
 _POINTS = 6  # at which modes are held against the matrices that they were found in
 _UNSEEN = 1e-4  # of the whole: a residue lost in its error bound must also be small to count as zero
-
-
-def lossless_modes(sys: Any, method: str | None = None, intersample: str = "zoh") -> ModalForm:
-    """Minimal modal form of any lossless linear time-invariant system, or `NotLosslessError`."""
-    return lossless_modes_with_errors(sys, method, intersample).modes
 
 
 class Judged(NamedTuple):
@@ -109,17 +97,17 @@ def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None
 
 def _poles_and_residues(sys: Any, rest: float) -> PoleResidueForm:
     if isinstance(sys, ct.StateSpace):
-        return from_state_space(sys.A, sys.B, sys.C, sys.D, rest)
+        return pole_residue.from_state_space(sys.A, sys.B, sys.C, sys.D, rest)
     entries = [
-        [from_polynomials(sys.num_list[i][j], sys.den_list[i][j]) for j in range(sys.ninputs)]
+        [pole_residue.from_polynomials(sys.num_list[i][j], sys.den_list[i][j]) for j in range(sys.ninputs)]
         for i in range(sys.noutputs)
     ]
-    return assemble(entries) if len(entries) > 1 else entries[0][0]
+    return pole_residue.assemble(entries) if len(entries) > 1 else entries[0][0]
 
 
 def _from_transfer_function(num: Array, den: Array) -> Judged:
     """Modes of an odd transfer function with twice the digits, if its roots are simple; of any other in doubles."""
-    form = from_polynomials(num, den)
+    form = pole_residue.from_polynomials(num, den)
     parts = _even_and_odd(num, den)
     exact = modes_from_coefficients(*parts) if parts is not None else None
     if exact is not None and np.max(exact[2] / exact[0]) <= COEFFICIENT_LIMIT:
@@ -170,12 +158,12 @@ def _ports(noutputs: int, ninputs: int) -> None:
 
 def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
     if isinstance(sys, scipy.signal.ZerosPolesGain):
-        return from_zeros_poles(np.atleast_1d(sys.zeros), np.atleast_1d(sys.poles), sys.gain)
+        return pole_residue.from_zeros_poles(np.atleast_1d(sys.zeros), np.atleast_1d(sys.poles), sys.gain)
     if isinstance(sys, scipy.signal.TransferFunction):
-        return from_polynomials(np.atleast_1d(sys.num), np.atleast_1d(sys.den))
+        return pole_residue.from_polynomials(np.atleast_1d(sys.num), np.atleast_1d(sys.den))
     _ports(sys.outputs, sys.inputs)
     A, B, C, D = (np.atleast_2d(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    return from_state_space(A, B, C, D)
+    return pole_residue.from_state_space(A, B, C, D)
 
 
 def decide(form: PoleResidueForm) -> Judged:

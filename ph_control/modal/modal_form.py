@@ -19,15 +19,8 @@ from .. import _checks
 from .._display import ShownModes
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, StructureError
-from ..numerics.polynomials import (
-    COEFFICIENT_LIMIT,
-    WIDE,
-    ScaledCoefficients,
-    decimals,
-    modes_from_coefficients,
-    plain_coefficients,
-    transfer_coefficients,
-)
+from ..numerics import polynomials
+from ..numerics.polynomials import COEFFICIENT_LIMIT, WIDE, ScaledCoefficients, decimals
 from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
 
@@ -459,7 +452,7 @@ class ModalForm(ShownModes):
         >>> a, c
         (array([4., 0., 5., 0.]), array([3., 6.]))
         """
-        plain = plain_coefficients(self.d, self.r) if self.r.ndim == 1 and not len(self.rigid) else None
+        plain = polynomials.plain_coefficients(self.d, self.r) if self.r.ndim == 1 and not len(self.rigid) else None
         if plain is not None:
             return plain
         a, c = self.scaled_coefficients()
@@ -500,7 +493,9 @@ class ModalForm(ShownModes):
             raise StructureError(f"coefficients are those of a one-port; this system has {self.nports} ports")
         with localcontext(WIDE):
             d, still = decimals(self.d), decimals(self.rigid[:, 0])
-            return transfer_coefficients(np.append(0 * still, d * d), np.append(still * still, d * decimals(self.r)))
+            return polynomials.transfer_coefficients(
+                np.append(0 * still, d * d), np.append(still * still, d * decimals(self.r))
+            )
 
     @classmethod
     def from_coefficients(cls, a: ArrayLike, c: ArrayLike) -> ModalForm:
@@ -546,7 +541,7 @@ class ModalForm(ShownModes):
         if len(even) == 0:
             return from_frequencies(np.zeros(0), np.zeros(0))
         with np.errstate(over="ignore", invalid="ignore"):
-            found = modes_from_coefficients(even, odd[::-1])
+            found = polynomials.modes_from_coefficients(even, odd[::-1])
         worst = np.inf if found is None else float((found[2] / found[0]).max())
         if found is None or not worst <= COEFFICIENT_LIMIT:
             told = "no digit" if not worst < np.inf else f"{-np.log10(worst):.1f} digits"

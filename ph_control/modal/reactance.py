@@ -75,6 +75,12 @@ class Reactance:
 
     def _blocks(self, w: Array) -> Iterator[tuple[slice, Array]]:
         """Tables of `1/((d - w)(d + w))`, one row for each mode."""
+        for part, down, up in self._tables(w):
+            down *= up
+            yield part, np.divide(1.0, down, out=down)
+
+    def _tables(self, w: Array) -> Iterator[tuple[slice, Array, Array]]:
+        """Tables of `d - w` and `d + w`, one row for each mode."""
         n = len(self._d)
         step = max(32, _BLOCK // max(1, n))
         rows, room = np.empty((2, len(w))), np.empty((2, n * min(step, len(w))))
@@ -85,8 +91,7 @@ class Reactance:
             down, up = (space[: n * count].reshape(n, count) for space in room)
             np.dot(self._columns[0], rows[:, part], out=down)
             np.dot(self._columns[1], rows[:, part], out=up)
-            down *= up
-            yield part, np.divide(1.0, down, out=down)
+            yield part, down, up
 
     def _beside_a_zero(self, w: Array) -> Array:
         x = np.abs(w)
@@ -121,13 +126,12 @@ class Reactance:
 
     def _sum_of_any_size(self, w: Array) -> Array:
         """The same where `(d - w)(d + w)` may leave the range of doubles; slower."""
-        value, weight = np.empty((2, len(w)))
-        step = max(32, _BLOCK // max(1, len(self._d)))
-        for start in range(0, len(w), step):
-            part = slice(start, start + step)
-            terms = self._kappa[0][:, None] * (w[part] / (self._d[:, None] + w[part])) / (self._d[:, None] - w[part])
-            value[part], weight[part] = tf.tree_sum(terms), tf.tree_sum(np.abs(terms))
-        cancelled = weight > _CANCELLED * np.abs(value)
+        value, size = np.empty((2, len(w)))
+        ones = np.ones(len(self._d))
+        for part, down, up in self._tables(w):
+            terms = self._kappa[0][:, None] * (w[part] / up) / down
+            value[part], size[part] = _weighted_sum(ones, terms), _weighted_sum(ones, np.abs(terms))
+        cancelled = size > _CANCELLED * np.abs(value)
         d, high, low = (x[:, None] for x in (self._d, *self._kappa))
         value[cancelled] = sum_with_twice_the_digits(d, (high, low), w[cancelled])
         return value

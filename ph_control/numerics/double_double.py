@@ -80,17 +80,6 @@ def total(x: Pair) -> Pair:
     return hi[0], lo[0]
 
 
-def tree_sum(x: Array) -> Array:
-    """Sum of doubles along the first axis, of the same kind: its error grows as the logarithm of their number."""
-    while len(x) > 1:
-        half = len(x) // 2
-        top = x[:half] + x[half : 2 * half]
-        if len(x) % 2:
-            top[0] += x[-1]
-        x = top
-    return x[0] if len(x) else np.zeros(x.shape[1:])
-
-
 def cis_multiples(step: Pair, k: Array) -> ComplexArray:
     """Return `exp(i k step)` for integers `k`, shape `step.shape + k.shape`.
 

@@ -587,7 +587,8 @@ def ph(
         return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
     if isinstance(source, ct.InputOutputSystem):
         names = inherited_names(source, names, "inputs", "outputs")
-    return PortHamiltonian._from_modes(lossless.lossless_modes(source, method, intersample), **names)
+    judged = lossless.lossless_modes_with_errors(source, method, intersample)
+    return PortHamiltonian._from_modes(judged.modes, **names)
 
 
 def modes(
