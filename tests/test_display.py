@@ -114,6 +114,41 @@ def test_weights_that_are_not_the_squares_of_their_roots_are_printed_as_well():
     assert evaluated(repr(modes)).r.tolist() == modes.r.tolist()
 
 
+PARTS = {
+    "R": np.diag([0.0, 1.0 / 3.0]), "P": [[0.0], [0.1]], "S": [[1.0]], "N": [[0.0]], "J": [[0.0, 2.0], [-2.0, 0.0]],
+    "sensors": ([[1.0, 0.0], [0.1, 0.7]], [[0.0], [0.3]]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "names", ["R", "RPS", "RJ", "S", "R sensors", "sensors", "J sensors", "RPSNJ sensors"], ids=lambda text: text
+)
+@pytest.mark.parametrize("labels", [{}, {"name": "plant", "inputs": ["F"], "states": ["q", "p's"]}])
+def test_the_printed_system_with_losses_evaluates_to_the_same(names, labels):
+    letters, _, sensors = names.partition(" ") if names != "sensors" else ("", "", "sensors")
+    parts = {name: PARTS[name] for name in [*letters, *([sensors] if sensors else [])]}
+    system = phc.ph(np.diag([4.0, 0.1]), [[0.2], [1.0]], **parts, **labels)
+    again = evaluated(repr(system))
+    assert type(again) is type(system) is phc.DissipativePortHamiltonian
+    for name in "QGJRPSNABCD":
+        assert np.array_equal(getattr(again, name), getattr(system, name))
+    assert again.input_labels == system.input_labels and again.state_labels == system.state_labels
+    if labels:
+        assert again.name == system.name
+    formula = system._repr_latex_()
+    assert all((rf"\quad {name} = \begin" in formula) == (name in letters and name != "N") for name in "RPSNJ")
+    assert ("C_s" in formula) == bool(sensors) and ("(J - R)" in formula) == ("R" in letters)
+    shown = text_of(system._repr_html_())
+    assert "begin{bmatrix}" in shown and "damping ratio" in shown
+
+
+def test_a_system_with_losses_of_which_none_is_there_evaluates_to_the_same():
+    closed = ct.feedback(phc.DissipativePortHamiltonian(np.eye(2), [0.0, 1.0]), 0.5)
+    assert np.array_equal(evaluated(repr(closed)).A, closed.A)
+    none = phc.DissipativePortHamiltonian(np.eye(2), [0.0, 1.0])
+    assert type(evaluated(repr(none))) is type(none)
+
+
 @SETTINGS
 @given(names, names, names, st.integers(0, 2**32))
 def test_the_printed_system_evaluates_to_the_same_with_any_names(name, source, sink, seed):

@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 
 from .. import _checks
 from .._checks import EPS
-from .._display import html_heading, latex_matrix
+from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal
 from ..exceptions import StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space
 from ..modal.modal_form import Cluster, ModalForm
@@ -273,17 +273,44 @@ class DissipativePortHamiltonian(PortHamiltonian):
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (dict(self._parts), self._names(), self.time_unit)
 
+    def _shown(self) -> list[str]:
+        """Names of the parts beside Q and B that are not what they are by default."""
+        n = len(self.J)
+        shown = [name for name in "RPSN" if self._parts[name].any()]
+        canonical = n % 2 == 0 and np.array_equal(self.J, symplectic_form(n // 2))
+        return shown + ([] if canonical else ["J"])
+
     def _repr_eval_(self) -> str:
-        given = [f"{name}={np.array2string(self._parts[name], separator=', ')}" for name in "RPSNJ"]
-        return f"ph(\n{self.Q!r},\n{self.G!r},\n" + ",\n".join(given) + ")"
+        given = [literal(self.Q), literal(self.G)]
+        given += [f"{name}={literal(self._parts[name])}" for name in self._shown()]
+        rows, through = self.sensors
+        if len(rows):
+            given.append(
+                f"sensors=({literal(rows)},\n{literal(through)})" if through.any() else f"sensors={literal(rows)}"
+            )
+        labels = [text for text in [self._label_repr()] if text]
+        # of none of them `ph` makes a lossless system of its own class
+        maker = "ph" if len(given) > 2 and given[2][0] != "J" else type(self).__name__
+        return f"{maker}(\n" + ",\n".join(given + labels) + ")"
 
     def _equations(self) -> str:
-        A, B, C = (latex_matrix(matrix) for matrix in (self.A, self.B, self.C))
-        return rf"\dot x = (J - R) Q x + (B - P) u, \quad A = {A}, \quad B = {B}, \quad C = {C}"
+        shown, sensors = self._shown(), bool(len(self.sensors[0]))
+        loss = "(J - R)" if "R" in shown else "J"
+        into, out = ("(B - P)", "(B + P)") if "P" in shown else ("B", "B")
+        through = " + ".join(name for name in "SN" if name in shown)
+        through = f" + ({through}) u" if len(through) > 1 else f" + {through} u" if through else ""
+        text = rf"\dot x = {loss} Q x + {into} u, \quad y = {out}^\top Q x{through}"
+        matrices = {"Q": self.Q, "B": self.G} | {name: self._parts[name] for name in shown}
+        if sensors:
+            text += r", \quad y_s = C_s x" + (" + D_s u" if self.sensors[1].any() else "")
+            matrices |= {"C_s": self.sensors[0]} | ({"D_s": self.sensors[1]} if self.sensors[1].any() else {})
+        return text + "".join(rf", \quad {name} = {latex_matrix(matrix)}" for name, matrix in matrices.items())
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: names, and the modes of a system of moderate size."""
-        return html_heading(self._repr_info_()) + (self.modes._repr_html_() if self.nstates <= 200 else "")
+        """HTML for notebooks: names, equations of a small system, and the modes of one of moderate size."""
+        equations = html_formula(self._equations()) if fits_in_a_formula(self) else ""
+        modes = self.modes._repr_html_() if self.nstates <= 200 else ""
+        return html_heading(self._repr_info_()) + equations + modes
 
     def __str__(self) -> str:
         if self.nstates <= 200:
