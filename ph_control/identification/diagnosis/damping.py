@@ -347,7 +347,5 @@ def _decays(problem: Problem, at: FreeProjection) -> bool:
 def _half_width(record: RecordRows, d: float) -> float:
     """Half-width of the peak near a frequency, if one damped mode makes nearly all of it; else 0."""
     spectrum = Spectrum.of(record)
-    place = float(spectrum.place(np.array([d]))[0])
-    p, gain, energy = Channels.of(spectrum).modes(spectrum.Y[None], around=place)
-    alone = gain > _ALONE * energy
-    return float(np.max(-p[alone].real, initial=0.0))
+    half_width, share = Channels.of(spectrum).peak(spectrum.Y[None], float(spectrum.place(np.array([d]))[0]))
+    return half_width if share > _ALONE else 0.0

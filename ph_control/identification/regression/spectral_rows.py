@@ -182,8 +182,9 @@ class TransformColumns:
         found = self._z * free
         if U is not None:
             found += U[self._bins] * (still + self._z * moving + through)
-        mode, place = np.nonzero(self._at_centre)
-        np.add.at(found, place, motion[mode] * self._total[mode, 0])
+        place = np.searchsorted(self._bins, self._centre)
+        (mode,) = np.nonzero(np.append(self._bins, -1)[place] == self._centre)
+        np.add.at(found, place[mode], motion[mode] * self._total[mode, 0])
         return np.asarray(found)
 
 

@@ -26,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 _MOST = 4  # past samples of coloured noise: few, so that no mode passes for noise
 _ABOUT = 12  # bins on either side of a mode
 _RIDGE = 1e-12
-_RATIOS = np.geomspace(1e-4, 1e4, 17)  # of input noise, seen at the median of the bins, to output noise
+_RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
 
 HOLDS = ("zoh", "foh")
@@ -141,8 +141,9 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
     moved, target, near = [], [], []
     for k, (one, spectrum, window) in enumerate(zip(records, spectra, windows, strict=True)):
         bins, size = np.arange(1, spectrum.last + 1), float(np.sqrt(spectrum.length))
-        left = window.at(d).left(at.kappa, at.own[k]) / size
-        (block,) = window.at(d).sensitive_blocks(at.kappa, at.own[k])
+        here = window.at(d)
+        left = here.left(at.kappa, at.own[k]) / size
+        (block,) = here.sensitive_blocks(at.kappa, at.own[k])
         columns = np.zeros((2 * n * (len(records) + 1), block.shape[1]))
         columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
         moved.append(columns)
@@ -178,13 +179,15 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
         variance, determinant = level(ratio)
         return float(np.sum(np.log1p(ratio * gains)) + spare * np.log(variance) + 0.5 * determinant)
 
-    tried = np.array([unlikely(ratio / middle) for ratio in _RATIOS])
+    none, tried = unlikely(0.0), np.array([unlikely(ratio / middle) for ratio in _RATIOS])
     best = int(np.argmin(tried))
+    if tried[best] >= none:
+        return 0.0, float(np.sqrt(level(0.0)[0])), 0.0
     ends = np.log(_RATIOS[[max(0, best - 1), min(len(_RATIOS) - 1, best + 1)]] / middle)
     found = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
     ratio = float(np.exp(found.x))
     of_output = float(np.sqrt(level(ratio)[0]))
-    return float(np.sqrt(ratio)) * of_output, of_output, unlikely(0.0) - unlikely(ratio)
+    return float(np.sqrt(ratio)) * of_output, of_output, none - float(found.fun)
 
 
 def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: NDArray[np.intp]) -> Array:

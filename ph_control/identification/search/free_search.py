@@ -91,7 +91,7 @@ class Records(_DampedData):
 
     def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
-        found = [Channels.of(spectrum).modes(one[None])[:2] for spectrum, one in zip(self.spectra, left, strict=True)]
+        found = [Channels.of(spectrum).modes(one[None]) for spectrum, one in zip(self.spectra, left, strict=True)]
         p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
         width = min(one.bin for one in self.experiments)
         chosen: list[int] = []
@@ -119,31 +119,42 @@ class Channels:
         one = spectrum.experiment
         return cls(spectrum.U[None][: int(one.driven)], spectrum.length, one.hold, one.ceiling)
 
-    def modes(self, left: ComplexArray, around: float | None = None) -> tuple[ComplexArray, Array, Array]:
-        """Poles of modes that explain something of what is left of outputs (q, K), and how much, and of what; O(q T).
+    def modes(self, left: ComplexArray) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
 
-        Each within a window, in windows everywhere, or `around` one place (in bins).
+        Each within a window, in windows of several widths everywhere.
         """
-        last = (self.length - 1) // 2
-        found = [(np.zeros(0, complex), np.zeros(0), np.zeros(0))]
+        found = [(np.zeros(0, complex), np.zeros(0))]
         for half in _HALF_WIDTHS:
-            if 4 * half > last and half > _HALF_WIDTHS[0]:
+            if 4 * half > self._last and half > _HALF_WIDTHS[0]:
                 break
-            half = min(half, (last - 1) // 2)
+            half = min(half, (self._last - 1) // 2)
             if half < 3:
                 break
-            step = max(1, half // 6)
-            centres = np.arange(half + 1, last - half + 1, step)
-            if around is not None:
-                centres = np.clip(np.array([int(np.rint(around))]), half + 1, last - half)
-            elif last > _EVERYWHERE:
+            centres = np.arange(half + 1, self._last - half + 1, max(1, half // 6))
+            if self._last > _EVERYWHERE:
                 centres = _peaking(left, half, centres)
             size = max(1, _PIECE // (len(left) * (2 * half + 1)))
             found += [self._local(left, half, centres[k : k + size]) for k in range(0, len(centres), size)]
-        p, gain, energy = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return p, gain, energy
+        p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return p, gain
 
-    def _local(self, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array, Array]:
+    def peak(self, left: ComplexArray, place: float) -> tuple[float, float]:
+        """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
+        half = min(_HALF_WIDTHS[0], (self._last - 1) // 2)
+        if half < 3:
+            return 0.0, 0.0
+        centre = int(np.clip(np.rint(place), half + 1, self._last - half))
+        p, gain = self._local(left, half, np.array([centre]))
+        power = 2.0 / self.length * float(np.sum(np.abs(left[:, centre - half : centre + half + 1]) ** 2))
+        return (float(-p[0].real), float(gain[0]) / power) if len(p) and power else (0.0, 0.0)
+
+    @property
+    def _last(self) -> int:
+        """Last bin below the Nyquist frequency."""
+        return (self.length - 1) // 2
+
+    def _local(self, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array]:
         """One mode in each window, frequencies in bins from its centre: `(s - pole) E = sum beta U + gamma z`.
 
         The pole is that of all outputs: what inputs and ends explain of `E` and of `s E` is taken out of both.
@@ -174,8 +185,7 @@ class Channels:
         gain = np.sum(products.conj() * solved, axis=(1, 2)).real
         p = self.hold.pole(np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T)))
         kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < self.ceiling)
-        everything = np.sum(np.abs(E[kept]) ** 2, axis=(1, 2))
-        return p[kept], gain[kept] * (2.0 / T), everything * (2.0 / T)
+        return p[kept], gain[kept] * (2.0 / T)
 
 
 def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:

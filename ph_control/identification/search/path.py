@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -85,6 +85,7 @@ def _batch(search: Search, step: Step, most: int) -> Array:
 
 def stop_of(criterion: Callable[[Step], float]) -> Callable[[list[Step]], bool]:
     """End of a path whose criterion has not improved for some orders, where it can judge them."""
+    criterion = cache(criterion)
 
     def stop(path: list[Step]) -> bool:
         values = [criterion(step) for step in path]

@@ -32,7 +32,7 @@ _RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 @dataclass(frozen=True)
 class _CandidateColumns:
-    """Real columns of candidates over some bins, shape (candidates, 3, rows): `kappa`, then the free motion.
+    """Real columns of candidates over some bins, shape (3, candidates, rows): `kappa`, then the free motion.
 
     All is scaled so that squares add up to squares in time.
     """
@@ -43,15 +43,14 @@ class _CandidateColumns:
 
     def with_target(self, target: Array) -> Array:
         """Products of all columns with a target (candidates or 1, rows), shape (3, candidates)."""
-        return np.stack([_inner(self.rows[:, k], target) for k in range(3)])
+        return np.asarray(np.einsum("kcr,cr->kc", self.rows, target))
 
     @cached_property
     def gram(self) -> Array:
         """Products of the columns with one another, shape (3, 3, candidates)."""
-        found = np.empty((3, 3, len(self.rows)))
-        for k in range(3):
-            for l in range(k, 3):
-                found[k, l] = found[l, k] = _inner(self.rows[:, k], self.rows[:, l])
+        found = np.empty((3, 3, self.rows.shape[1]))
+        for k, column in enumerate(self.rows):
+            found[k, k:] = found[k:, k] = np.einsum("lcr,cr->lc", self.rows[k:], column)
         return found
 
     @cached_property
@@ -61,10 +60,6 @@ class _CandidateColumns:
         ridge = np.where(a + c > 0, _RIDGE * (a + c), 1.0)
         a, c = a + ridge, c + ridge
         return np.asarray(np.array([[c, -b], [-b, a]]) / (a * c - b * b))
-
-
-def _inner(first: Array, second: Array) -> Array:
-    return np.asarray(np.einsum("cr,cr->c", first, second))
 
 
 class Screen:
@@ -196,8 +191,8 @@ def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _CandidateColumns:
         forced = over * below + 1.0 if one.quantity == "acceleration" else over * below
         columns.insert(0, forced * spectrum.U[bins])
     scale, half = float(np.sqrt(2.0 / spectrum.length)), bins.shape[1]
-    rows = np.zeros((len(d), 3, 2 * half))
+    rows = np.zeros((3, len(d), 2 * half))
     for k, column in enumerate(columns, start=3 - len(columns)):
-        np.multiply(scale, column.real, out=rows[:, k, :half])
-        np.multiply(scale, column.imag, out=rows[:, k, half:])
+        np.multiply(scale, column.real, out=rows[k, :, :half])
+        np.multiply(scale, column.imag, out=rows[k, :, half:])
     return _CandidateColumns(bins, rows, scale)

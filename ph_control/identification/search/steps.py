@@ -35,7 +35,7 @@ _BESIDE = 4.0  # bins between a mode and one more that would mend the shape of i
 _SLOW = 1.0  # bins below which a mode is hardly told from a constant and a drift
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Step:
     """Some modes, refined: what they leave as a sum of squares, and the candidates for one more.
 
