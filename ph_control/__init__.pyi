@@ -39,6 +39,7 @@ from .exceptions import FileMissingError as FileMissingError
 from .exceptions import IdentifiabilityWarning as IdentifiabilityWarning
 from .exceptions import IdentificationError as IdentificationError
 from .exceptions import NotLosslessError as NotLosslessError
+from .exceptions import NotPassiveError as NotPassiveError
 from .exceptions import OutputExistsError as OutputExistsError
 from .exceptions import PHControlError as PHControlError
 from .exceptions import ResolutionWarning as ResolutionWarning

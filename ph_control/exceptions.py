@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 
 class PHControlError(Exception):
@@ -67,7 +68,7 @@ class NotLosslessError(StructureError):
     --------
     >>> import control as ct, ph_control as phc
     >>> try:
-    ...     phc.ph(ct.tf([1, 0], [1, 0.1, 4]))
+    ...     phc.ph(ct.tf([1, 0], [1, 0.1, 4]), lossless=True)
     ... except phc.NotLosslessError as error:
     ...     print(len(error.violations), error.violations[0].split(":")[0])
     1 pole -0.05+1.99937i is off the imaginary axis
@@ -80,15 +81,94 @@ class NotLosslessError(StructureError):
             return
         shown = self.violations[:8]
         more = len(self.violations) - len(shown)
-        lines = ["the system is not lossless, so it has no port-Hamiltonian form:"]
+        lines = ["the system is not lossless:"]
         lines += [f"  - {line}" for line in shown]
         if more:
             lines.append(f"  - and {more} more; see the attribute violations")
         lines.append("  a lossless system is sum_l kappa_l s/(s^2 + d_l^2) + kappa_0/s with every kappa positive")
         super().__init__("\n".join(lines))
 
-    def __reduce__(self) -> tuple[type[NotLosslessError], tuple[tuple[str, ...], str | None]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.violations, self._message)
+
+
+class NotPassiveError(NotLosslessError):
+    """A linear system is not passive, so that no port-Hamiltonian system has its transfer function.
+
+    Parameters
+    ----------
+    bands : sequence of (float, float)
+        Frequencies between which it gives energy, `(low, high)` in rad per unit time; both the same at a pole on the
+        imaginary axis.
+    sizes, frequencies : sequence of float
+        Largest violation in each band, minus the smallest eigenvalue of `(G + G^H) / 2`, and where it is.
+    unstable : sequence of complex
+        Poles in the right half plane.
+    signs : sequence of int
+        Signs of the outputs, 1 or -1, with which it is passive; empty if there are none of few changes.
+    reasons : sequence of str
+        More about single poles.
+
+    Attributes
+    ----------
+    bands, sizes, frequencies, unstable, signs : tuple
+        As above.
+    violations : tuple of str
+        One sentence for each of them.
+
+    Examples
+    --------
+    >>> import control as ct, ph_control as phc
+    >>> try:
+    ...     phc.ph(ct.tf([-1, 0], [1, 0.1, 4]))
+    ... except phc.NotPassiveError as error:
+    ...     print(error.bands, error.signs)
+    [(0.0, inf)] (-1,)
+    """
+
+    def __init__(
+        self, bands: Sequence[tuple[float, float]], sizes: Sequence[float], frequencies: Sequence[float],
+        unstable: Sequence[complex] = (), signs: Sequence[int] = (), reasons: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        self.bands, self.unstable, self.signs = [(low, high) for low, high in bands], tuple(unstable), tuple(signs)
+        self.sizes, self.frequencies = tuple(sizes), tuple(frequencies)
+        self._reasons = tuple(reasons)
+        lines = [_of_pole(p) for p in self.unstable]
+        lines += [_of_band(*of) for of in zip(self.bands, self.sizes, self.frequencies, strict=True)]
+        self.violations = (*lines, *self._reasons)
+        shown = [f"  - {line}" for line in self.violations[:8]]
+        if len(self.violations) > len(shown):
+            shown.append(f"  - and {len(self.violations) - len(shown)} more; see the attribute violations")
+        text = ["the system is not passive, so it has no port-Hamiltonian form:", *shown, f"  {self._remedy()}"]
+        StructureError.__init__(self, "\n".join(text))
+
+    def _remedy(self) -> str:
+        turned = [k for k, sign in enumerate(self.signs) if sign < 0]
+        if turned and len(turned) == len(self.signs):
+            return "with the other sign of the outputs it is passive: turn the sensors or the actuators round, ph(-sys)"
+        if turned:
+            return f"with the other sign of output {turned[0]}, counted from 0, it is passive: turn that sensor round"
+        return (
+            "each output must be the velocity at the force of its input, or the current at its voltage, with the same "
+            "sign; ports=[(output, input), ..] chooses the outputs that are, and the others become sensors"
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (
+            self.bands, self.sizes, self.frequencies, self.unstable, self.signs, self._reasons
+        )  # fmt: skip
+
+
+def _of_pole(p: complex) -> str:
+    return f"pole {p.real:.6g}{p.imag:+.6g}i lies in the right half plane"
+
+
+def _of_band(band: tuple[float, float], size: float, frequency: float) -> str:
+    low, high = band
+    if low == high:
+        return f"pole {low:.6g}i on the imaginary axis is repeated, or its residue is not positive semidefinite"
+    where = f"from {low:.6g} to {high:.6g} rad per unit time"
+    return f"{where} it gives energy, at {frequency:.6g} most: (G + G^H)/2 has the eigenvalue {-size:.4g}, allowed 0"
 
 
 class IdentificationError(PHControlError):

@@ -135,7 +135,7 @@ def _lossless(loop: Any) -> ModalForm | None:
     if isinstance(loop, PortHamiltonian) and not in_normal_form(loop):
         return None
     try:
-        system = loop if isinstance(loop, PortHamiltonian) else ph(loop)
+        system = loop if isinstance(loop, PortHamiltonian) else ph(loop, lossless=True)
     except PHControlError:
         return None
     return system.modes.minimal()

@@ -8,23 +8,18 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eig, matrix_balance, schur, solve_sylvester
 
 from .. import _checks
-from .._checks import EPS
 from .._display import Report
 from .._frozen import Frozen
 from ..exceptions import StructureError
-from ..modal.positive_real import Band, Passivity
+from ..modal.positive_real import Passivity, split_axis, staircase, violations
 from ..systems.base import in_normal_form
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 KINDS = ("immittance", "scattering")
-
-_AXIS = 16  # times the rounding of an eigenvalue: a real part that is taken for 0
-_RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermitian positive semidefinite matrix
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,21 +181,17 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
         m, none = sys.ninputs, np.zeros
         beside = Passivity(none((0, 0)), none((0, m)), none((m, 0)), none((m, m)), scattering=False)
         return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
-    A, B, C, D = _minimal(_state_space(sys))
-    axis, rest, unstable = _split(A, B, C)
-    wrong = np.array([] if kind == "scattering" else [w for w, K in axis if not _is_positive(K)])
-    if kind == "scattering" and axis:
-        wrong = np.array([w for w, _ in axis])
-    tested = None if len(unstable) else Passivity(*rest, D, scattering=kind == "scattering")
-    found: list[Band] = [Band(w, w, w, np.inf) for w in wrong]
-    found += [] if tested is None else tested.bands()
+    plain = _state_space(sys)
+    A, B, C, D = staircase(*(np.array(getattr(plain, name), float) for name in "ABCD"))
+    split = split_axis(A, B, C)
+    tested = None if len(split.unstable) else Passivity(*split.rest, D, scattering=kind == "scattering")
+    found = violations(split, tested, scattering=kind == "scattering")
     margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf
     if tested is not None and not found:
         margin = tested.margin()
-    found.sort(key=lambda band: band.low)
     return PassivityReport(
         kind, [(band.low, band.high) for band in found], np.array([band.worst for band in found]),
-        np.array([band.excess for band in found]), float(margin), unstable, tested,
+        np.array([band.excess for band in found]), float(margin), split.unstable, tested,
     )  # fmt: skip
 
 
@@ -224,66 +215,3 @@ def _state_space(sys: Any) -> ct.StateSpace:
         _checks.finite(name, matrix)
         _checks.in_range(name, matrix)
     return sys
-
-
-def _minimal(sys: ct.StateSpace) -> tuple[Array, Array, Array, Array]:
-    """Matrices of what ports reach and see."""
-    A, B, C, D = (np.array(getattr(sys, name), float) for name in "ABCD")
-    if not len(A):
-        return A, B, C, D
-    # of its own tolerance: that of a staircase form whose inputs and outputs are of the size of A
-    size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
-    reduced = ct.ss(A, B * (size / b), C * (size / c), D).minreal()
-    return reduced.A, reduced.B * (b / size), reduced.C * (c / size), D
-
-
-def _split(
-    A: Array, B: Array, C: Array
-) -> tuple[list[tuple[float, ComplexArray]], tuple[Array, Array, Array], ComplexArray]:
-    """Frequencies and residues on the imaginary axis, the rest of the system, and the poles to the right."""
-    n = len(A)
-    if not n:
-        return [], (A, B, C), np.zeros(0, complex)
-    balance = matrix_balance(A, separate=True, permute=False)[1][0]
-    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
-    poles, left, right = eig(A, left=True)
-    condition = 1 / np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), EPS)
-    tolerance = _AXIS * n * EPS * np.linalg.norm(A, 2) * condition
-    on_axis = np.abs(poles.real) <= tolerance
-    unstable = poles[(poles.real > 0) & ~on_axis]
-    if not on_axis.any():
-        return [], (A, B, C), unstable
-    widest = float(np.max(tolerance[on_axis]))
-    T, Z, count = schur(A, output="real", sort=lambda x, y=0.0: abs(np.real(x)) <= widest)
-    B, C = Z.T @ B, C @ Z
-    X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
-    rest = T[count:, count:], B[count:], C[:, count:] + C[:, :count] @ X
-    return _residues(T[:count, :count], B[:count] - X @ B[count:], C[:, :count], widest), rest, unstable
-
-
-def _residues(A: Array, B: Array, C: Array, tolerance: float) -> list[tuple[float, ComplexArray]]:
-    """Residue matrix of each frequency of a block with poles on the axis; not finite where a pole is not simple."""
-    poles = np.linalg.eigvals(A)
-    found: list[tuple[float, ComplexArray]] = []
-    left = np.flatnonzero(poles.imag >= -tolerance)
-    while len(left):
-        first = poles[left[0]].imag
-        reach = 2 * tolerance + EPS * abs(first)
-        T, Z, count = schur(A, output="complex", sort=lambda x, w=first, reach=reach: abs(x.imag - w) <= reach)
-        B1, C1 = Z.conj().T @ B, C @ Z
-        X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
-        b, c = B1[:count] - X @ B1[count:], C1[:, :count]
-        center = np.mean(np.diag(T[:count, :count]))
-        again = c @ (T[:count, :count] - center * np.eye(count)) @ b  # over (s - p)^2
-        simple = np.linalg.norm(again) <= _RESIDUE * np.linalg.norm(A) * np.linalg.norm(c) * np.linalg.norm(b)
-        found.append((max(float(center.imag), 0.0), c @ b if simple else np.full((len(C), B.shape[1]), np.nan)))
-        left = left[np.abs(poles[left].imag - first) > reach]
-    return found
-
-
-def _is_positive(K: ComplexArray) -> bool:
-    if not np.isfinite(K).all():
-        return False
-    size = float(np.linalg.norm(K, 2))
-    least = float(np.linalg.eigvalsh(0.5 * (K + K.conj().T))[0])
-    return bool(np.linalg.norm(K - K.conj().T, 2) <= _RESIDUE * size and least >= -_RESIDUE * size)

@@ -147,7 +147,7 @@ class Model:
         if isinstance(self.content, LosslessSystem | phc.ModalForm):
             return self.content
         try:
-            return phc.ph(self.content)
+            return phc.ph(self.content, lossless=True)
         except NotLosslessError as error:
             raise NoError(self.source, error.violations) from None
 

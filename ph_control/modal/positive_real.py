@@ -12,21 +12,26 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import control as ct
 import numpy as np
-from scipy.linalg import eigvals
+from scipy.linalg import eig, eigvals, matrix_balance, schur, solve_sylvester
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
-from .._types import Array
+from .._types import Array, ComplexArray
 from .general_form import from_matrices
 
 Matrices = tuple[Array, Array, Array, Array]
 
 _SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0
+_GIVEN = 16  # roundings of each matrix that is given
 _NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative between the points looked at
 _PIECES = 8  # of the way between two of these: for the worst frequency of a band, which has several minima
 _FINE = 1e-7  # of it: to what the least value is sought
 _LEVELS = 20  # steps down to it, at most; three are usual
+_AXIS = 16  # times the rounding of an eigenvalue: a real part that is taken for 0
+_HIDDEN = 64  # times the number of states, roundings of `|B| |C|`: a residue that is none
+_RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermitian positive semidefinite matrix
 _WIDTHS = (0.25, 1.0, 4.0)  # of a resonance, beside it: points looked at
 
 
@@ -124,7 +129,21 @@ class Passivity:
         grid, values, slack = self._looked_at
         negative = values < -slack
         edges = np.flatnonzero(np.diff(np.concatenate([[False], negative, [False]]).astype(int)))
-        return [self._band(grid, values, first, last) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+        pieces = list(zip(edges[::2], edges[1::2], strict=True))
+        return [self._band(grid, values, first, last) for first, last in pieces if self._stands_out(grid[first:last])]
+
+    def _stands_out(self, omega: Array) -> bool:
+        """Whether `Phi` is negative somewhere by more than rounding of the matrices makes of it."""
+        A, B, C, D = self.matrices
+        values, slack = self.smallest(omega)
+        # by what is most negative; the bound of all points would cost more than the bands themselves
+        for k in np.unique([np.argmin(values), np.argmin(values / slack), len(omega) // 2]):
+            M = 1j * omega[k] * np.eye(len(A)) - A
+            size = np.linalg.norm(A) * np.linalg.norm(np.linalg.solve(M, B)) * np.linalg.norm(np.linalg.solve(M.T, C.T))
+            size *= 1 + np.linalg.norm(D) if self.scattering else 1
+            if -values[k] > slack[k] + _GIVEN * EPS * size:
+                return True
+        return False
 
     def margin(self) -> float:
         """Infimum over all frequencies of a system without bands, in units of `excess`; 0 where rounding hides it."""
@@ -204,3 +223,91 @@ def balanced(A: Array, B: Array, C: Array, D: Array) -> Matrices:
         return A, B, C, D
     root = np.sqrt(size)
     return A, B * (root / b), C * (root / c), D * (size / (b * c))
+
+
+# --- poles on the axis and what ports do not see ------------------------------------------------------------
+
+
+def staircase(A: Array, B: Array, C: Array, D: Array) -> Matrices:
+    """Matrices of what inputs reach and outputs see."""
+    if not len(A):
+        return A, B, C, D
+    # of its own tolerance: that of a staircase form whose inputs and outputs are of the size of A
+    balance = matrix_balance(A, separate=True, permute=False)[1][0]
+    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
+    size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
+    reduced = ct.ss(A, B * (size / b), C * (size / c), D).minreal()
+    return reduced.A, reduced.B * (b / size), reduced.C * (c / size), D
+
+
+@dataclass(frozen=True)
+class Split:
+    """Frequencies and residues on the imaginary axis, matrices of the rest of the system, and the poles to the right.
+
+    Residues are not finite where a pole is not simple.
+    """
+
+    axis: list[tuple[float, ComplexArray]]
+    rest: tuple[Array, Array, Array]
+    unstable: ComplexArray
+
+
+def split_axis(A: Array, B: Array, C: Array) -> Split:
+    """Poles on the imaginary axis, which are judged by their residues, and the rest."""
+    n = len(A)
+    if not n:
+        return Split([], (A, B, C), np.zeros(0, complex))
+    balance = matrix_balance(A, separate=True, permute=False)[1][0]
+    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
+    poles, left, right = eig(A, left=True)
+    condition = 1 / np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), EPS)
+    tolerance = _AXIS * n * EPS * np.linalg.norm(A, 2) * condition
+    on_axis = np.abs(poles.real) <= tolerance
+    unstable = poles[(poles.real > 0) & ~on_axis]
+    if not on_axis.any():
+        return Split([], (A, B, C), unstable)
+    widest = float(np.max(tolerance[on_axis]))
+    T, Z, count = schur(A, output="real", sort=lambda x, y=0.0: abs(np.real(x)) <= widest)
+    B, C = Z.T @ B, C @ Z
+    X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
+    rest = T[count:, count:], B[count:], C[:, count:] + C[:, :count] @ X
+    on_axis_part = T[:count, :count], B[:count] - X @ B[count:], C[:, :count]
+    unseen = _HIDDEN * n * EPS * float(np.linalg.norm(B) * np.linalg.norm(C))
+    found = _residues(*on_axis_part, widest)
+    return Split([(w, K) for w, K in found if not np.linalg.norm(K) <= unseen], rest, unstable)
+
+
+def _residues(A: Array, B: Array, C: Array, tolerance: float) -> list[tuple[float, ComplexArray]]:
+    """Residue matrix of each frequency of a block with poles on the axis; not finite where a pole is not simple."""
+    poles = np.linalg.eigvals(A)
+    found: list[tuple[float, ComplexArray]] = []
+    left = np.flatnonzero(poles.imag >= -tolerance)
+    while len(left):
+        first = poles[left[0]].imag
+        reach = 2 * tolerance + EPS * abs(first)
+        T, Z, count = schur(A, output="complex", sort=lambda x, w=first, reach=reach: abs(x.imag - w) <= reach)
+        B1, C1 = Z.conj().T @ B, C @ Z
+        X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
+        b, c = B1[:count] - X @ B1[count:], C1[:, :count]
+        center = np.mean(np.diag(T[:count, :count]))
+        again = c @ (T[:count, :count] - center * np.eye(count)) @ b  # over (s - p)^2
+        simple = np.linalg.norm(again) <= _RESIDUE * np.linalg.norm(A) * np.linalg.norm(c) * np.linalg.norm(b)
+        found.append((max(float(center.imag), 0.0), c @ b if simple else np.full((len(C), B.shape[1]), np.nan)))
+        left = left[np.abs(poles[left].imag - first) > reach]
+    return found
+
+
+def is_positive(K: ComplexArray) -> bool:
+    """Whether a residue is Hermitian positive semidefinite, but for rounding."""
+    if not np.isfinite(K).all():
+        return False
+    size = float(np.linalg.norm(K, 2))
+    least = float(np.linalg.eigvalsh(0.5 * (K + K.conj().T))[0])
+    return bool(np.linalg.norm(K - K.conj().T, 2) <= _RESIDUE * size and least >= -_RESIDUE * size)
+
+
+def violations(split: Split, tested: Passivity | None, *, scattering: bool) -> list[Band]:
+    """Bands of the rest and poles on the axis that are not passive, ascending."""
+    wrong = [w for w, K in split.axis if scattering or not is_positive(K)]
+    found = [Band(w, w, w, np.inf) for w in wrong] + ([] if tested is None else tested.bands())
+    return sorted(found, key=lambda band: band.low)

@@ -149,7 +149,7 @@ class ModeTable:
 def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
     """Modes of a system; of a fit, with intervals at a level."""
     refuse_losses(subject.system, "pictures of frequencies and weights are")
-    modes = (subject.system if subject.lossless else ph(subject.system)).modes
+    modes = (subject.system if subject.lossless else ph(subject.system, lossless=True)).modes
     size = (modes.kappa if quantity == "kappa" else modes.r).reshape(len(modes.d), modes.nports)
     at_zero = np.atleast_2d(modes.kappa_0).diagonal() if quantity == "kappa" else np.zeros(modes.nports)
     if not isinstance(subject.given, FitResult):

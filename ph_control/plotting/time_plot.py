@@ -298,7 +298,7 @@ def _modes(subject: Subject) -> ModalForm | None:
     if sys.isdtime(strict=True) or sys.noutputs != sys.ninputs:
         return None
     try:
-        found = ph(sys)
+        found = ph(sys, lossless=True)
         return found.modes if in_normal_form(found) else None
     except PHControlError:
         return None

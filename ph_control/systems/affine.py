@@ -223,7 +223,7 @@ def affine(Q: Any, B: ArrayLike | None = None, **names: Any) -> AffineHamiltonia
             "integral of its output is meant (displacement in place of velocity), use affine(Q, J B): "
             "affine(sys.Q, symplectic_form(sys.n) @ sys.B)"
         )
-    velocity = ph(_derivative(Q))
+    velocity = ph(_derivative(Q), lossless=True)
     # -J (J B) = B
     return AffineHamiltonian(velocity.Q, apply_form(velocity.B), **inherited_names(Q, names, "inputs", "outputs"))
 

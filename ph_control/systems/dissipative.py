@@ -13,11 +13,12 @@ from scipy.linalg import eigh
 from .. import _checks
 from .._checks import EPS
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal
-from ..exceptions import StructureError
+from ..exceptions import NotLosslessError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space
 from ..modal.modal_form import Cluster, ModalForm
 from ..symplectic.forms_and_williamson import symplectic_form
 from .base import LosslessSystem, View, refuse_losses
+from .passive_form import Conversion, PortRows, passive_parts, port_order
 from .port_hamiltonian import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -83,6 +84,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
     """
 
     _factory = "ph(Q, B, R=R)"
+    conversion: Conversion | None = None  # how `ph` made it of another system
     _in_normal_form = False
 
     def __init__(
@@ -255,7 +257,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def _named(self, names: dict[str, Any]) -> DissipativePortHamiltonian:
         """Return the same system with other names."""
-        return restored(self._parts, names, self.time_unit)
+        return restored(self._parts, names, self.time_unit, self.conversion)
 
     def _converted(self, **names: Any) -> Any:
         return self
@@ -271,7 +273,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
         return restored(parts, {}, self.time_unit)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return restored, (dict(self._parts), self._names(), self.time_unit)
+        return restored, (dict(self._parts), self._names(), self.time_unit, self.conversion)
 
     def _shown(self) -> list[str]:
         """Names of the parts beside Q and B that are not what they are by default."""
@@ -332,12 +334,30 @@ def parts_of(sys: PortHamiltonian) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def restored(parts: dict[str, Array], names: dict[str, Any], time_unit: str | None) -> DissipativePortHamiltonian:
+def restored(
+    parts: dict[str, Array], names: dict[str, Any], time_unit: str | None, conversion: Conversion | None = None
+) -> DissipativePortHamiltonian:
     """System of matrices that have been checked."""
     system = DissipativePortHamiltonian.__new__(DissipativePortHamiltonian)
     system._take(parts, names)
-    system.time_unit = time_unit
+    system.time_unit, system.conversion = time_unit, conversion
     return system
+
+
+def of_passive(
+    sys: ct.StateSpace, storage: str, pairs: Any, refusal: NotLosslessError | None, names: dict[str, Any]
+) -> DissipativePortHamiltonian:
+    """Port-Hamiltonian form of a passive system, whose ports are pairs of an output and an input."""
+    outputs, inputs = port_order(sys, pairs)
+    A, B, C, D = (np.array(getattr(sys, name), float) for name in "ABCD")
+    for name, matrix in zip("ABCD", (A, B, C, D), strict=True):
+        _checks.finite(name, matrix)
+    given = PortRows(A, B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)])
+    parts, conversion = passive_parts(given, storage, refusal)
+    labels = {} if sys._generic_name_check() else {"name": sys.name}
+    labels |= {"inputs": [sys.input_labels[k] for k in inputs], "outputs": [sys.output_labels[k] for k in outputs]}
+    given_names = {key if key == "name" or key.endswith("s") else key + "s": value for key, value in names.items()}
+    return restored(parts, labels | {k: v for k, v in given_names.items() if v is not None}, None, conversion)
 
 
 # --- checks ------------------------------------------------------------------------------------------------------

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import control as ct
 import numpy as np
+import scipy.signal
 
 from .. import _checks
 from .._display import latex_matrix
 from .._types import Array, ArrayLike, ComplexArray
-from ..exceptions import StructureError
-from ..modal import foster_test as lossless
+from ..exceptions import NotLosslessError, StructureError
+from ..modal import foster_test
 from ..modal import minimal as reachability
 from ..modal.error_bounds import Separation, separate
 from ..modal.general_form import GeneralModalForm, from_state_space, from_vectors, with_damping
@@ -20,10 +22,11 @@ from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
 from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import apply_form, energy_coordinates, port_spectrum, williamson
-from .base import LosslessSystem, View, inherited_names, restored
+from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
+STORAGES = ("auto", "available", "required", "mean")
 _OF_Q = ("_proven", "_energy", "S")  # views that take O(n^3) steps, of Q alone
 _OF_Q_AND_B = (*_OF_Q, "_seen")
 
@@ -160,7 +163,7 @@ class PortHamiltonian(LosslessSystem):
     def modes(self) -> ModalForm:
         """Modal form: the truth behind the matrices, computed once (O(n^3)) and kept."""
         if self._modes is None:
-            self._modes = lossless.modes_of_energy(self._energy, self.B)
+            self._modes = foster_test.modes_of_energy(self._energy, self.B)
         return self._modes
 
     @View
@@ -492,6 +495,9 @@ def ph(
     N: ArrayLike | None = None,
     J: ArrayLike | None = None,
     sensors: Any = None,
+    storage: str = "auto",
+    lossless: bool = False,
+    ports: Any = None,
     method: str | None = None,
     intersample: str = "zoh",
     **names: Any,
@@ -501,7 +507,7 @@ def ph(
     Parameters
     ----------
     Q : array_like, shape (2n, 2n), or a system
-        Hamiltonian matrix (see `PortHamiltonian`); or, without `B`, a system to convert: a `ModalForm`, a lossless
+        Hamiltonian matrix (see `PortHamiltonian`); or, without `B`, a system to convert: a `ModalForm`, a passive
         continuous-time `control.StateSpace` or `control.TransferFunction`, or one of `scipy.signal`.
     B : array_like, shape (2n,) or (2n, m), optional
         Input matrix.
@@ -515,8 +521,17 @@ def ph(
         become `darboux(J) z`; beside them it stays as it is, and may be of odd size.
     sensors : array_like, shape (k, 2n), or (array_like, array_like), shapes (k, 2n) and (k, m), optional
         Rows of outputs that are no port variables, `y_s = C_s z + D_s u`; they come after those of the ports.
+    storage : {'auto', 'available', 'required', 'mean'}
+        Energy of a passive system with losses. 'available' is the least that explains its ports, what can be taken out
+        of it; 'required' the largest, what it takes to bring it there; 'mean' their geometric mean. 'auto' is that of
+        the matrices where they show mass and stiffness, that of the modes where damping is classical, else the mean.
+    lossless : bool
+        Whether to refuse a system with losses.
+    ports : list of (output, input), optional
+        Numbers or names of the output at the port of each input; the other outputs become sensors. Default: output k
+        belongs to input k.
     method : {'exact', 'midpoint', 'euler'}, optional
-        How a discrete-time system was sampled; needed for such a system, and for no other.
+        How a discrete-time system was sampled, which must be lossless; needed for such a system, and for no other.
     intersample : {'zoh', 'foh'}
         What its input did between samples; 'midpoint' with 'foh' is the bilinear (Tustin) transformation.
     **names
@@ -525,16 +540,26 @@ def ph(
     Returns
     -------
     PortHamiltonian
-        A state-space system that already is in PH normal form keeps its coordinates; any other arrives in
+        A state-space system that already is in PH normal form keeps its coordinates; any other lossless one arrives in
         Williamson coordinates, minimal.  Of an `AffineHamiltonian` it is the derivative.  With losses, feedthrough or
-        sensors a `DissipativePortHamiltonian`.
+        sensors a `DissipativePortHamiltonian`, whose `conversion` says whose energy it has, how many hidden states were
+        left out, and what the transfer functions differ by: in the coordinates given, in Williamson coordinates of
+        classically damped modes, or with `Q = I`.
 
     Raises
     ------
+    NotPassiveError
+        If the system has no PH form, with the bands in which it gives energy.
     NotLosslessError
-        If the system has no PH form; it names each offending pole and residue with its size and the tolerance.
+        If it has losses and `lossless` is asked for, or it is in discrete time; it names each offending pole and
+        residue with its size and the tolerance.
     StructureError
         If the arguments are not of one of these kinds.
+
+    Warns
+    -----
+    ConditioningWarning
+        If the transfer functions differ by more than 1e-10 of the largest value.
 
     Notes
     -----
@@ -542,13 +567,21 @@ def ph(
     residues.  Every tolerance is a first-order bound of the rounding error of the pole or residue it is held
     against.  A state-space system never passes through polynomials.  O(n^3).
 
+    With losses the energy is a solution of the Kalman-Yakubovich-Popov inequality.  `D` stays what it is: without
+    feedthrough `X B = C^T` is known, and all that follows from it, and only the rest of `X` is left to a Riccati
+    equation.  Poles on the axis are split off first.  O(n^3).
+
     Examples
     --------
     >>> import control as ct, ph_control as phc
     >>> sys = phc.ph(ct.tf([2, 0], [1, 0, 4]))
     >>> sys.d, sys.r
     (array([2.]), array([1.]))
+    >>> damped = phc.ph(ct.tf([2, 1], [1, 1, 4]))
+    >>> damped.conversion.energy, damped.is_lossless
+    ('mean', False)
     """
+    _checks.choice("storage", storage, STORAGES)
     sampled = B is None and isinstance(Q, ct.InputOutputSystem) and Q.isdtime(strict=True)
     if not sampled and (method is not None or not (isinstance(intersample, str) and intersample == "zoh")):
         raise StructureError(
@@ -557,6 +590,8 @@ def ph(
         )
     losses = {"R": R, "P": P, "S": S, "N": N}
     lossy = any(value is not None and _checks.real_array(name, value).any() for name, value in losses.items())
+    if B is not None and (storage != "auto" or ports is not None):
+        raise StructureError("storage and ports say how to convert a system; Q and B are given, which say it already")
     if B is not None and (sensors is not None or lossy):
         from .dissipative import DissipativePortHamiltonian
 
@@ -574,21 +609,57 @@ def ph(
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, GeneralModalForm):
         source = source.state_space()
-    if isinstance(source, PortHamiltonian) and not source._in_normal_form:
+    convert = storage != "auto" or ports is not None
+    if isinstance(source, PortHamiltonian) and not source._in_normal_form and not convert:
+        if lossless:
+            refuse_losses(source, "frequencies d and weights r are")
         return source._named(inherited_names(source, names, *_SIGNALS))
-    if isinstance(source, PortHamiltonian):
+    if isinstance(source, PortHamiltonian) and not convert:
         names = inherited_names(source, names, *_SIGNALS)
         twin = restored(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))
         twin.time_unit = source.time_unit
         return twin
-    if isinstance(source, LosslessSystem):
+    if isinstance(source, LosslessSystem) and not convert:
         return source._converted(**names)
-    if isinstance(source, ct.StateSpace) and source.isctime() and (found := lossless.hamiltonian_form(source)):
-        return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
-    if isinstance(source, ct.InputOutputSystem):
-        names = inherited_names(source, names, "inputs", "outputs")
-    judged = lossless.lossless_modes_with_errors(source, method, intersample)
-    return PortHamiltonian._from_modes(judged.modes, **names)
+    if ports is None:
+        plain = isinstance(source, ct.StateSpace) and source.isctime() and not isinstance(source, LosslessSystem)
+        if plain and (found := foster_test.hamiltonian_form(source)):
+            return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
+        named = isinstance(source, ct.InputOutputSystem)
+        kept = inherited_names(source, names, "inputs", "outputs") if named else names
+        try:
+            judged = foster_test.lossless_modes_with_errors(source, method, intersample)
+            return PortHamiltonian._from_modes(judged.modes, **kept)
+        except NotLosslessError as refused:
+            if lossless or sampled or isinstance(source, scipy.signal.dlti):
+                raise
+            refusal: NotLosslessError | None = refused
+    else:
+        refusal = None
+    from .dissipative import of_passive
+
+    return of_passive(_state_space(source, refusal), storage, ports, refusal, names)
+
+
+def _state_space(source: Any, refusal: NotLosslessError | None) -> ct.StateSpace:
+    """A system as matrices, or the refusal of one that has none."""
+    lti = isinstance(source, scipy.signal.lti)
+    if not lti and not isinstance(source, ct.StateSpace | ct.TransferFunction):
+        raise StructureError(
+            f"no port-Hamiltonian form of an object of type {type(source).__name__}; pass a StateSpace, a "
+            "TransferFunction, a zero-pole-gain system, a ModalForm, or the matrices Q and B"
+        )
+    if not lti and source.isdtime(strict=True):
+        raise StructureError(f"the system is in discrete time, dt = {source.dt}; ports are chosen in continuous time")
+    if isinstance(source, ct.StateSpace):
+        return source
+    try:
+        with warnings.catch_warnings():  # of coefficients that have no digits
+            warnings.simplefilter("error")
+            plain = source.to_ss() if lti else ct.ss(source)
+            return ct.ss(plain.A, plain.B, plain.C, plain.D) if lti else plain
+    except (ValueError, ArithmeticError, Warning) as error:  # improper, or out of range
+        raise refusal or StructureError(f"the transfer function has no state space: {error}") from None
 
 
 def modes(
@@ -660,4 +731,4 @@ def full_port_hamiltonian(sys: Any) -> PortHamiltonian:
         return sys
     if isinstance(sys, LosslessSystem):
         return sys._full_port_hamiltonian()
-    return ph(sys)
+    return ph(sys, lossless=True)

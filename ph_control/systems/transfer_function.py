@@ -56,7 +56,7 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     >>> phc.tf(phc.lc_circuit([1.0, 0.25], [1.0, 1.0])).num_list[0][0]
     array([2., 0., 5., 0.])
     """
-    source = sys if isinstance(sys, LosslessSystem) else ph(sys)
+    source = sys if isinstance(sys, LosslessSystem) else ph(sys, lossless=True)
     _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs, states=0)
     for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
         if names.get(kind) is None and names.get(kind[:-1]) is None:

@@ -1,0 +1,574 @@
+"""From any passive system to a port-Hamiltonian one, `D` being what it is.
+
+What is known of the energy decides its form: matrices that show a mass and a stiffness keep them, symmetric residues
+with classical damping are resonators side by side, and any other system gets the storage that is asked for.
+
+Matrices of `q' = E v`, `v' = -M^-1 E^T K q - M^-1 C v + M^-1 F u`, `y = F^T v` have the energy
+`q^T K q / 2 + v^T M v / 2`.  With `E = I` the states are positions and velocities; with momenta in place of velocities
+`E` is the inverse of the mass, and stands for `M` too.  Residues of classical damping are those of
+
+    G(s) = D + sum_l K_l s / (s^2 + 2 zeta_l d_l s + d_l^2) + sum_l K_l / (s + a_l),    K_l real symmetric, >= 0
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import control as ct
+import numpy as np
+from scipy.linalg import LinAlgError, block_diag, eig, eigh, svd
+from slycot import sb03od
+
+from .. import _checks
+from .._checks import EPS
+from .._types import Array, ComplexArray
+from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
+from ..modal.positive_real import Matrices, Passivity, Split, split_axis, staircase, violations
+from ..modal.storage import NoStorageError, dissipation, semidefinite, storage_coordinates
+
+Parts = dict[str, Array]
+
+_UNSEEN = 1e-13  # of the largest Hankel singular value: a state that ports do not reach or do not see
+_AGREES, _LOST = 1e-10, 1e-4  # of the largest response: a difference that is worth a warning, and one that is an error
+_GIVEN = 4.0  # roundings of each entry that is given
+_EXACT = 1e-11  # of it: what a form that was recognised may differ by
+_FITS = 1e-11  # of its terms: what matrices may miss of the form
+_NEW = 1e-7  # of its length: what a direction has outside the known ones, to be a new one
+_CONDITION = 1e8  # of the modes: beyond, poles are not parted
+_SAME = 1e-8  # of the largest: poles that are one
+_RESIDUE = 1e-9  # of its size: what a residue may miss of the form, before the response decides
+_NONE = 1e-13  # of the largest: an eigenvalue of a residue that is 0
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """How a port-Hamiltonian system was made of another.
+
+    Attributes
+    ----------
+    energy : {"given", "modal", "available", "required", "mean"}
+        Whose energy it has: that of the matrices, that of its classically damped modes, or a storage of its ports.
+    hidden : int
+        States that were left out because ports do not reach or do not see them.
+    error : float
+        Largest difference of the transfer functions over that of the given one, over the band of its poles.
+    """
+
+    energy: str
+    hidden: int
+    error: float
+
+
+@dataclass(frozen=True)
+class PortRows:
+    """Matrices of a system whose first outputs are those of its ports, in the order of its inputs, before sensors."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+    @property
+    def ports(self) -> int:
+        """Number of ports."""
+        return self.B.shape[1]
+
+    @property
+    def of_ports(self) -> Matrices:
+        """The system without sensors."""
+        m = self.ports
+        return self.A, self.B, self.C[:m], self.D[:m]
+
+
+def port_order(sys: ct.StateSpace, pairs: Any) -> tuple[list[int], list[int]]:
+    """Outputs and inputs in the order of the ports, and after them the outputs that are sensors."""
+    p, m = sys.noutputs, sys.ninputs
+    if pairs is None:
+        if p != m or not m:
+            raise StructureError(
+                f"the system has {m} inputs and {p} outputs; each input needs the output at its port: say which with "
+                "ports=[(output, input), ..], the others become sensors"
+            )
+        return list(range(p)), list(range(m))
+    try:
+        listed = [(one, other) for one, other in pairs]
+    except (TypeError, ValueError):
+        raise StructureError(
+            f"ports={_checks.shown(pairs)} is no list of pairs (output, input), such as [(0, 0), (2, 1)]"
+        ) from None
+    outputs = [_signal("output", one, sys.output_labels) for one, _ in listed]
+    inputs = [_signal("input", other, sys.input_labels) for _, other in listed]
+    for kind, chosen in (("output", outputs), ("input", inputs)):
+        if len(set(chosen)) < len(chosen):
+            raise StructureError(f"ports={_checks.shown(pairs)} has an {kind} twice; each belongs to one port")
+    missing = sorted(set(range(m)) - set(inputs))
+    if missing:
+        raise StructureError(
+            f"ports={_checks.shown(pairs)} has no output for input {missing[0]} ({sys.input_labels[missing[0]]!r}); "
+            "each input needs the output at its port, or leave the input out with sys[:, inputs]"
+        )
+    return outputs + [k for k in range(p) if k not in outputs], inputs
+
+
+def _signal(kind: str, which: Any, labels: list[str]) -> int:
+    if isinstance(which, str) and which in labels:
+        return labels.index(which)
+    if isinstance(which, int | np.integer) and not isinstance(which, bool) and 0 <= which < len(labels):
+        return int(which)
+    raise StructureError(
+        f"{_checks.shown(which)} is no {kind} of the system; allowed are 0 to {len(labels) - 1}, and {labels}"
+    )
+
+
+def passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | None) -> tuple[Parts, Conversion]:
+    """Parts of a `DissipativePortHamiltonian` with the transfer function of a passive system.
+
+    Raises
+    ------
+    NotPassiveError
+        If there is none, with the bands; `refusal` says why the system is not lossless.
+    StructureError
+        If sensors see what ports do not, or rounding hides that the system is passive.
+    """
+    _checks.in_range("the matrices", np.concatenate([M.ravel() for M in (given.A, given.B, given.C, given.D)]))
+    try:
+        with np.errstate(all="ignore"):
+            return _passive_parts(given, storage, refusal)
+    except (LinAlgError, ArithmeticError):
+        raise StructureError(
+            "the system is too ill-conditioned to convert: its eigenvalue problems have no answer; give it "
+            "in better scaled states, or in other units"
+        ) from None
+
+
+def _passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | None) -> tuple[Parts, Conversion]:
+    m = given.ports
+    A, B, C, D = staircase(given.A, given.B, given.C, given.D)
+    split = split_axis(A, B, C)
+    _refuse_active(split, D, m, refusal)
+    parts, energy = None, storage
+    if storage == "auto":
+        parts, energy = physical_parts(given.A, given.B, given.C, given.D), "given"
+        if parts is None and len(C) == m:
+            parts, energy = classical_parts(*split.rest, D, split.axis), "modal"
+        if parts is not None and not _difference(parts, given) <= _EXACT:
+            parts = None
+    if parts is None:
+        energy = "mean" if storage == "auto" else storage
+        parts = _joined([_stored(PortRows(*split.rest, D), energy), *_lossless(split.axis, m)], D[m:])
+    error = _difference(parts, given)
+    if not error <= _LOST:
+        raise StructureError(
+            f"the system is too ill-conditioned to convert: its port-Hamiltonian form differs from it by {error:.2g} "
+            f"of its largest response, allowed {_LOST:.0e}; give it in better scaled states, or with fewer"
+        )
+    if error > _AGREES:
+        warnings.warn(
+            f"the port-Hamiltonian form has {-np.log10(error):.0f} digits of the transfer function: the given matrices "
+            "are ill-conditioned, or have states that ports hardly reach or see",
+            ConditioningWarning,
+            stacklevel=5,
+        )
+    return parts, Conversion(energy, len(given.A) - len(parts["Q"]), error)
+
+
+# --- is it passive? -----------------------------------------------------------------------------------------------
+
+
+def _refuse_active(split: Split, D: Array, m: int, refusal: NotLosslessError | None) -> None:
+    """Refuse a system whose ports give energy."""
+    A, B, C = split.rest
+    ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
+    tested = None if len(split.unstable) else Passivity(A, B, C[:m], D[:m], scattering=False)
+    found = violations(ports, tested, scattering=False)
+    if not found and tested is not None:
+        return
+    sentences = refusal.violations if refusal is not None and not len(A) and not D.any() else ()
+    raise NotPassiveError(
+        [(band.low, band.high) for band in found], [band.excess for band in found], [band.worst for band in found],
+        [complex(p) for p in split.unstable], signs=_signs(ports, D[:m]), reasons=sentences,
+    )  # fmt: skip
+
+
+def _signs(split: Split, D: Array) -> tuple[int, ...]:
+    """Signs of the outputs with which the system is passive, if all others or one other than given make it so."""
+    m = len(D)
+    if len(split.unstable):
+        return ()
+    for signs in [-np.ones(m), *(np.ones(m) - 2 * row for row in np.eye(m) if m > 1)]:
+        A, B, C = split.rest
+        turned = Split([(w, signs[:, None] * K) for w, K in split.axis], split.rest, split.unstable)
+        tested = Passivity(A, B, signs[:, None] * C, signs[:, None] * D, scattering=False)
+        if not violations(turned, tested, scattering=False):
+            return tuple(int(sign) for sign in signs)
+    return ()
+
+
+# --- the storage of the ports -------------------------------------------------------------------------------------
+
+
+def _stored(system: PortRows, storage: str) -> Parts:
+    """The system in coordinates in which the storage that is asked for is the unit matrix."""
+    m = system.ports
+    rate = float(np.linalg.norm(system.A)) or 1.0
+    root = np.sqrt(rate)
+    A, B, C = _balanced_minimal(system.A / rate, system.B / root, system.C / root, m)
+    D, n = system.D[:m], len(A)
+    size = float(np.linalg.norm(D)) + float(np.linalg.norm(B)) * float(np.linalg.norm(C[:m])) or 1.0
+    level = np.sqrt(size)
+    B, C, D = B / level, C / level, D / size
+    if n:
+        try:
+            found = storage_coordinates(A, B, C[:m], D, storage)
+        except NoStorageError:
+            raise StructureError(
+                "no storage function was found although the system is passive at all frequencies: it is too "
+                "ill-conditioned; give it in better scaled states, or with fewer"
+            ) from None
+        A, B, C = found.T @ A @ found.inverse, found.T @ B, C @ found.inverse
+    W = 0.5 * semidefinite(dissipation(A, B, C[:m], D), n)
+    gain = level * root
+    return {
+        "Q": np.eye(n), "J": 0.5 * rate * (A - A.T), "R": rate * W[:n, :n], "G": 0.5 * gain * (C[:m].T + B),
+        "P": gain * W[:n, n:], "S": size * W[n:, n:], "N": 0.5 * size * (D - D.T), "sensor_rows": gain * C[m:],
+        "sensor_feedthrough": system.D[m:],
+    }  # fmt: skip
+
+
+def _balanced_minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
+    """Balanced coordinates of what ports reach and see, by the Hankel singular values of the first m outputs."""
+    if not len(A):
+        return A, B, C
+    seen, reached = _gramian_root(A, C[:m]), _gramian_root(A.T, B.T).T
+    U, s, V = svd(seen @ reached)
+    kept = s > _UNSEEN * max(s[0], np.finfo(float).tiny)
+    root = np.sqrt(s[kept])
+    right, left = reached @ V[kept].T / root, (U[:, kept] / root).T @ seen
+    return left @ A @ right, left @ B, C @ right
+
+
+def _gramian_root(A: Array, C: Array) -> Array:
+    """Upper triangular `U` with the observability Gramian `U^T U`."""
+    n = len(A)
+    if len(C) > n:
+        C = np.asarray(np.linalg.qr(C, mode="r"), float)
+    rows = np.zeros((n, n), order="F")
+    rows[: len(C)] = C
+    U, scale, _ = sb03od(n, len(C), np.array(A, order="F"), np.zeros((n, n), order="F"), rows, "C")
+    return np.asarray(np.triu(U[:n, :n]) / scale, float)
+
+
+# --- parts --------------------------------------------------------------------------------------------------------
+
+
+def _lossless(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[Parts]:
+    """Modes of poles on the axis, whose residues are Hermitian positive semidefinite."""
+    found: list[Parts] = []
+    J: Any
+    Q: Any
+    G: Any
+    rows: Any
+    for w, K in axis:
+        sigma, W = eigh(0.5 * (K[:m] + K[:m].conj().T))
+        kept = sigma > len(K) * EPS * sigma[-1]
+        sigma, W = sigma[kept], W[:, kept]
+        rank = len(sigma)
+        if w == 0:
+            J, Q = np.zeros((rank, rank)), np.eye(rank)
+            nu: Any = np.sqrt(sigma)[:, None] * W.T.real
+            G, rows = nu, K[m:].real @ np.linalg.pinv(nu)
+        else:
+            J, Q = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(rank)), w * np.eye(2 * rank)
+            nu = np.sqrt(2 * sigma / w)[:, None] * W.T
+            sensed: Any = 2 * K[m:] @ np.linalg.pinv(nu.conj())
+            G, rows = np.vstack([nu.real, nu.imag]), np.hstack([sensed.real, sensed.imag])
+        n = len(G)
+        found.append({
+            "Q": Q, "J": J, "R": np.zeros((n, n)), "G": G, "P": np.zeros((n, m)), "S": np.zeros((m, m)),
+            "N": np.zeros((m, m)), "sensor_rows": rows,
+        })  # fmt: skip
+    return found
+
+
+def _joined(found: Sequence[Parts], through: Array) -> Parts:
+    """Parallel connection of parts, with the feedthrough of the sensors."""
+    parts = {name: block_diag(*(one[name] for one in found)) for name in ("Q", "J", "R")}
+    n = len(parts["Q"])
+    parts = {name: matrix.reshape(n, n) for name, matrix in parts.items()}
+    parts |= {name: np.vstack([one[name] for one in found]) for name in ("G", "P")}
+    parts |= {name: np.sum([one[name] for one in found], axis=0) for name in ("S", "N")}
+    return parts | {"sensor_rows": np.hstack([one["sensor_rows"] for one in found]), "sensor_feedthrough": through}
+
+
+# --- held against what was given ----------------------------------------------------------------------------------
+
+
+def _difference(parts: Parts, given: PortRows) -> float:
+    """Largest difference of the responses beyond the rounding of the given matrices, over the largest response."""
+    K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
+    C = np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
+    D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
+    omega = _band(given.A)
+    with np.errstate(invalid="ignore", over="ignore"):
+        wanted, moved = _response(given.A, given.B, given.C, given.D, omega)
+        got, _ = _response(K @ parts["Q"], G - P, C, D, omega)
+        off = np.abs(got - wanted).max(axis=(1, 2), initial=0.0) - _GIVEN * EPS * moved
+    size = np.abs(wanted).max(axis=(1, 2), initial=0.0)
+    clear = np.isfinite(size)
+    largest, worst = float(size[clear].max(initial=0.0)), float(off[clear].max(initial=0.0))
+    return worst / largest if largest else worst
+
+
+def _band(A: Array) -> Array:
+    """Frequencies between and beside poles, and at those that are damped by more than rounding."""
+    poles = np.linalg.eigvals(A) if len(A) else np.ones(1)
+    size = np.abs(poles)
+    size = size[size > np.sqrt(EPS) * size.max(initial=0.0)] if size.any() else np.ones(1)
+    damped = poles[np.abs(poles.real) > 1e-6 * np.abs(poles)]
+    near = np.abs(damped.imag[:, None] + damped.real[:, None] * [-1.0, 0.0, 1.0]).ravel()
+    # off the frequencies themselves, at which an undamped system has no response
+    even = np.geomspace(size.min() / 31, size.max() * 29, 61)
+    return np.unique(np.concatenate([even, near]))
+
+
+def _response(A: Array, B: Array, C: Array, D: Array, omega: Array) -> tuple[ComplexArray, Array]:
+    """Responses, and what a relative change of 1 of the entries of the matrices may move them by; NaN at a pole."""
+    values, moved = np.full((len(omega), *D.shape), np.nan + 0j), np.zeros(len(omega))
+    for k, w in enumerate(omega):
+        M = 1j * w * np.eye(len(A)) - A
+        try:
+            x, y = np.linalg.solve(M, B.astype(complex)), np.linalg.solve(M.T, C.T.astype(complex))
+        except LinAlgError:
+            continue
+        values[k] = C @ x + D
+        x, y = np.abs(x), np.abs(y).T
+        moved[k] = np.max(y @ np.abs(A) @ x + y @ np.abs(B) + np.abs(C) @ x, initial=0.0)
+    return values, moved
+
+
+# --- mass and stiffness ----------------------------------------------------------------------------------------
+
+
+def physical_parts(A: Array, B: Array, C: Array, D: Array) -> dict[str, Array] | None:
+    """Parts of a `DissipativePortHamiltonian` in the given coordinates, or None where they show no mass.
+
+    The first outputs, as many as there are inputs, are those of the ports.
+    """
+    n, m = B.shape
+    if n % 2 or not n or not B.any():
+        return None
+    k = n // 2
+    for order in (np.arange(n), np.roll(np.arange(n), k)):
+        a, b, c = A[np.ix_(order, order)], B[order], C[:, order]
+        if a[:k, :k].any() or b[:k].any() or c[:m, :k].any():
+            continue
+        found = _energy(a[:k, k:], a[k:, :k], a[k:, k:], b[k:], c[:m, k:])
+        if found is not None:
+            back = np.argsort(order)
+            parts = _of_second_order(*found, a[:k, k:], a[k:, k:], b[k:], D[:m])
+            square = {name: parts[name][np.ix_(back, back)] for name in ("Q", "J", "R")}
+            return parts | square | {
+                "G": parts["G"][back], "P": parts["P"][back], "sensor_rows": C[m:].copy(), "sensor_feedthrough": D[m:]
+            }  # fmt: skip
+    return None
+
+
+def _energy(E: Array, F: Array, damping: Array, b: Array, c: Array) -> tuple[Array, Array] | None:
+    """Stiffness `K` and mass `M` of `q' = E v`, `v' = F q + damping v + b u`, `y = c v`."""
+    if not np.linalg.cond(E) < 1 / np.sqrt(EPS):
+        return None
+    for M in _masses(E, F, damping, b, c):
+        if M is None or not _is_positive(M):
+            continue
+        K = -np.linalg.solve(E.T, M @ F)
+        loss = -0.5 * (M @ damping + damping.T @ M)
+        size = np.linalg.norm(M, 2) * np.linalg.norm(damping, 2)
+        least = eigh(loss, eigvals_only=True)[0]
+        stiff = eigh(0.5 * (K + K.T), eigvals_only=True)
+        if (
+            np.linalg.norm(K - K.T) <= _FITS * np.linalg.norm(K)
+            and stiff[0] >= -_FITS * max(stiff[-1], 0.0)
+            and least >= -_FITS * size
+            and np.linalg.norm(M @ b - c.T) <= _FITS * np.linalg.norm(c)
+        ):
+            return 0.5 * (K + K.T), M
+    return None
+
+
+def _masses(E: Array, F: Array, damping: Array, b: Array, c: Array) -> list[Array | None]:
+    """Candidates of the mass matrix: that of momenta, of unit mass, and that which the ports determine."""
+    momenta = 0.5 * (E + E.T) if np.linalg.norm(E - E.T) <= _FITS * np.linalg.norm(E) else None
+    if momenta is not None and np.linalg.norm(momenta - np.eye(len(E))) == 0:
+        momenta = None
+    return [momenta, np.eye(len(E)), _determined(F @ E, damping, b, c)]
+
+
+def _determined(stiffness: Array, damping: Array, b: Array, c: Array) -> Array | None:
+    """The symmetric `M` with `M b = c^T`, `M F` and `M damping` symmetric, by all directions that follow from `b`."""
+    V, Y = np.zeros((len(b), 0)), np.zeros((len(b), 0))
+    maps = [M / (np.linalg.norm(M, 2) or 1.0) for M in (stiffness, damping)]
+    new, value = b / (np.linalg.norm(b, 2) or 1.0), c.T / (np.linalg.norm(b, 2) or 1.0)
+    while new.shape[1]:
+        for _ in range(2):
+            overlap = V.T @ new
+            new, value = new - V @ overlap, value - Y @ overlap
+        U, s, W = svd(new, full_matrices=False)
+        kept = s > _NEW
+        new, value = U[:, kept], (value @ W.T)[:, kept] / s[kept]
+        V, Y = np.hstack([V, new]), np.hstack([Y, value])
+        if V.shape[1] == len(V):
+            M = Y @ V.T
+            return 0.5 * (M + M.T)
+        new, value = np.hstack([M @ new for M in maps]), np.hstack([M.T @ value for M in maps])
+    return None
+
+
+def _is_positive(M: Array) -> bool:
+    k = eigh(M, eigvals_only=True)
+    return bool(k[0] > EPS * len(M) * k[-1])
+
+
+def _of_second_order(K: Array, M: Array, E: Array, damping: Array, b: Array, D: Array) -> dict[str, Array]:
+    k, m = b.shape
+    inverse = np.linalg.inv(M)
+    inverse = 0.5 * (inverse + inverse.T)
+    lower = damping @ inverse
+    zero = np.zeros((k, k))
+    J = np.block([[zero, E @ inverse], [-(E @ inverse).T, 0.5 * (lower - lower.T)]])
+    R = _not_negative(-0.5 * (lower + lower.T))
+    return {
+        "Q": np.block([[_not_negative(K), zero], [zero, M]]), "J": J, "R": np.block([[zero, zero], [zero, R]]),
+        "G": np.vstack([np.zeros((k, m)), b]), "P": np.zeros((2 * k, m)), "S": _not_negative(0.5 * (D + D.T)),
+        "N": 0.5 * (D - D.T),
+    }  # fmt: skip
+
+
+def _not_negative(M: Array) -> Array:
+    """The matrix itself, or without what rounding has made negative."""
+    k, U = eigh(M)
+    if k[0] >= 0:
+        return M
+    part = (U * np.maximum(k, 0.0)) @ U.T
+    return np.asarray(0.5 * (part + part.T), float)
+
+
+# --- classical damping -----------------------------------------------------------------------------------------
+
+
+class _Resonator(NamedTuple):
+    """One or more modes of one pole: frequency, damping ratio, and what the ports are of each, (rank, m)."""
+
+    d: float
+    zeta: float
+    psi: ComplexArray
+
+
+class _Relaxation(NamedTuple):
+    rate: float
+    psi: Array
+
+
+def classical_parts(
+    A: Array, B: Array, C: Array, D: Array, axis: Sequence[tuple[float, ComplexArray]]
+) -> dict[str, Array] | None:
+    """Parts of a `DissipativePortHamiltonian` in Williamson coordinates, or None where the damping is not classical."""
+    m = D.shape[1]
+    resonators, relaxations = [], []
+    for w, K in axis:
+        sigma, W = _factors(K)
+        psi = np.sqrt(2 * sigma)[:, None] * W.T
+        if w == 0:
+            relaxations.append(_Relaxation(0.0, psi.real / np.sqrt(2)))
+        else:
+            # the mode with the weight on the momenta, where it has a choice
+            resonators.append(_Resonator(w, 0.0, 1j * psi))
+    if len(A):
+        found = _of_modes(A, B, C)
+        if found is None:
+            return None
+        resonators += found[0]
+        relaxations += found[1]
+    return _side_by_side(resonators, relaxations, D, m)
+
+
+def _of_modes(A: Array, B: Array, C: Array) -> tuple[list[_Resonator], list[_Relaxation]] | None:
+    poles, V = eig(A)
+    if not np.linalg.cond(V) < _CONDITION:
+        return None
+    b, c = np.linalg.solve(V, B), C @ V
+    resonators: list[_Resonator] = []
+    slow: list[tuple[float, float, Array]] = []
+    fast: list[tuple[float, float, Array]] = []
+    scale = float(np.abs(poles).max())
+    left = np.flatnonzero(poles.imag >= 0)
+    while len(left):
+        group = left[np.abs(poles[left] - poles[left[0]]) <= _SAME * scale]
+        left = np.setdiff1d(left, group)
+        p, residue = complex(poles[group].mean()), c[:, group] @ b[group]
+        if p.imag > 0:
+            K = residue * (p - p.conjugate()) / p
+            if not _is_real_positive(K):
+                return None
+            sigma, W = _factors(K.real)
+            resonators.append(_Resonator(abs(p), -p.real / abs(p), 1j * np.sqrt(sigma)[:, None] * W.T))
+            continue
+        sigma, W = eigh(0.5 * (residue.real + residue.real.T))
+        if np.linalg.norm(residue - residue.T) > _RESIDUE * np.abs(sigma).max():
+            return None
+        for k in np.flatnonzero(np.abs(sigma) > _NONE * np.abs(sigma).max()):
+            (fast if sigma[k] > 0 else slow).append((-p.real, abs(float(sigma[k])), W[:, k]))
+    for rate, weight, u in slow:
+        partner = next((one for one in fast if _is_pair((rate, weight, u), one)), None)
+        if partner is None:
+            return None
+        fast = [one for one in fast if one is not partner]
+        d = np.sqrt(rate * partner[0])
+        psi = np.sqrt(weight * (partner[0] - rate) / rate) * u
+        resonators.append(_Resonator(d, (rate + partner[0]) / (2 * d), 1j * psi[None]))
+    return resonators, [_Relaxation(rate, np.sqrt(weight) * u[None]) for rate, weight, u in fast]
+
+
+def _is_pair(slow: tuple[float, float, Array], fast: tuple[float, float, Array]) -> bool:
+    """Whether two real poles are those of one overdamped resonator."""
+    (a, weight, u), (rate, other, w) = slow, fast
+    return bool(rate > a and abs(other * a - weight * rate) <= 1e-6 * weight * rate and abs(u @ w) > 1 - 1e-9)
+
+
+def _is_real_positive(K: ComplexArray) -> bool:
+    size = float(np.linalg.norm(K, 2))
+    least = float(np.linalg.eigvalsh(0.5 * (K.real + K.real.T))[0])
+    return bool(max(float(np.linalg.norm(K.imag)), float(np.linalg.norm(K - K.T)), -least) <= _RESIDUE * size)
+
+
+def _factors(K: Any) -> tuple[Array, Any]:
+    """Positive eigenvalues and vectors of the Hermitian part of a residue; the largest entry of each is positive."""
+    sigma, W = eigh(0.5 * (K + K.conj().T))
+    kept = sigma > max(_NONE, len(K) * EPS) * sigma[-1]
+    vectors = W[:, kept]
+    lead = vectors[np.abs(vectors).argmax(axis=0), np.arange(vectors.shape[1])]
+    return sigma[kept], vectors * (np.abs(lead) / lead)
+
+
+def _side_by_side(
+    resonators: Sequence[_Resonator], relaxations: Sequence[_Relaxation], D: Array, m: int
+) -> dict[str, Array]:
+    """Coordinates `(q, p)` of the resonators, by frequency, and after them the states of relaxations."""
+    resonators = sorted(resonators, key=lambda one: one.d)
+    none = np.zeros((0, m))
+    d = np.concatenate([np.full(len(one.psi), one.d) for one in resonators]) if resonators else np.zeros(0)
+    zeta = np.concatenate([np.full(len(one.psi), one.zeta) for one in resonators]) if resonators else np.zeros(0)
+    nu = np.concatenate([none, *(one.psi / np.sqrt(one.d) for one in resonators)])
+    rate = np.concatenate([np.zeros(0), *(np.full(len(one.psi), one.rate) for one in relaxations)])
+    k, n = len(d), 2 * len(d) + len(rate)
+    J = np.zeros((n, n))
+    J[:k, k : 2 * k], J[k : 2 * k, :k] = np.eye(k), -np.eye(k)
+    return {
+        "Q": np.diag(np.concatenate([d, d, np.ones(len(rate))])), "J": J,
+        "R": np.diag(np.concatenate([np.zeros(k), 2 * zeta, rate])),
+        "G": np.concatenate([nu.real, nu.imag, none, *(one.psi for one in relaxations)]).real,
+        "P": np.zeros((n, m)), "S": _not_negative(0.5 * (D + D.T)), "N": 0.5 * (D - D.T),
+        "sensor_rows": np.zeros((0, n)), "sensor_feedthrough": np.zeros((0, m)),
+    }  # fmt: skip
