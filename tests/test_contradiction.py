@@ -240,7 +240,7 @@ def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, sta
     p = d * (-ratio + 1j * np.sqrt(1 - ratio**2))
     size = np.linalg.norm(y)
     weight = kappa * p ** {"velocity": 1, "displacement": 0, "acceleration": 2}[quantity] / (2j * p.imag)
-    for rows in (FreeRecord.of(experiment), FreeWindow.of(spectrum, np.arange(1, spectrum.last + 1))):
+    for rows in (FreeRecord.of(experiment), FreeWindow(spectrum, np.arange(1, spectrum.last + 1))):
         at = FreeProjection([rows], p)
         assert np.sqrt(at.loss) < 1e5 * np.finfo(float).eps * size
         assert at.residues[:, 0, 0] == pytest.approx(weight, rel=1e-7)
@@ -264,7 +264,7 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind, method, inters
         seen = rng.random(len(y)) < (1.0 if kind == "bins" else 0.9)
         experiment = RecordRows(u, y, seen, Hold(H, method, intersample), from_rest=kind == "from rest", offset=True)
         spectrum = Spectrum.of(experiment)
-        rows = FreeRecord.of(experiment) if kind != "bins" else FreeWindow.of(spectrum, np.arange(1, spectrum.last + 1))
+        rows = FreeRecord.of(experiment) if kind != "bins" else FreeWindow(spectrum, np.arange(1, spectrum.last + 1))
 
     def loss(x):
         return FreeProjection([rows], x[2:] + 1j * x[:2]).loss

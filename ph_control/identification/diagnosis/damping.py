@@ -104,8 +104,8 @@ def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None
         if not isinstance(one, RecordRows):
             continue
         if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
-            about = FreeWindow.about(Spectrum.of(one), p, through)
-            rows.append(replace(about, counts=noise_size(noise, one, at, about.bins) ** -0.5))
+            about = FreeWindow.about(Spectrum.of(one), p.imag)
+            rows.append(replace(about, through=through, counts=noise_size(noise, one, at, about.bins) ** -0.5))
         else:
             rows.append(FreeRecord.of(one, through))
     gain, left, dof, fitted = first_step(rows, p, shared, directions)

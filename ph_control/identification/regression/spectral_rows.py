@@ -11,13 +11,13 @@ whatever the length of the record.  Modes have poles of positive imaginary part 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
 from .time_rows import Evaluation, RecordRows
@@ -26,10 +26,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Bins = NDArray[np.intp]
 Pair = tuple[ComplexArray, ComplexArray]
+Kind = TypeVar("Kind", bound="SpectralRows")
 
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
 _PIECE = 1 << 18  # numbers worked on at a time
-_HALF_WIDTH = 12  # bins on either side of a damped mode, and as many half-widths of its peak
+HALF_WIDTH = 12  # bins on either side of a mode, and as many half-widths of the peak of a damped one
 _THINNED = 256  # bins about a damped mode, at most
 
 
@@ -219,17 +220,19 @@ def real_rows(columns: Sequence[ComplexArray], scale: Array | float = 1.0) -> Ar
     return np.concatenate([joined.real, joined.imag], axis=1)
 
 
-@dataclass(frozen=True)
-class Window:
-    """The bins of a spectrum about some lossless modes, as rows for the solver."""
+@dataclass(frozen=True, eq=False)
+class SpectralRows:
+    """Some bins of the transforms of a record."""
 
     spectrum: Spectrum
     bins: Bins
 
     @classmethod
-    def about(cls, spectrum: Spectrum, d: Array, half_width: int) -> Window:
-        """Bins within `half_width` of any of the modes; the constant is never among them."""
-        return cls(spectrum, _bins_about(spectrum, d, half_width))
+    def about(cls: type[Kind], spectrum: Spectrum, d: Array, half_width: int = HALF_WIDTH) -> Kind:
+        """Bins within `half_width` of any of some modes; the constant is never among them."""
+        centres = np.rint(spectrum.place(d)).astype(int)
+        bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
+        return cls(spectrum, bins[(bins >= 1) & (bins <= spectrum.last)])
 
     @property
     def samples(self) -> int:
@@ -240,6 +243,14 @@ class Window:
     def driven(self) -> bool:
         """Whether there are columns for the residues."""
         return self.spectrum.experiment.driven
+
+    def own_unknowns(self, n: int) -> int:
+        """The motion at the ends of every mode."""
+        return 2 * n
+
+
+class Window(SpectralRows):
+    """The bins of a spectrum about some lossless modes, as rows for the solver."""
 
     @property
     def bin(self) -> float:
@@ -256,19 +267,9 @@ class Window:
         """Largest transform."""
         return float(np.max(np.abs(self.spectrum.Y[self.bins]), initial=0.0))
 
-    def own_unknowns(self, n: int) -> int:
-        """The motion at the ends of every mode."""
-        return 2 * n
-
     def at(self, d: Array) -> WindowEvaluation:
         """The rows at frequencies `d`."""
         return WindowEvaluation(self, d)
-
-
-def _bins_about(spectrum: Spectrum, d: Array, half_width: int) -> Bins:
-    centres = np.rint(spectrum.place(d)).astype(int)
-    bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
-    return np.asarray(bins[(bins >= 1) & (bins <= spectrum.last)])
 
 
 class WindowEvaluation(Evaluation):
@@ -276,7 +277,6 @@ class WindowEvaluation(Evaluation):
 
     def __init__(self, window: Window, d: Array) -> None:
         self._window, self._modes = window, window.spectrum.lossless(d)
-        self._input = window.spectrum.U if window.driven else None
         self._through = float(window.spectrum.experiment.quantity == "acceleration")
 
     @cached_property
@@ -291,26 +291,22 @@ class WindowEvaluation(Evaluation):
     @cached_property
     def forced(self) -> ComplexArray:
         """Columns of the residues, of nothing without an input."""
-        if self._input is None:
+        if not self._window.driven:
             return np.zeros_like(self.columns.motion[0])
         ahead, behind = self.columns.forced(self._numerators)
-        return ahead + behind + self._through * self._input[self._window.bins]
+        return ahead + behind + self._through * self._window.spectrum.U[self._window.bins]
 
-    @cached_property
-    def _first(self) -> list[ComplexArray]:
-        return [stacked(self.columns.motion), *([self.forced] if self._window.driven else [])]
-
-    @property
-    def _target(self) -> ComplexArray:
-        return self._window.spectrum.Y[None, self._window.bins]
+    def _rows(self, *more: ComplexArray) -> Iterator[Array]:
+        forced, target = [self.forced] * self._window.driven, self._window.spectrum.Y[None, self._window.bins]
+        yield real_rows([stacked(self.columns.motion), *forced, *more, target])
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
-        yield real_rows([*self._first, self._target])
+        return self._rows()
 
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives of the output by the frequencies."""
-        yield real_rows([*self._first, self.sensitivity(kappa, own), self._target])
+        return self._rows(self.sensitivity(kappa, own))
 
     def sensitivity(self, kappa: Array, own: Array) -> ComplexArray:
         """Derivatives of the output by the frequencies, shape (n, K)."""
@@ -318,8 +314,8 @@ class WindowEvaluation(Evaluation):
         motion = own[:n, None] + 1j * own[n : 2 * n, None]
         ahead, behind = self.columns.motion_slopes
         found = motion * ahead + motion.conj() * behind
-        if self._input is not None:
-            ahead, behind = self.columns.forced_slopes(self._input, self._numerators)
+        if self._window.driven:
+            ahead, behind = self.columns.forced_slopes(self._window.spectrum.U, self._numerators)
             found += kappa[:, None] * (ahead + behind)
         return found
 
@@ -327,95 +323,58 @@ class WindowEvaluation(Evaluation):
         """Transform of what a model does not explain, at all bins."""
         return self._window.spectrum.left(self._modes, kappa, own, self._through * float(kappa.sum()))
 
-    def predict(self, shared: Array, own: Array) -> ComplexArray:
-        """Transform of a model at all bins."""
-        return self._window.spectrum.Y - self.left(shared, own)
-
 
 @dataclass(frozen=True, eq=False)
-class FreeWindow:
-    """Some bins of the transforms of a record, for modes with any damping and residues.
+class FreeWindow(SpectralRows):
+    """The bins of a spectrum for modes with any damping and residues; one that stands for several `counts` as the root.
 
-    Of several inputs (m, bins of all) and outputs (q, ...); a bin that stands for several `counts` as the root of them.
+    What is fed `through` may be among the unknowns.
     """
 
-    length: int
-    hold: Hold
-    U: ComplexArray
-    Y: ComplexArray
-    bins: Bins
     counts: Array | float = 1.0
     through: bool = True
-    outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
-    moving: bool = True
+    moving: ClassVar[bool] = True
+    outputs: ClassVar[NDArray[np.intp]] = np.zeros(1, int)
 
     @classmethod
-    def of(
-        cls, spectrum: Spectrum, bins: Bins, counts: Array | float = 1.0, through: bool = True
-    ) -> FreeWindow:  # fmt: skip
-        """Bins of a record of one input and one output."""
-        one = spectrum.experiment
-        U = spectrum.U[None] if one.driven else np.zeros((0, len(spectrum.U)), complex)
-        return cls(spectrum.length, one.hold, U, spectrum.Y[None], bins, counts, through)
-
-    @classmethod
-    def about(cls, spectrum: Spectrum, p: ComplexArray, through: bool = True) -> FreeWindow:
-        """The bins about some modes."""
-        return cls.of(spectrum, _bins_about(spectrum, p.imag, _HALF_WIDTH), through=through)
-
-    @classmethod
-    def thinned(cls, spectrum: Spectrum, p: ComplexArray, through: bool = True) -> FreeWindow:
+    def thinned(cls, spectrum: Spectrum, p: ComplexArray) -> FreeWindow:
         """The bins about some modes as far as their peaks reach; of wide ones a part, each counting as many."""
-        bins, counts = thinned_bins(spectrum, p)
-        return cls.of(spectrum, bins, counts, through)
-
-    @property
-    def samples(self) -> int:
-        """Real and imaginary parts."""
-        return 2 * len(self.bins)
+        steps = np.zeros(spectrum.last + 1, int)
+        widths = np.abs(p.real) / spectrum.experiment.bin
+        for k in np.argsort(-widths):
+            reach = int(min(HALF_WIDTH * (1 + widths[k]), spectrum.last))
+            centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
+            steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // _THINNED)
+        bins = np.flatnonzero(np.arange(len(steps)) % np.maximum(steps, 1) == 0)
+        bins = bins[(bins >= 1) & (steps[bins] > 0)]
+        return cls(spectrum, bins, np.sqrt(steps[bins]))
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        return len(self.U)
-
-    def own_unknowns(self, n: int) -> int:
-        """The motion at the ends of every mode."""
-        return 2 * n
+        return int(self.driven)
 
     def at(self, p: ComplexArray) -> FreeWindowEvaluation:
         """The rows for modes with these poles."""
         return FreeWindowEvaluation(self, p)
 
 
-def thinned_bins(spectrum: Spectrum, p: ComplexArray) -> tuple[Bins, Array]:
-    """Bins about some modes as far as their peaks reach, of wide ones a part, and roots of how many each stands for."""
-    steps = np.zeros(spectrum.last + 1, int)
-    widths = np.abs(p.real) / spectrum.experiment.bin
-    for k in np.argsort(-widths):
-        reach = int(min(_HALF_WIDTH * (1 + widths[k]), spectrum.last))
-        centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
-        steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // _THINNED)
-    bins = np.flatnonzero(np.arange(len(steps)) % np.maximum(steps, 1) == 0)
-    bins = bins[(bins >= 1) & (steps[bins] > 0)]
-    return bins, np.sqrt(steps[bins])
-
-
 class FreeWindowEvaluation(Evaluation):
     """The rows of a window for modes with any damping and residues."""
 
     def __init__(self, window: FreeWindow, p: ComplexArray) -> None:
-        self._window = window
-        self._columns = TransformColumns(window.length, SampledModes.of(window.hold, p), window.bins)
+        self._window, spectrum = window, window.spectrum
+        modes = SampledModes.of(spectrum.experiment.hold, p)
+        self._columns = TransformColumns(spectrum.length, modes, window.bins)
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
-        window, columns = self._window, self._columns
-        over = [columns.numerators(U) for U in window.U]
-        rows = [stacked(columns.motion)]
-        for U, numerators in zip(window.U, over, strict=True):
+        window, columns, U = self._window, self._columns, self._window.spectrum.U
+        rows, slopes = [stacked(columns.motion)], [stacked(columns.motion_slopes)]
+        if window.driven:
+            numerators = columns.numerators(U)
             rows += [stacked(columns.forced(numerators)), *([U[None, window.bins]] * window.through)]
-        rows.append(stacked(columns.motion_slopes))
-        rows += [stacked(columns.forced_slopes(U, each)) for U, each in zip(window.U, over, strict=True)]
+            slopes.append(stacked(columns.forced_slopes(U, numerators)))
+        target = window.spectrum.Y[None, window.bins]
         # squares add up to squares in time
-        yield real_rows([*rows, window.Y[:, window.bins]], np.sqrt(2.0 / window.length) * window.counts)
+        yield real_rows([*rows, *slopes, target], np.sqrt(2.0 / window.spectrum.length) * window.counts)

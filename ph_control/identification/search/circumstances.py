@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _MOST = 4  # past samples of coloured noise: few, so that no mode passes for noise
-_ABOUT = 12  # bins on either side of a mode
 _RIDGE = 1e-12
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
@@ -134,7 +133,7 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
     """
     records = [one for one in experiments if isinstance(one, RecordRows) and one.driven and one.complete]
     spectra, n = [Spectrum.of(one) for one in records], len(d)
-    windows = [Window.about(one, d, _ABOUT) for one in spectra]
+    windows = [Window.about(one, d) for one in spectra]
     at = Problem(tuple(windows)).project(d)
     power: list[Array] = []
     gain: list[Array] = []

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from ..regression.spectral_rows import Spectrum, Window
+from ..regression.spectral_rows import HALF_WIDTH, Spectrum, Window
 from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Interrupted, Problem, Refinement, refine
 from .circumstances import autoregression, input_noise, meeting
@@ -29,7 +29,6 @@ Report = Callable[[int, float], None]  # iteration, loss
 _IN_TIME = 1500  # samples up to which every step is refined in time
 _TOGETHER = 512  # samples from which on several modes may join at one step
 _BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
-_HALF_WIDTH = 12  # bins on either side of a mode
 _ABOUT = np.linspace(-1.0, 1.0, 9)  # bins from a peak
 _BESIDE = 4.0  # bins between a mode and one more that would mend the shape of its peak
 _SLOW = 1.0  # bins below which a mode is hardly told from a constant and a drift
@@ -132,7 +131,7 @@ class TimeSearch(Search):
         peaks: list[float] = []
         band = self.problem.bin
         for d in first.candidates.tolist():
-            if all(abs(d - other) > 2 * _HALF_WIDTH * band for other in peaks):
+            if all(abs(d - other) > 2 * HALF_WIDTH * band for other in peaks):
                 peaks.append(d)
         places = (np.array(peaks)[:, None] + band * _ABOUT).clip(band * _ABOUT[-1], self.problem.ceiling)
         spectra = []
@@ -142,7 +141,7 @@ class TimeSearch(Search):
         left = [one.beside_offset(one.Y) for one in spectra]
         gains, total = Screen(spectra, self.problem.signed).at_peaks(places.ravel(), left)
         unexplained = np.min((total - gains).reshape(places.shape), axis=1)
-        return -float(_HALF_WIDTH * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
+        return -float(HALF_WIDTH * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
 
     def likelihood(self, step: Step, intersample: str) -> float:
         """Log-likelihood of the modes of a step, but for a constant, with an input held otherwise."""
@@ -150,7 +149,7 @@ class TimeSearch(Search):
         if windowed:
             rows = []
             for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
-                rows.append(Window.about(replace(one, experiment=cast(RecordRows, met)), d, _HALF_WIDTH))
+                rows.append(Window.about(replace(one, experiment=cast(RecordRows, met)), d))
             problem = Problem(tuple(rows), self.problem.signed)
         else:
             problem = meeting(self.problem, intersample)
@@ -165,7 +164,7 @@ class TimeSearch(Search):
         return self._ended(end, left, end.projection.loss)
 
     def _in_bins(self, d: Array, rtol: float, report: Report | None) -> Step:
-        windows = [Window.about(one, d, _HALF_WIDTH) for one in self._spectra]
+        windows = [Window.about(one, d) for one in self._spectra]
         end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
         left, at = [one.Y for one in self._spectra], end.projection
         if len(d):
