@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+def differentiated(omega: Array, quantity: str) -> ComplexArray:
+    """What makes the response of a displacement that of a quantity: a power of `i w`."""
+    return np.asarray((1j * omega) ** {"displacement": 0, "velocity": 1, "acceleration": 2}[quantity], complex)
+
+
 @dataclass(frozen=True)
 class FrequencyRows:
     """A frequency response: real and imaginary part of each point that was measured, in the scale of its weight."""
@@ -134,11 +139,7 @@ def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, 
     """
     gap = (d[:, None] - omega) * (d[:, None] + omega)
     gap = np.where(gap == 0, EPS * np.maximum(d[:, None], omega) ** 2, gap)
-    factor: ComplexArray = {
-        "velocity": 1j * omega,
-        "displacement": np.ones(len(omega), complex),
-        "acceleration": -(omega**2) + 0j,
-    }[quantity]
+    factor = differentiated(omega, quantity)
     return factor / gap, -2 * d[:, None] * factor / gap**2
 
 
@@ -179,11 +180,9 @@ class FreeResponse:
         lowest = omega[omega > 0].min(initial=np.inf)
         if len(omega) < 10 + 4 * n or not np.isfinite(lowest):
             return np.zeros((0, len(omega)), complex)
-        if quantity == "acceleration":
-            # the mass is what is fed through
-            return -(omega[None] ** 2).astype(complex)
-        factor = 1j * omega if quantity == "velocity" else np.ones(len(omega), complex)
-        return np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
+        factor = differentiated(omega, quantity)
+        # of an accelerometer the mass is what is fed through
+        return factor[None] if self.through else np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
 
     def at(self, p: ComplexArray) -> FreeResponseEvaluation:
         """The rows for modes with these poles."""

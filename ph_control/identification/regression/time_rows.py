@@ -257,9 +257,14 @@ class RecordColumns(Evaluation):
     O(T n) time and memory for one block; a record of one block is worked out once.
     """
 
-    def __init__(self, u: Array, y: Array, observed: Mask, offset: int, kernel: Kernel, width: int) -> None:
-        self._u, self._y, self._observed, self._offset, self._kernel = u, y, observed, offset, kernel
-        self._complete = bool(observed.all())
+    def __init__(self, rows: RecordRows | FreeRecord, kernel: Kernel, width: int) -> None:
+        self._u, self._y, self._driven, self._offset = (
+            np.atleast_2d(rows.u),
+            np.atleast_2d(rows.y),
+            rows.driven,
+            rows.offset,
+        )
+        self._observed, self._complete, self._kernel = rows.observed, bool(rows.observed.all()), kernel
         self._groups = self._at_once(width * SHORT)
         self._only: tuple[GroupStates, Array] | None = None
 
@@ -278,7 +283,7 @@ class RecordColumns(Evaluation):
 
     def predict(self, shared: Array, own: Array) -> Array:
         """Output at all samples, observed or not, shape (T,); of several outputs (q, T)."""
-        weights = np.concatenate([own, shared])
+        weights = np.concatenate([own, shared[: len(shared) * self._driven]])
         return np.concatenate([weights.T @ columns[: len(weights)] for _, columns in self._pieces(False)], axis=-1)
 
     def _offsets(self) -> list[Column]:
@@ -338,9 +343,7 @@ class RecordColumns(Evaluation):
     @property
     def _by_gram(self) -> bool:
         """Whether it pays to go without the columns: no gaps, no drift, and many more samples than numbers."""
-        return (
-            self._complete and self._offset < 2 and self._u.shape[1] >= max(_LONG, SHORT * self._width // 2)
-        )  # fmt: skip
+        return self._complete and self._offset < 2 and self._u.shape[1] >= max(_LONG, SHORT * self._width // 2)
 
     def _by_groups(self, layout: Callable[[GroupStates], Sequence[Column]]) -> Array:
         """Inner products by way of groups of samples."""
@@ -401,8 +404,7 @@ class TimeEvaluation(RecordColumns):
 
     def __init__(self, one: RecordRows, d: Array) -> None:
         self._experiment, self._modes = one, SampledModes.lossless(one.hold, d, one.quantity)
-        kernel = Kernel(self._modes, float(one.quantity == "acceleration"))
-        super().__init__(one.u[None], one.y[None], one.observed, one.offset, kernel, 4 * len(d) + 2)
+        super().__init__(one, Kernel(self._modes, float(one.quantity == "acceleration")), 4 * len(d) + 2)
 
     @cached_property
     def _within(self) -> Array:
@@ -435,10 +437,6 @@ class TimeEvaluation(RecordColumns):
 
         return self._by_groups(layout)
 
-    def predict(self, shared: Array, own: Array) -> Array:
-        """Output at all samples, observed or not, shape (T,)."""
-        return super().predict(shared if self._experiment.driven else shared[:0], own)
-
     def _by_d(self, states: GroupStates, kappa: Array, own: Array) -> ModalColumns:
         """Derivatives by the frequencies, from the amplitudes of all past and their derivatives."""
         n = self._kernel.n
@@ -457,8 +455,7 @@ class FreeTimeEvaluation(RecordColumns):
     def __init__(self, rows: FreeRecord, p: ComplexArray) -> None:
         self._rows, n, m, two = rows, len(p), len(rows.u), np.full(len(p), 2.0 + 0j)
         kernel = Kernel(SampledModes.of(rows.hold, p).weighted(two, 0 * two))
-        width = 4 * n * (1 + m) + m + rows.offset + len(rows.y)
-        super().__init__(rows.u, rows.y, rows.observed, rows.offset, kernel, width)
+        super().__init__(rows, kernel, 4 * n * (1 + m) + m + rows.offset + len(rows.y))
 
     @cached_property
     def _within(self) -> tuple[ComplexArray, ComplexArray]:
@@ -479,7 +476,3 @@ class FreeTimeEvaluation(RecordColumns):
                 states_of = (states.driven_slope[k], states.driven[k])
                 columns.append(ModalColumns(states_of, self._within[1], True, k))
         return columns + self._outputs()
-
-    def predict(self, shared: Array, own: Array) -> Array:
-        """Outputs at all samples, shape (q, T)."""
-        return super().predict(shared if self._rows.driven else shared[:0], own)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.frequency_rows import FreeResponse, FrequencyRows, differentiated
 from .screening import highest_peaks
 
 Array = NDArray[np.float64]
@@ -79,9 +79,8 @@ def _explained(rows: FrequencyRows, residual: ComplexArray, d: Array, width: Arr
 
 
 def _modal(d: Array, decay: Array, omega: Array, quantity: str) -> ComplexArray:
-    factor = {"velocity": 1j * omega, "displacement": 1.0 + 0j * omega, "acceleration": -(omega**2) + 0j}[quantity]
     gap = (d - omega) * (d + omega) + 2j * decay * omega
-    return np.asarray(factor / np.where(gap == 0, np.finfo(float).tiny, gap))
+    return np.asarray(differentiated(omega, quantity) / np.where(gap == 0, np.finfo(float).tiny, gap))
 
 
 def _orthonormal(constant: Array, line: Array) -> list[Array]:
