@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from ph_control.identification.diagnosis.verdict import Outcome
-from ph_control.identification.search.circumstances import Cause
 
 
 def recording(seed, *, n=3, samples=1200, snr=20.0, intersample="zoh"):
@@ -21,7 +19,7 @@ def recording(seed, *, n=3, samples=1200, snr=20.0, intersample="zoh"):
 
 
 def causes(result):
-    return {one.cause: one for one in result.findings}
+    return {one.cause.name: one for one in result.findings}
 
 
 def found_all(result, plant, samples):
@@ -41,7 +39,7 @@ def test_a_constant_of_the_sensor_is_estimated_and_named(samples, order):
     assert result.success
     np.testing.assert_allclose(result.d, [1.3], atol=1e-3 * 2 * np.pi / samples * 10)
     np.testing.assert_allclose(result.offsets, [2.0], atol=0.02)
-    np.testing.assert_allclose(causes(result)[Cause.CONSTANT].values, result.offsets)
+    np.testing.assert_allclose(causes(result)["CONSTANT"].values, result.offsets)
 
 
 @pytest.mark.parametrize("samples", [600, 3000])
@@ -52,7 +50,7 @@ def test_a_drift_of_the_sensor_is_estimated_and_named(samples):
     assert found_all(result, plant, samples)
     np.testing.assert_allclose(result.experiments[0].drift, drift, rtol=0.05)
     np.testing.assert_allclose(result.offsets, [1.0], atol=size)
-    assert causes(result)[Cause.DRIFT].gain > 100
+    assert causes(result)["DRIFT"].gain > 100
     assert phc.pem((u, y), dt=1.0).experiments[0].drift == 0
 
 
@@ -105,7 +103,7 @@ def test_the_hold_is_the_one_that_the_data_prefer(intersample, order, samples):
     plant, u, _, y, _ = recording(3, samples=samples, intersample=intersample)
     result = phc.pem((u, y), order, dt=1.0)
     assert result.intersample == intersample
-    assert causes(result)[Cause.HOLD].gain > 20
+    assert causes(result)["HOLD"].gain > 20
     assert found_all(result, plant, samples)
     assert result.verdict == phc.pem((u, y), order, dt=1.0, intersample=intersample).verdict
 
@@ -117,7 +115,7 @@ def test_where_the_data_cannot_tell_the_input_counts_as_held():
     y = phc.forced_response(plant, np.arange(1500), u, intersample="foh").outputs + rng.standard_normal(1500)
     result = phc.pem((u, y), 1, dt=1.0)
     assert result.intersample == "zoh"
-    assert causes(result)[Cause.HOLD].gain < 3
+    assert causes(result)["HOLD"].gain < 3
 
 
 def test_the_table_of_orders_takes_the_hold_of_the_data_too():
@@ -131,7 +129,7 @@ def test_a_delay_is_named_and_the_order_stays(delay, samples):
     plant, u, _, y, _ = recording(5, samples=samples)
     late = (u[delay:], y[:-delay]) if delay > 0 else (u[:delay], y[-delay:])
     result = phc.pem(late, dt=1.0)
-    finding = causes(result)[Cause.DELAY]
+    finding = causes(result)["DELAY"]
     assert finding.values == (delay,) and finding.gain > 20
     assert result.order == plant.n
     assert not result.outcome.leaves_a_model
@@ -149,28 +147,28 @@ def test_coloured_noise_is_named_and_adds_no_modes(seed):
         noise[k] = 0.9 * noise[k - 1] + white
     result = phc.pem((u, clean + size * noise[200:] / np.std(noise)), dt=1.0)
     assert found_all(result, plant, 120)
-    np.testing.assert_allclose(causes(result)[Cause.COLOURED_NOISE].values[0], 0.9, atol=0.05)
-    assert result.outcome is Outcome.COLOURED
+    np.testing.assert_allclose(causes(result)["COLOURED_NOISE"].values[0], 0.9, atol=0.05)
+    assert result.outcome.name == "COLOURED"
 
 
 def test_noise_on_the_input_is_named_and_adds_few_modes():
     _, u, _, y, _ = recording(11)
     result = phc.pem((u + 0.1 * np.random.default_rng(0).standard_normal(1200), y), 3, dt=1.0)
-    finding = causes(result)[Cause.INPUT_NOISE]
+    finding = causes(result)["INPUT_NOISE"]
     np.testing.assert_allclose(finding.values[0], 0.1, rtol=0.5)
 
 
 def test_white_noise_gives_no_finding_but_the_hold():
     for seed in range(3):
         _, u, _, y, _ = recording(seed, samples=600)
-        assert set(causes(phc.pem((u, y), dt=1.0))) == {Cause.HOLD}
+        assert set(causes(phc.pem((u, y), dt=1.0))) == {"HOLD"}
 
 
 def test_a_hold_that_was_given_stays_and_the_other_is_named():
     plant, u, _, y, _ = recording(12, samples=900, intersample="foh")
     result = phc.pem((u, y), dt=1.0, intersample="zoh")
     assert result.intersample == "zoh" and result.order == plant.n
-    assert causes(result)[Cause.HOLD].values == (1.0,)
+    assert causes(result)["HOLD"].values == (1.0,)
     assert "intersample='foh'" in result.message
 
 
@@ -181,4 +179,4 @@ def test_of_several_arrivals_the_one_that_explains_the_record_is_taken():
     y = phc.forced_response(plant, np.arange(2000.0), u, intersample="foh").outputs
     result = phc.pem((u, y + 0.1 * np.std(y) * rng.standard_normal(2000)), dt=1.0)
     assert result.intersample == "foh" and found_all(result, plant, 2000)
-    assert set(causes(result)) == {Cause.HOLD}
+    assert set(causes(result)) == {"HOLD"}

@@ -10,7 +10,6 @@ import pytest
 from scipy.io import loadmat
 
 import ph_control as phc
-from ph_control.identification.diagnosis.verdict import Outcome
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured"
 PLANTS = {
@@ -48,7 +47,7 @@ def test_noisy_responses_of_lossless_plants_are_fitted_to_within_their_errors(n,
         measured = exact + noise(0.01 * np.median(np.abs(exact)) * np.ones(60), seed)
         result = phc.pem(ct.frd(measured, omega), n if seed % 2 else "auto", quantity=quantity)
         assert is_at_the_optimum(result, d, r)
-        assert result.outcome is Outcome.CONSISTENT and "would be explained" not in result.message
+        assert result.outcome.name == "CONSISTENT" and "would be explained" not in result.message
 
 
 @pytest.mark.parametrize("n", PLANTS)
@@ -106,10 +105,10 @@ def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_e
     data = ct.frd(exact * (1 + 0.01 * noise), omega, smooth=False)
     suspicion = "All points were taken as equally sure"
     alike = phc.pem(data, 2, weights=np.ones(300))
-    assert alike.outcome is Outcome.DOUBTFUL and suspicion in alike.message
+    assert alike.outcome.name == "DOUBTFUL" and suspicion in alike.message
     assert alike.noise.kind == "constant" and alike.noise.share == 0
     weighted = phc.pem(data, 2, weights=1 / np.abs(exact) ** 2)
-    assert weighted.outcome is Outcome.CONSISTENT and weighted.noise.kind == "weights"
+    assert weighted.outcome.name == "CONSISTENT" and weighted.noise.kind == "weights"
     assert suspicion not in weighted.message + phc.pem(data, 1, weights=1 / np.abs(exact) ** 2).message
 
 
@@ -119,7 +118,7 @@ def test_noise_that_goes_with_the_gain_is_estimated_without_weights(order):
     for seed in range(4):
         d, r, exact, data = plant_with_noise(3, seed, relative=0.02, floor=0.002)
         result = phc.pem(data, order)
-        assert result.order == 3 and result.outcome is Outcome.CONSISTENT
+        assert result.order == 3 and result.outcome.name == "CONSISTENT"
         assert result.noise.kind == "gain" and result.noise.share == pytest.approx(0.02 / np.sqrt(2), rel=0.4)
         size = np.hypot(0.02 * np.abs(exact), 0.002 * np.median(np.abs(exact)))
         known = phc.pem(data, 3, weights=1 / size**2)
@@ -155,7 +154,7 @@ def test_points_weighted_by_their_gain_lead_to_the_resonances(seed):
     exact = response([0.618, 1.618], [0.447, 0.447], omega)
     data = ct.frd(exact + noise(0.01 * np.abs(exact), seed), omega)
     result = phc.pem(data, 2, weights=1 / np.abs(exact) ** 2)
-    assert np.allclose(result.d, [0.618, 1.618], rtol=1e-3) and result.outcome is Outcome.CONSISTENT
+    assert np.allclose(result.d, [0.618, 1.618], rtol=1e-3) and result.outcome.name == "CONSISTENT"
 
 
 def plant_with_noise(n, seed, *, relative, floor=0.0, points=25):
@@ -177,7 +176,7 @@ def test_the_order_is_found_where_noise_and_weights_go_with_the_gain(n):
         d, r, exact, data = plant_with_noise(n, seed, relative=0.01)
         result = phc.pem(data, weights=1 / np.abs(exact) ** 2)
         assert result.order == n and is_at_the_optimum(result, d, r)
-        assert result.outcome is Outcome.CONSISTENT
+        assert result.outcome.name == "CONSISTENT"
 
 
 @pytest.mark.parametrize("distance", [0.1, 1e-2, 1e-4])
@@ -217,8 +216,8 @@ def test_a_response_with_a_missed_resonance_is_not_called_explained(seed):
     exact = response([10.0, 25.0, 60.0], [1.0, 0.6, 0.3], omega)
     data = ct.frd(exact + noise(np.full(400, 0.01 * np.median(np.abs(exact))), seed), omega)
     missed, whole = phc.pem(data, 1), phc.pem(data, 3)
-    assert missed.whiteness < 1e-10 and missed.outcome is Outcome.NOT_DESCRIBED
-    assert whole.whiteness > 1e-3 and whole.outcome is Outcome.CONSISTENT
+    assert missed.whiteness < 1e-10 and missed.outcome.name == "NOT_DESCRIBED"
+    assert whole.whiteness > 1e-3 and whole.outcome.name == "CONSISTENT"
 
 
 def test_the_fit_of_a_response_is_judged_in_the_scale_of_its_weights():
@@ -283,7 +282,7 @@ def test_damped_response_is_told_with_its_damping():
     assert np.allclose(result.damped.natural_frequencies, d, rtol=1e-3)
     assert np.allclose(result.damped.damping_ratios, 0.01, rtol=0.02)
     assert np.allclose(result.d, d, rtol=0.03)
-    assert result.outcome is Outcome.NOT_DESCRIBED
+    assert result.outcome.name == "NOT_DESCRIBED"
     assert "damping ratios of 1 +- " in result.message and "the plant loses energy" in result.message
     assert "negative" not in result.message and "intersample" not in result.message
 
@@ -347,7 +346,7 @@ def test_both_modes_of_the_robot_arm_are_found_and_what_contradicts_is_said(orde
     # the two large ones; with the order left open the record shows smaller ones between and beyond
     found = result.damped.hertz[result.damped.damping_ratios < 0.006]
     assert np.allclose(found, [0.0583, 0.1267], rtol=0.01)
-    assert result.outcome is Outcome.NOT_DESCRIBED
+    assert result.outcome.name == "NOT_DESCRIBED"
     assert "residues of opposite sign (mode 1 negative)" in result.message
     assert "the plant loses energy, and the sensor is not at the actuator" in result.message
     assert len(result.active) == 1
@@ -360,7 +359,7 @@ def test_all_three_modes_of_the_measured_receptances_are_found(column, order):
     data = ct.frd(content["Recep"][:, column], 2 * np.pi * content["Freq"].ravel())
     result = phc.pem(data, order, quantity="displacement")
     assert np.allclose(result.d / (2 * np.pi), [0.1029, 0.1962, 0.3247], rtol=0.01)
-    assert result.outcome is Outcome.NOT_DESCRIBED
+    assert result.outcome.name == "NOT_DESCRIBED"
     assert "(modes 1, 2 and 3)" in result.message and "the plant loses energy" in result.message
     assert ("opposite sign" in result.message) == (column > 0)
 
@@ -396,7 +395,7 @@ def test_a_point_far_out_of_the_noise_is_named(order, tmp_path):
     measured = np.array(data.frdata[0, 0])
     measured[40] += 200 * size[40]
     result = phc.pem(ct.frd(measured, data.omega, smooth=False), order, weights=weights)
-    assert result.experiments[0].outliers == (40,) and result.outcome is Outcome.DOUBTFUL
+    assert result.experiments[0].outliers == (40,) and result.outcome.name == "DOUBTFUL"
     result.save(tmp_path / "fit.json")
     assert phc.load(tmp_path / "fit.json").experiments[0].outliers == (40,)
 
@@ -408,4 +407,4 @@ def test_a_sample_far_out_of_the_noise_of_a_record_is_named():
     assert phc.pem((u, y), 2, dt=1.0).experiments[0].outliers == ()
     y[123] += 20
     result = phc.pem((u, y), 2, dt=1.0)
-    assert result.experiments[0].outliers == (123,) and result.outcome is Outcome.DOUBTFUL
+    assert result.experiments[0].outliers == (123,) and result.outcome.name == "DOUBTFUL"

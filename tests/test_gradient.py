@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control import observable_morphism
-from ph_control.identification.fit.gradient import gradient_descent
+from ph_control import gradient_descent, observable_morphism
 
 EPS = float(np.finfo(float).eps)
 SETTINGS = settings(deadline=None, max_examples=25, derandomize=True)

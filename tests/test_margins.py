@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.analysis.margins import gain_crossings, margin, stability_margins
+from ph_control import margin, stability_margins
+from ph_control.analysis.margins import gain_crossings
 
 EPS = np.finfo(float).eps
 quick = settings(deadline=None, max_examples=30, derandomize=True)

@@ -19,7 +19,7 @@ from reference import (
 from scipy.linalg import eigvals
 
 import ph_control as phc
-from ph_control.modal.modal_form import ModalForm
+from ph_control import ModalForm
 
 relaxed = settings(deadline=None, max_examples=25, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

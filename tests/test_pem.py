@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
-from ph_control.identification.diagnosis.verdict import Outcome
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -99,7 +98,7 @@ def test_chain_with_an_exact_hold_does_not_show_its_weights_and_the_fit_warns(no
     assert np.abs(result.d - chain.d).max() <= max(1e-6, 5 * noise)
     assert result.rank_deficiency == 1 and {"r_1", "r_2"} <= set(result.identifiability.blind_parameters)
     assert "white or multisine" in result.message
-    assert result.outcome is Outcome.DOUBTFUL
+    assert result.outcome.name == "DOUBTFUL"
 
 
 @pytest.mark.parametrize("kind", ["white", "multisine"])
@@ -581,7 +580,7 @@ def test_reversed_sensor_is_suspected():
     _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3], z0=np.zeros(4))
     result = phc.pem((u, -y), 2, dt=0.1)
     assert not result.r.any()
-    assert result.outcome is Outcome.NO_RESPONSE
+    assert result.outcome.name == "NO_RESPONSE"
     assert "All weights are zero" in result.message and "check the polarity of the sensor" in result.message
 
 
@@ -595,8 +594,8 @@ def test_offset_is_suspected():
 def test_verdict_in_a_few_words_stands_above_the_table():
     _, u, y, _ = record_of([0.5, 1.9, 2.6], [1.0, 0.3, 0.3])
     good, poor = phc.pem((u, y), dt=0.1), phc.pem((u, y), 1, dt=0.1)
-    assert good.outcome is Outcome.CONSISTENT
-    assert poor.outcome is Outcome.NOT_DESCRIBED
+    assert good.outcome.name == "CONSISTENT"
+    assert poor.outcome.name == "NOT_DESCRIBED"
     assert "a higher one may fit better" in poor.message and "higher" not in good.message
     assert good.summary().index(good.verdict) < good.summary().index("mode  ")
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from reference import EPS, dense_step, long_double_recursion
 
 import ph_control as phc
+from ph_control import ModalForm
 from ph_control.modal import propagation
 from ph_control.modal.discretization import Hold
-from ph_control.modal.modal_form import ModalForm
 from ph_control.modal.propagation import discretize, simulate
 
 relaxed = settings(deadline=None, max_examples=30, derandomize=True)

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from reference import EPS, random_orthogonal_symplectic
 
 import ph_control as phc
+from ph_control import ModalForm
 from ph_control.modal import minimal as reachability
 from ph_control.modal.error_bounds import separate
 from ph_control.modal.minimal import Reduction, minimal_of_exact, of_exact, of_matrix
-from ph_control.modal.modal_form import ModalForm
 from ph_control.symplectic.forms_and_williamson import port_spectrum
 
 relaxed = settings(deadline=None, max_examples=60, derandomize=True)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from reference import DIGITS, EPS, largest_error, on_axis
 
 import ph_control as phc
-from ph_control.modal.modal_form import ModalForm
+from ph_control import ModalForm
 from ph_control.modal.reactance import Reactance
 
 relaxed = settings(deadline=None, max_examples=60, derandomize=True)

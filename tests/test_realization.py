@@ -19,9 +19,8 @@ from reference import (
 )
 
 import ph_control as phc
-from ph_control import CanonicalMargins, canonical_margins, kalman_decomposition, lift, minreal
+from ph_control import CanonicalMargins, ModalForm, canonical_margins, kalman_decomposition, lift, minreal
 from ph_control.modal.error_bounds import separate
-from ph_control.modal.modal_form import ModalForm
 
 relaxed = settings(deadline=None, max_examples=40, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
