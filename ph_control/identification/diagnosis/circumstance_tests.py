@@ -9,12 +9,11 @@ import numpy as np
 
 from ..regression.prediction import FittedExperiment
 from ..regression.time_rows import RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Projection
 from ..search.circumstances import Cause, Finding, autoregression, input_noise, input_size
 from ..uncertainty.residual_tests import ljung_box
 
-_LAGS = 20
-_WHITE = 1e-3
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
 
 NOISE = (Cause.COLOURED_NOISE, Cause.INPUT_NOISE)  # with which residuals that are not white are no reason for doubt
@@ -25,7 +24,7 @@ def circumstances_of(
 ) -> tuple[Finding, ...]:
     """Findings of a fit, with the sizes of constants and drifts; `met` are those of the search."""
     found = [replace(one, values=_sizes(one, experiments)) for one in met]
-    if whiteness < _WHITE and len(at.d) and not any(one.cause is Cause.DELAY for one in met):
+    if whiteness < TUNING.white and len(at.d) and not any(one.cause is Cause.DELAY for one in met):
         found += _noise(at, experiments)
     return tuple(found)
 
@@ -51,6 +50,6 @@ def _noise(at: Projection, experiments: Sequence[FittedExperiment]) -> list[Find
         return [Finding(Cause.INPUT_NOISE, (deviation / input_size(records), beside), of_input)]
     if order and coloured > _TOLD:
         past = np.concatenate([[1.0], -models[order]])
-        if ljung_box([np.convolve(one, past, mode="valid") for one in left], _LAGS) >= _WHITE:
+        if ljung_box([np.convolve(one, past, mode="valid") for one in left], TUNING.lags) >= TUNING.white:
             return [Finding(Cause.COLOURED_NOISE, tuple(models[order].tolist()), coloured)]
     return []

@@ -21,8 +21,9 @@ from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
 from ..regression.spectral_rows import FreeWindow, Spectrum
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
-from ..search.circumstances import SURE, Finding, noise_size
+from ..search.circumstances import Finding, noise_size
 from ..search.criteria import criteria, free_preference, preference
 from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
 from ..search.free_search import Channels, FreeSearch, Records, free_search
@@ -163,7 +164,7 @@ def contradiction(
     if rival is not None:
         losses = [FreeProjection(free_search(one).all_rows(True), p).loss for one in (problem, rival)]
         gain = 0.5 * problem.samples * float(np.log(losses[0] / losses[1]))
-        if gain > SURE:
+        if gain > TUNING.sure:
             problem, search = rival, free_search(rival)
     quantity = _quantity(problem)
     return problem, abs(gain), _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)

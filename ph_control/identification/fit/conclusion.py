@@ -25,6 +25,7 @@ from ..diagnosis.verdict import WHITE, FitVerdict
 from ..excitation.excitation import examine_fit
 from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from ..regression.time_rows import RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.circumstances import HOLDS, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
 from ..search.criteria import criteria
@@ -38,8 +39,6 @@ from .result import PEMResult
 Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
-_LAGS = 20
-_SURELY_WHITE = 0.05  # p-value at which a record need not be asked again
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 
 
@@ -236,10 +235,10 @@ def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection) -> flo
         for one in experiments
         for part in _in_parts(one, one.residuals)
     ]
-    p = ljung_box(parts, _LAGS)
+    p = ljung_box(parts, TUNING.lags)
     n, samples = len(at.d), sum(one.record.samples for one in experiments)
     unknowns = 2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)
-    if p >= _SURELY_WHITE or samples * unknowns > _COUNTED:
+    if p >= TUNING.surely_white or samples * unknowns > _COUNTED:
         return p
     shared: list[Array] = []
     local: list[Array] = []
@@ -247,7 +246,7 @@ def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection) -> flo
         found = _directions(one, rows, at)
         shared += _in_parts(one, found.shared)
         local += _in_parts(one, found.local)
-    return ljung_box(parts, _LAGS, shared=shared, local=local)
+    return ljung_box(parts, TUNING.lags, shared=shared, local=local)
 
 
 def _in_parts(one: FittedExperiment, values: NDArray[Any]) -> list[Array]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..diagnosis.damping import DampingWatch, beside
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
 from ..search.formulation import Callback, Formulation, check_workers, reporter
@@ -236,7 +237,7 @@ def _second_thoughts(
     given = not automatic and len(step.d) == largest and step.loss > floor
     if given and (step.held.any() or search.unconvinced(step)):
         pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
-        if len(pruned.d) == largest and pruned.loss < (1 - 1e-6) * step.loss:
+        if len(pruned.d) == largest and pruned.loss < (1 - TUNING.better) * step.loss:
             starts.append(_start("pruned", pruned, search.problem.samples))
             step = replace(pruned, iterations=step.iterations + pruned.iterations)
     from_nothing = not len(path[0].d)
@@ -244,7 +245,7 @@ def _second_thoughts(
         others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
         starts += [_start("random", other, search.problem.samples) for other in others]
         best = min(others, key=lambda other: other.loss)
-        if len(best.d) == largest and best.loss < (1 - 1e-6) * step.loss:
+        if len(best.d) == largest and best.loss < (1 - TUNING.better) * step.loss:
             step = replace(best, iterations=step.iterations + best.iterations)
     return step, starts
 

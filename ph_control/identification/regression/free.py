@@ -20,16 +20,14 @@ from numpy.typing import NDArray
 from .elimination import LinearProjection, column_lengths, eliminate, inverse_gram, orthogonal, without
 from .time_rows import FreeRows
 from .triangular import reduced, triangle
+from .tuning import TUNING
 from .variable_projection import refine
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_MOST_DAMPED = 0.7  # damping ratio
-_FASTEST_GROWTH = 2.0  # bins: a factor of 3e5 over a record, which leaves ten digits
-_SHOWN = 1e-6  # part of a column of unit length that is not among others
 _STEPS = 40
-_WIDTHS = (0.03, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)  # decay rates tried where nothing is known, in bins
+_SHOWN = 1e-6  # part of a column of unit length that is not among others
 
 # --- the linear problem ----------------------------------------------------------------------------------------------
 
@@ -275,8 +273,8 @@ class PoleRegion:
     def inside(self, p: ComplexArray) -> ComplexArray:
         """Poles brought to where they are allowed."""
         w = np.clip(p.imag, 1e-3 * self.bin, self.ceiling)
-        steepest = w * _MOST_DAMPED / np.sqrt(1 - _MOST_DAMPED**2)
-        return np.clip(p.real, -steepest, np.minimum(steepest, _FASTEST_GROWTH * self.bin)) + 1j * w
+        steepest = w * TUNING.most_damped / np.sqrt(1 - TUNING.most_damped**2)
+        return np.clip(p.real, -steepest, np.minimum(steepest, TUNING.fastest_growth * self.bin)) + 1j * w
 
 
 @dataclass(frozen=True)
@@ -328,11 +326,11 @@ def refine_free(make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1
 
 def _first_decay(make: Make, p: ComplexArray, k: int, region: PoleRegion) -> complex:
     known = np.where(np.isnan(p.real), -region.bin, p.real) + 1j * p.imag
-    widest = max(width for width in _WIDTHS if width * region.bin <= 0.3 * max(p[k].imag, 4 * region.bin))
+    widest = max(width for width in TUNING.decay_rates if width * region.bin <= 0.3 * max(p[k].imag, 4 * region.bin))
     known[k] = -widest * region.bin + 1j * p[k].imag
     rows = make(known)
     losses = []
-    for width in _WIDTHS[: _WIDTHS.index(widest) + 1]:
+    for width in TUNING.decay_rates[: TUNING.decay_rates.index(widest) + 1]:
         known[k] = -width * region.bin + 1j * p[k].imag
         losses.append(FreeProjection(rows, known).loss)
-    return complex(-_WIDTHS[int(np.argmin(losses))] * region.bin, p[k].imag)
+    return complex(-TUNING.decay_rates[int(np.argmin(losses))] * region.bin, p[k].imag)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
 from .time_rows import Evaluation, RecordRows
+from .tuning import TUNING
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -29,9 +30,6 @@ Pair = tuple[ComplexArray, ComplexArray]
 Kind = TypeVar("Kind", bound="SpectralRows")
 
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
-_PIECE = 1 << 18  # numbers worked on at a time
-HALF_WIDTH = 12  # bins on either side of a mode, and as many half-widths of the peak of a damped one
-_THINNED = 256  # bins about a damped mode, at most
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class Spectrum:
         """Transform of what modes with these residues and motions do not explain, at all bins; O(T n) time."""
         n = len(residues)
         residual = self.Y.copy()
-        size = max(1, _PIECE // max(1, n))
+        size = max(1, TUNING.piece // max(1, n))
         for first in range(0, len(residual), size):
             bins = np.arange(first, min(first + size, len(residual)))
             columns = TransformColumns(self.length, modes, bins)
@@ -228,7 +226,7 @@ class SpectralRows:
     bins: Bins
 
     @classmethod
-    def about(cls: type[Kind], spectrum: Spectrum, d: Array, half_width: int = HALF_WIDTH) -> Kind:
+    def about(cls: type[Kind], spectrum: Spectrum, d: Array, half_width: int = TUNING.half_width) -> Kind:
         """Bins within `half_width` of any of some modes; the constant is never among them."""
         centres = np.rint(spectrum.place(d)).astype(int)
         bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
@@ -342,9 +340,9 @@ class FreeWindow(SpectralRows):
         steps = np.zeros(spectrum.last + 1, int)
         widths = np.abs(p.real) / spectrum.experiment.bin
         for k in np.argsort(-widths):
-            reach = int(min(HALF_WIDTH * (1 + widths[k]), spectrum.last))
+            reach = int(min(TUNING.half_width * (1 + widths[k]), spectrum.last))
             centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
-            steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // _THINNED)
+            steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // TUNING.thinned)
         bins = np.flatnonzero(np.arange(len(steps)) % np.maximum(steps, 1) == 0)
         bins = bins[(bins >= 1) & (steps[bins] > 0)]
         return cls(spectrum, bins, np.sqrt(steps[bins]))

@@ -22,6 +22,7 @@ from .elimination import Eliminated, LinearProjection, eliminate, tolerance, wit
 from .frequency_rows import FrequencyRows
 from .time_rows import Rows
 from .triangular import reduced
+from .tuning import TUNING
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -30,7 +31,6 @@ Progress = Callable[[int, float], None]  # iteration, loss
 
 _FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
 LAST = 1e-15  # relative decrease of the loss at which the last refinement ends
-_BETTER = 1e-3  # relative decrease of the loss for which a mode is moved to another place
 _STUCK = 1e16  # damping of steps of which none leads on
 
 # --- lossless modes -------------------------------------------------------------------------------------------------
@@ -394,7 +394,7 @@ def _elsewhere(problem: Minimisation[At], state: _Descent[At]) -> _Descent[At] |
     """A start beside a minimum from which the loss is lower, where the problem knows of such places."""
     at = state.current
     best = min([at, *(problem.project(problem.inside(x)) for x in problem.elsewhere(at))], key=lambda one: one.loss)
-    return _Descent(best, iterations=state.iterations) if best.loss < (1 - _BETTER) * at.loss else None
+    return _Descent(best, iterations=state.iterations) if best.loss < (1 - TUNING.better_place) * at.loss else None
 
 
 def _descend(problem: Minimisation[At], state: _Descent[At], rtol: float, last: bool) -> None:

@@ -18,12 +18,12 @@ from ..._checks import EPS
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows, Rows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_MOST = 4  # past samples of coloured noise: few, so that no mode passes for noise
 _RIDGE = 1e-12
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
@@ -104,7 +104,7 @@ def autoregression(residuals: Sequence[ComplexArray], lengths: Sequence[int]) ->
 
     The coefficients of each order, and its variance relative to that of the residuals (Levinson and Durbin).
     """
-    most = max(0, min(_MOST, min(lengths) // 4))
+    most = max(0, min(TUNING.past_of_noise, min(lengths) // 4))
     products = np.zeros(most + 1)
     for residual, length in zip(residuals, lengths, strict=True):
         products += np.fft.irfft(np.abs(residual) ** 2, length)[: most + 1]
@@ -230,7 +230,7 @@ def is_contrary(finding: Finding, intersample: str) -> bool:
 
 def worth_telling(finding: Finding, intersample: str) -> bool:
     """Whether a finding is news: not that an input was held, as by default."""
-    default = finding.cause is Cause.HOLD and finding.gain >= SURE and HOLDS[int(finding.values[0])] == "zoh"
+    default = finding.cause is Cause.HOLD and finding.gain >= TUNING.sure and HOLDS[int(finding.values[0])] == "zoh"
     return not (default and intersample == "zoh")
 
 
@@ -247,7 +247,7 @@ def sentence_of(finding: Finding, intersample: str) -> str:
         between = "held" if preferred == "zoh" else "linear"
         if preferred != intersample:
             return f"The data show an input that was {between} between samples ({certain}): intersample={preferred!r}."
-        if finding.gain < SURE:
+        if finding.gain < TUNING.sure:
             return f"These data cannot tell an input held between samples from a linear one; it was taken as {between}."
         return f"The input between samples was {between} ({certain} over the other)."
     if finding.cause is Cause.DELAY:
@@ -268,6 +268,3 @@ def sentence_of(finding: Finding, intersample: str) -> str:
         f"The input as recorded has noise of about {100 * values[0]:.2g} % of its size ({certain}), which the plant "
         "did not feel: record the input with less noise, or command it."
     )
-
-
-SURE = 3.0  # log-likelihood by which one hold is told from the other

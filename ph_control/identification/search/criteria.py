@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ..regression.time_rows import RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection, Refinement
 from .circumstances import autoregression
 from .free_path import FreeStep, free_unknowns
@@ -18,8 +19,6 @@ from .steps import Step
 Array = NDArray[np.float64]
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
-
-_BY_CHANCE = 1e-3  # probability that noise alone shows such a mode anywhere
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def significant(problem: Problem, end: Refinement, again: Callable[[Array], Refi
         evidence = _evidence(end.projection)
         weakest = int(np.argmin(evidence))
         unknowns = problem.unknowns(1) - problem.unknowns(0)
-        if chi2.sf(evidence[weakest], unknowns) * problem.samples < _BY_CHANCE:
+        if chi2.sf(evidence[weakest], unknowns) * problem.samples < TUNING.by_chance:
             break
         before = end.iterations
         end = again(np.delete(end.projection.d, weakest))

@@ -22,8 +22,9 @@ from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.time_rows import RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
-from .circumstances import HOLDS, SURE, Cause, Finding, beside, delayed, meeting
+from .circumstances import HOLDS, Cause, Finding, beside, delayed, meeting
 from .criteria import criteria, crowded, free_preference, preference
 from .free_path import FreeStep
 from .path import grow
@@ -34,12 +35,6 @@ Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
 REPRESENTATIONS = ("observable", "controllable")
-
-_DELAYS = tuple(range(-2, 9))  # samples that are tried
-_BESIDE = 1.5  # bins between a mode and one that may only mend the phase of its response
-_PRIOR = 2.0  # log-likelihood that each sample of a delay costs
-_MORE = 3  # lossless modes more than damped ones with which a delay may explain what these do
-_LIKELY, _FOLLOWED = 8.0, 3  # log-likelihood at which a search begins again under other circumstances, and how many
 
 
 @dataclass(frozen=True)
@@ -204,7 +199,7 @@ class Formulation:
         most, asked = largest, how
         if own is not None and own.damped is not None:
             # what explains the record without damping needs few modes more, and no look at damping
-            most = min(largest, max(len(before[-1].d), len(own.damped.at.p) + _MORE))
+            most = min(largest, max(len(before[-1].d), len(own.damped.at.p) + TUNING.more_than_damped))
             asked = {**how, "watch": None}
         for one in others:
             path = one.path(guess, most, **asked)
@@ -254,7 +249,7 @@ class Formulation:
 
     def _doubts(self, search: TimeSearch, step: Step) -> bool:
         """Whether a mode has joined next to another while more is left, as where the input arrives otherwise."""
-        return crowded(step.d, _BESIDE * self.problem.bin) and search.unconvinced(step)
+        return crowded(step.d, TUNING.mended_phase * self.problem.bin) and search.unconvinced(step)
 
     def _with_background(self, search: TimeSearch, step: Step) -> Formulation | None:
         """With a constant or a drift, where that explains more than a slow mode would."""
@@ -288,16 +283,16 @@ class Formulation:
         """With an input that arrives otherwise, by what single modes at the peaks say of it, the likeliest first."""
         if not len(steps[-1].d):
             return []
-        pairs = [(self.intersample, delay) for delay in _DELAYS]
-        pairs += [(self._other, delay) for delay in (_DELAYS if "hold" in self.open else (0,))]
+        pairs = [(self.intersample, delay) for delay in TUNING.delays]
+        pairs += [(self._other, delay) for delay in (TUNING.delays if "hold" in self.open else (0,))]
         base = search.arrival(steps[0], self.intersample, 0)
         # the longer a delay, the less likely before any data
-        gains = [(search.arrival(steps[0], *pair) - base - _PRIOR * abs(pair[1]), pair) for pair in pairs]
+        gains = [(search.arrival(steps[0], *pair) - base - TUNING.delay_prior * abs(pair[1]), pair) for pair in pairs]
         gains.sort(key=lambda one: -one[0])
         # single modes say little where two peaks are one; the commonest delay is tried in any case
         usual = (self.intersample, 1)
-        chosen = [one for one in gains[:_FOLLOWED] if one[0] > _LIKELY or one[1] == usual]
-        chosen += [one for one in gains[_FOLLOWED:] if one[1] == usual]
+        chosen = [one for one in gains[: TUNING.followed] if one[0] > TUNING.likely or one[1] == usual]
+        chosen += [one for one in gains[TUNING.followed :] if one[1] == usual]
         return [self._arriving(*pair, gain) for gain, pair in chosen]
 
     def _held_otherwise(self, search: TimeSearch, step: Step) -> list[Formulation]:
@@ -310,7 +305,7 @@ class Formulation:
         gain = search.likelihood(step, self._other) - search.likelihood(step, self.intersample)
         finding = Finding(Cause.HOLD, (float(HOLDS.index(self.intersample)),), max(0.0, -gain))
         decided = replace(self, findings=(*self.findings, finding))
-        return [decided, self._arriving(self._other, 0, gain)] if close or gain > SURE else [decided]
+        return [decided, self._arriving(self._other, 0, gain)] if close or gain > TUNING.sure else [decided]
 
     def _arriving(self, held: str, delay: int, gain: float) -> Formulation:
         """With an input that arrives as told; its hold belongs to the model if that is left to the data."""

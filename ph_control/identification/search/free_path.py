@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..regression.free import FreeProjection, refine_free
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
 from .free_search import FreeSearch
 from .steps import stands_out
@@ -15,14 +16,7 @@ from .steps import stands_out
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_APART = 3.0  # basins between modes, their half-widths added: what is closer mends the shape of a peak
-_BROADEST = 0.2  # damping ratio of what still counts as a mode
-_PATIENCE = 3  # orders without a better criterion before the path ends
-_TRIED = 3  # candidates for one more mode
-_ROUGH = 1e-6  # relative decrease of the loss at which other refinements end
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
-_VAGUE = 0.5  # of the half-width of a peak, or of a bin: larger errors of it make no mode
-_THROUGH = 4.0  # standard errors below which nothing is fed through
 
 
 @dataclass(frozen=True)
@@ -54,7 +48,7 @@ def free_step(search: FreeSearch, p: ComplexArray) -> FreeStep:
     """Modes refined from a start, in the end over all that was measured: elsewhere, too, they have to be right."""
     at = refine_free(search.rows, p, search.region)
     if len(p) and search.windowed:
-        at = refine_free(lambda _: search.all_rows(True), at.p, search.region, _ROUGH)
+        at = refine_free(lambda _: search.all_rows(True), at.p, search.region, TUNING.rough)
     left = search.left(at)
     return FreeStep(at, left, search.loss(left))
 
@@ -64,7 +58,7 @@ def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: 
     wanted = order or 0
     best = current = _sound(search, free_step(search, start))
     missed = 0
-    while missed < _PATIENCE and len(current.at.p) < max(most, wanted):
+    while missed < TUNING.patience and len(current.at.p) < max(most, wanted):
         short = len(current.at.p) < wanted
         more = _joined_by_one(search, current, demanding=not short)
         if more is None:
@@ -89,7 +83,7 @@ def _vagueness(search: FreeSearch, at: FreeProjection) -> Array:
     n = len(at.p)
     inner = at.covariance(at.loss / max(1, at.rows - free_unknowns(search.problem, n)))
     errors = np.sqrt(np.diag(inner)[n : 2 * n])
-    return np.asarray(errors / np.maximum(_VAGUE * np.abs(at.sigma), _VAGUE * search.region.bin))
+    return np.asarray(errors / np.maximum(TUNING.vague * np.abs(at.sigma), TUNING.vague * search.region.bin))
 
 
 def evidence(search: FreeSearch, at: FreeProjection) -> Array:
@@ -104,7 +98,7 @@ def _closest(at: FreeProjection, band: float) -> tuple[float, int]:
     d, half_width = at.d, np.abs(at.sigma)
     if len(d) < 2:
         return np.inf, 0
-    apart = np.abs(d[:, None] - d) / (_APART * band + half_width[:, None] + half_width)
+    apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
     np.fill_diagonal(apart, np.inf)
     first, second = np.unravel_index(np.argmin(apart), apart.shape)
     # of a pair that mends one peak the broader is the patch
@@ -114,7 +108,7 @@ def _closest(at: FreeProjection, band: float) -> tuple[float, int]:
 
 def _is_sound(search: FreeSearch, step: FreeStep) -> bool:
     at = step.at
-    return bool(_closest(at, search.region.bin)[0] >= 1 and np.all(np.abs(at.sigma) <= _BROADEST * at.d))
+    return bool(_closest(at, search.region.bin)[0] >= 1 and np.all(np.abs(at.sigma) <= TUNING.broadest * at.d))
 
 
 def _sound(search: FreeSearch, step: FreeStep) -> FreeStep:
@@ -131,7 +125,7 @@ def _joined_by_one(search: FreeSearch, step: FreeStep, demanding: bool) -> FreeS
     """One more mode, away from those that are there; if nothing else is left, what is not even that."""
     at = step.at
     candidates, gains = search.candidates(step.left)
-    needed = _APART * search.region.bin + np.abs(at.sigma)
+    needed = TUNING.damped_apart * search.region.bin + np.abs(at.sigma)
     distant = [
         (complex(p), float(gain)) for p, gain in zip(candidates, gains, strict=True)
         if np.all(np.abs(p.imag - at.p.imag) > needed)
@@ -139,7 +133,7 @@ def _joined_by_one(search: FreeSearch, step: FreeStep, demanding: bool) -> FreeS
     if demanding and not (distant and _is_more_than_noise(search.problem, step, distant[0][1])):
         return None
     first: FreeStep | None = None
-    for p, _ in distant[:_TRIED]:
+    for p, _ in distant[: TUNING.tried]:
         trial = free_step(search, np.append(at.p, p))
         if _is_sound(search, trial):
             return trial
@@ -161,6 +155,6 @@ def finished(search: FreeSearch, p: ComplexArray, accelerometer: bool) -> FreePr
     if accelerometer or not at.has_feedthrough:
         return at
     error = float(np.sqrt(at.covariance(at.loss / max(1, at.rows))[-1, -1]))
-    if abs(at.feedthrough[0, 0]) > _THROUGH * error:
+    if abs(at.feedthrough[0, 0]) > TUNING.fed_through * error:
         return at
     return refine_free(lambda _: search.all_rows(False), at.p, search.region, _EXACT)

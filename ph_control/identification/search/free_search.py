@@ -19,6 +19,7 @@ from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Bins, FreeWindow, Spectrum
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
 from .response_candidates import ranked_candidates
 from .screening import highest_peaks
@@ -26,15 +27,10 @@ from .screening import highest_peaks
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-_PIECE = 1 << 18  # numbers worked on at a time
-_IN_TIME = 1500  # samples up to which every step is refined in time
-_HALF_WIDTHS = (6, 24, 96, 384)  # of windows, in bins
 _ROUNDS = 3  # of the local problem, weighted with the pole found
-_NARROWEST = 0.02  # bins
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows; above, those where most is left
 _PEAKS = 200
 _COMPARED = 16
-_RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
 class _DampedData:
@@ -54,7 +50,7 @@ class Records(_DampedData):
         super().__init__(problem)
         self.experiments = experiments = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self.spectra = [Spectrum.of(one) for one in experiments]
-        self.windowed = max(len(one.u) for one in experiments) > _IN_TIME and all(
+        self.windowed = max(len(one.u) for one in experiments) > TUNING.in_time and all(
             one.complete and not one.from_rest and one.offset < 2 for one in experiments
         )
         self._in_time = [FreeRecord.of(one) for one in experiments]
@@ -125,8 +121,8 @@ class Channels:
         Each within a window, in windows of several widths everywhere.
         """
         found = [(np.zeros(0, complex), np.zeros(0))]
-        for half in _HALF_WIDTHS:
-            if 4 * half > self._last and half > _HALF_WIDTHS[0]:
+        for half in TUNING.widths_of_peaks:
+            if 4 * half > self._last and half > TUNING.widths_of_peaks[0]:
                 break
             half = min(half, (self._last - 1) // 2)
             if half < 3:
@@ -134,14 +130,14 @@ class Channels:
             centres = np.arange(half + 1, self._last - half + 1, max(1, half // 6))
             if self._last > _EVERYWHERE:
                 centres = _peaking(left, half, centres)
-            size = max(1, _PIECE // (len(left) * (2 * half + 1)))
+            size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
             found += [self._local(left, half, centres[k : k + size]) for k in range(0, len(centres), size)]
         p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return p, gain
 
     def peak(self, left: ComplexArray, place: float) -> tuple[float, float]:
         """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
-        half = min(_HALF_WIDTHS[0], (self._last - 1) // 2)
+        half = min(TUNING.widths_of_peaks[0], (self._last - 1) // 2)
         if half < 3:
             return 0.0, 0.0
         centre = int(np.clip(np.rint(place), half + 1, self._last - half))
@@ -178,7 +174,7 @@ class Channels:
             energy = energy - np.sum(taken * solved[:, :, : len(left)], axis=(1, 2)).real
             cross = cross - np.sum(taken * solved[:, :, len(left) :], axis=(1, 2))
             pole = cross / np.where(energy > 0, energy, 1.0)
-            width = np.clip(np.abs(pole.real), _NARROWEST, 2.0 * half)
+            width = np.clip(np.abs(pole.real), TUNING.narrowest, 2.0 * half)
             pole = -width + 1j * np.clip(pole.imag, -half, half)
             weight = 1.0 / (s - pole[:, None, None])
         products, solved = _least_squares(inputs * weight, E)
@@ -201,7 +197,7 @@ def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[Comple
     """Products of columns (windows, k, rows) with targets (windows, q, rows), and coefficients, (windows, k, q)."""
     conjugate = columns.conj()
     gram = conjugate @ columns.transpose(0, 2, 1)
-    ridge = _RIDGE * np.trace(gram, axis1=1, axis2=2).real
+    ridge = TUNING.ridge * np.trace(gram, axis1=1, axis2=2).real
     gram += np.where(ridge > 0, ridge, 1.0)[:, None, None] * np.eye(columns.shape[1])
     products = conjugate @ targets.transpose(0, 2, 1)
     return products, np.linalg.solve(gram, products)

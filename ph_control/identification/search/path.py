@@ -13,18 +13,10 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._frozen import Frozen
 from ...exceptions import StructureError
+from ..regression.tuning import TUNING
 from .steps import Report, Search, Step
 
 Array = NDArray[np.float64]
-
-_PATIENCE = 3  # orders without a better criterion before the path ends
-_TOGETHER = 0.1  # of the strongest candidate's gain: others that join at the same step
-_APART = 8.0  # basins between modes that join together
-_BETTER = 1e-6  # relative decrease of the loss that counts
-_HOPELESS = 4  # modes held at 0, and half of all: no place cures a model that is wrong
-_BEYOND = 3  # modes more than asked for, for a while
-_DIVERGENT = 5  # candidates among which a random path chooses
-_RESTARTS = 4  # random paths where the first answer is doubtful
 
 
 @dataclass(frozen=True)
@@ -76,9 +68,9 @@ def _batch(search: Search, step: Step, most: int) -> Array:
     """Candidates that may join at once: nearly as strong as the strongest, and far from one another."""
     chosen: list[float] = []
     for d, gain in zip(step.candidates.tolist(), step.gains.tolist(), strict=True):
-        if len(chosen) == most or gain < _TOGETHER * step.gains[0]:
+        if len(chosen) == most or gain < TUNING.nearly_as_strong * step.gains[0]:
             break
-        if all(abs(d - other) >= _APART * search.problem.bin for other in chosen):
+        if all(abs(d - other) >= TUNING.together_apart * search.problem.bin for other in chosen):
             chosen.append(d)
     return np.array(chosen)
 
@@ -89,7 +81,7 @@ def stop_of(criterion: Callable[[Step], float]) -> Callable[[list[Step]], bool]:
 
     def stop(path: list[Step]) -> bool:
         values = [criterion(step) for step in path]
-        return not path[-1].coloured and len(path) - 1 - int(np.argmin(values)) >= _PATIENCE
+        return not path[-1].coloured and len(path) - 1 - int(np.argmin(values)) >= TUNING.patience
 
     return stop
 
@@ -106,7 +98,7 @@ def reseat(
     A mode taken early, when others were still missing, may have ended in a wrong basin.
     """
     tried: set[float] = set()
-    if 2 * step.held.sum() >= max(len(step.d), 2 * _HOPELESS):
+    if 2 * step.held.sum() >= max(len(step.d), 2 * TUNING.hopeless):
         return step
     while step.loss > floor and (step.held.any() or search.unconvinced(step)):
         places = [k for k in np.argsort(step.weights, kind="stable") if float(step.d[k]) not in tried]
@@ -116,7 +108,7 @@ def reseat(
         trial = _moved(search, step, places[0], rtol, report)
         if trial is None:
             break
-        if trial.loss < (1 - _BETTER) * step.loss:
+        if trial.loss < (1 - TUNING.better) * step.loss:
             step, tried = replace(trial, iterations=step.iterations + trial.iterations), set()
     return step
 
@@ -135,7 +127,7 @@ def prune(search: Search, step: Step, most: int, *, rtol: float, floor: float) -
     Modes in the wrong places leave the right ones to be found; once these have joined, the others are of no use.
     """
     order = len(step.d)
-    end = grow(search, step, min(order + _BEYOND, most), rtol=rtol, floor=floor)[-1]
+    end = grow(search, step, min(order + TUNING.beyond, most), rtol=rtol, floor=floor)[-1]
     while len(end.d) > order:
         end = search.step(np.delete(end.d, np.argmin(end.weights)), rtol)
     return end
@@ -145,7 +137,7 @@ def restart(
     search: Search, empty: Step, order: int, *, rtol: float, floor: float, rng: Any, workers: Any
 ) -> list[Step]:
     """Ends of a few paths that choose at random among the best candidates, each with a seed of its own."""
-    seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(_RESTARTS)
+    seeds = np.random.SeedSequence(0 if rng is None else _entropy(rng)).spawn(TUNING.restarts)
     run = partial(_random_path, search, empty, order, rtol, floor)
     return list(mapped(run, seeds, workers, Step))
 
@@ -160,7 +152,7 @@ def _random_path(
     rng = np.random.default_rng(seed)
 
     def pick(step: Step) -> int:
-        gains = np.maximum(step.gains[:_DIVERGENT], 0.0)
+        gains = np.maximum(step.gains[: TUNING.divergent], 0.0)
         return int(rng.choice(len(gains), p=gains / gains.sum())) if gains.any() else 0
 
     return grow(search, empty, order, rtol=rtol, floor=floor, pick=pick)[-1]

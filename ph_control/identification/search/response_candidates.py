@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..regression.frequency_rows import FreeResponse, FrequencyRows, differentiated
+from ..regression.tuning import TUNING
 from .screening import highest_peaks
 
 Array = NDArray[np.float64]
@@ -19,7 +20,6 @@ _WIDTHS = np.array([0.003, 0.1, 1.0, 4.0])  # half-widths of a peak that are tri
 _BATCH = 1024
 _EVERYWHERE = 2000  # points up to which all intervals have candidates; above, those about which most is left
 _PEAKS = 300
-_RIDGE = 1e-9
 _COMPARED = 40
 
 
@@ -74,7 +74,7 @@ def _explained(rows: FrequencyRows, residual: ComplexArray, d: Array, width: Arr
             )
             energy = np.sum(np.abs(mode) ** 2, axis=1)
             overlap = np.sum((mode.conj() * target).real, axis=1)
-            gains[k, part] = overlap**2 / np.where(energy > 0, energy * (1 + _RIDGE), 1.0)
+            gains[k, part] = overlap**2 / np.where(energy > 0, energy * (1 + TUNING.ridge), 1.0)
     return gains
 
 

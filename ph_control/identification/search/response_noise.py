@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from ..data.frequency_record import FrequencyRecord
 from ..regression.frequency_rows import FrequencyRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from .formulation import Formulation
 from .free_path import criterion, free_criterion
@@ -26,14 +27,9 @@ from .response_search import ResponseSearch
 
 Array = NDArray[np.float64]
 
-_BY_CHANCE = 1e-2  # probability with which constant noise is refused wrongly
-_TAILS = 10.0  # degrees of freedom of the t distribution
 _ROUNDS = 8  # of fit and law in turn
 _SETTLED = 1e-3  # relative change of the weights
 _RATIOS = 49  # of a to b that are tried first
-_MUCH = 0.1  # of the weighted squares of a response
-_ROUGH = 1e-6  # relative decrease of the loss at which a refinement may end
-_FEWEST = 20  # points to spare below which no law is estimated
 
 
 class NoiseKind(str, Enum):
@@ -106,7 +102,7 @@ def _balanced(problem: Problem) -> list[Array]:
 def _is_misfit(problem: Problem, d: Array) -> bool:
     """Whether lossless modes leave much of a response that damped ones at these frequencies explain."""
     search = ResponseSearch(problem)
-    return refine(problem, d, rtol=_ROUGH).projection.loss - search.damped(d).loss > _MUCH * search.power
+    return refine(problem, d, rtol=TUNING.rough).projection.loss - search.damped(d).loss > TUNING.much * search.power
 
 
 def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Array]:
@@ -116,7 +112,7 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
     """
     search = ResponseSearch(problem)
     step = search.damped(d)
-    lossless = refine(problem, step.at.d, rtol=_ROUGH).projection
+    lossless = refine(problem, step.at.d, rtol=TUNING.rough).projection
     simpler = criterion(problem, lossless.loss, problem.unknowns(len(d))) <= free_criterion(problem, step)
     squares, shares, gains = [], [], []
     for rows, left, predicted in zip(search.data.all_rows(True), step.left, lossless.predicted(), strict=True):
@@ -128,7 +124,7 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
         shares.append(_spare(columns[:-1]))
         gains.append(np.abs(rows.target - left) / rows.rows.scale)
     gain, spare = np.concatenate(gains), np.concatenate(shares)
-    if spare.sum() < _FEWEST or not np.ptp(gain) or step.loss <= problem.rounding:
+    if spare.sum() < TUNING.fewest_points or not np.ptp(gain) or step.loss <= problem.rounding:
         return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step.at.d
     unit = float(np.mean(gain**2))
     floor, share = _law(np.concatenate(squares), spare, gain**2 / unit)
@@ -156,8 +152,8 @@ def _law(squares: Array, spare: Array, power: Array) -> tuple[float, float]:
         if not factor:
             return np.inf, 0.0
         for _ in range(30):
-            factor = float(spare @ (size * (_TAILS + 2) / (_TAILS + size / factor)) / (2 * spare.sum()))
-        tail = 0.5 * (_TAILS + 2) * np.log1p(size / (_TAILS * factor))
+            factor = float(spare @ (size * (TUNING.tails + 2) / (TUNING.tails + size / factor)) / (2 * spare.sum()))
+        tail = 0.5 * (TUNING.tails + 2) * np.log1p(size / (TUNING.tails * factor))
         return float(spare @ (np.log(factor * shape) + tail)), factor
 
     def cost(log_ratio: float) -> float:
@@ -171,7 +167,7 @@ def _law(squares: Array, spare: Array, power: Array) -> tuple[float, float]:
     ratio = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
     varying, factor = fitted(np.exp(ratio) + power)
     # under the hypothesis the share lies on the border of what it may be, so that half the chances are on one side
-    if 2 * (constant - varying) < chi2.isf(2 * _BY_CHANCE, 1):
+    if 2 * (constant - varying) < chi2.isf(2 * TUNING.constant_by_chance, 1):
         return level, 0.0
     return factor * float(np.exp(ratio)), factor
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
@@ -20,10 +21,6 @@ from .steps import Report, Search, Step
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-_MUCH = 0.1  # of the weighted squares of a response: with more left, modes are missing that no criterion can weigh
-_LAGS = 20
-_WHITE = 1e-3  # p-value
 
 
 class ResponseSearch(Search):
@@ -54,7 +51,7 @@ class ResponseSearch(Search):
     def is_white(self, step: FreeStep) -> bool:
         """Whether what damped modes leave is noise from point to point, but for a few that outweigh all others."""
         parts = [without_peaks(part) for one in step.left for part in (one.real, one.imag)]
-        return ljung_box(parts, _LAGS) >= _WHITE
+        return ljung_box(parts, TUNING.lags) >= TUNING.white
 
     def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
         damped = self.damped(d)
@@ -69,5 +66,5 @@ class ResponseSearch(Search):
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
         return Step(
             damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, at.energies,
-            not white and damped.loss > _MUCH * self.power,
+            not white and damped.loss > TUNING.much * self.power,
         )  # fmt: skip

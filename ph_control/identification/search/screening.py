@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...modal.modal_form import imaginary
 from ..regression.modal_regressors import output_weight
 from ..regression.spectral_rows import Bins, Spectrum
+from ..regression.tuning import TUNING
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,7 +28,6 @@ _EVERYWHERE = 1 << 15  # samples up to which every bin has candidates; above, th
 _PEAKS = 400  # bins that have candidates then
 _COMPARED = 16  # candidates compared over all bins of all of them
 _OFF_BIN = 1e-3  # bins: closer to one the columns of a mode are nearly parallel
-_RIDGE = 1e-9  # keeps nearly collinear columns apart while screening
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class _CandidateColumns:
     def free_inverse(self) -> Array:
         """Inverse of the part of the free motion, shape (2, 2, candidates)."""
         (a, b), (_, c) = self.gram[1:, 1:]
-        ridge = np.where(a + c > 0, _RIDGE * (a + c), 1.0)
+        ridge = np.where(a + c > 0, TUNING.ridge * (a + c), 1.0)
         a, c = a + ridge, c + ridge
         return np.asarray(np.array([[c, -b], [-b, a]]) / (a * c - b * b))
 
@@ -145,7 +145,7 @@ class Screen:
             direct, across = columns.gram[0, 0], columns.gram[0, 1:]
             pull = pull + rhs[0] - np.sum(across * solved, axis=0)
             taken = np.einsum("ic,ijc,jc->c", across, columns.free_inverse, across)
-            stiffness = stiffness + direct - taken + _RIDGE * direct
+            stiffness = stiffness + direct - taken + TUNING.ridge * direct
         force = np.asarray(pull) if self.signed else np.maximum(pull, 0.0)
         return np.asarray(total + force**2 / np.where(stiffness == 0, 1.0, stiffness))
 

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from ..regression.spectral_rows import HALF_WIDTH, Spectrum, Window
+from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Refinement, refine
 from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
@@ -26,12 +27,7 @@ ComplexArray = NDArray[np.complex128]
 
 Report = Callable[[int, float], None]  # iteration, loss
 
-_IN_TIME = 1500  # samples up to which every step is refined in time
-_TOGETHER = 512  # samples from which on several modes may join at one step
-_BY_CHANCE = 1e-3  # probability that noise alone shows as much anywhere in the band
 _ABOUT = np.linspace(-1.0, 1.0, 9)  # bins from a peak
-_BESIDE = 4.0  # bins between a mode and one more that would mend the shape of its peak
-_SLOW = 1.0  # bins below which a mode is hardly told from a constant and a drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +98,12 @@ class TimeSearch(Search):
         self._experiments = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self._spectra = [Spectrum.of(one) for one in self._experiments]
         self._screen = Screen(self._spectra, problem.signed)
-        self._windowed = max(len(one.u) for one in self._experiments) > _IN_TIME and all(
+        self._windowed = max(len(one.u) for one in self._experiments) > TUNING.in_time and all(
             one.complete and one.offset < 2 for one in self._experiments
         )
         self._arrivals: dict[tuple[str, int], float] = {}
-        self._slow = _SLOW * max(one.bin for one in self._experiments)
-        self.affords_batches = max(len(one.u) for one in self._experiments) >= _TOGETHER
+        self._slow = TUNING.slow * max(one.bin for one in self._experiments)
+        self.affords_batches = max(len(one.u) for one in self._experiments) >= TUNING.long_enough
 
     def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
         # the bins about a slow mode are few, and what it has in common with a constant is not among them
@@ -131,7 +127,7 @@ class TimeSearch(Search):
         peaks: list[float] = []
         band = self.problem.bin
         for d in first.candidates.tolist():
-            if all(abs(d - other) > 2 * HALF_WIDTH * band for other in peaks):
+            if all(abs(d - other) > 2 * TUNING.half_width * band for other in peaks):
                 peaks.append(d)
         places = (np.array(peaks)[:, None] + band * _ABOUT).clip(band * _ABOUT[-1], self.problem.ceiling)
         spectra = []
@@ -141,7 +137,7 @@ class TimeSearch(Search):
         left = [one.beside_offset(one.Y) for one in spectra]
         gains, total = Screen(spectra, self.problem.signed).at_peaks(places.ravel(), left)
         unexplained = np.min((total - gains).reshape(places.shape), axis=1)
-        return -float(HALF_WIDTH * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
+        return -float(TUNING.half_width * np.sum(np.log(np.maximum(unexplained, np.finfo(float).tiny))))
 
     def likelihood(self, step: Step, intersample: str) -> float:
         """Log-likelihood of the modes of a step, but for a constant, with an input held otherwise."""
@@ -188,7 +184,7 @@ def crowds(step: Step, problem: Problem) -> bool:
     """Whether one more mode would stand beside another, as it does to mimic what no mode is."""
     if not len(step.d) or not len(step.candidates):
         return False
-    return bool(np.min(np.abs(step.d - step.candidates[0])) < _BESIDE * problem.bin)
+    return bool(np.min(np.abs(step.d - step.candidates[0])) < TUNING.crowding * problem.bin)
 
 
 def more_than_noise(problem: Problem, step: Step) -> bool:
@@ -200,4 +196,4 @@ def more_than_noise(problem: Problem, step: Step) -> bool:
 def stands_out(gain: float, loss: float, samples: int, unknowns: int, more: int) -> bool:
     """Whether noise alone would hardly let a mode with so many unknowns `more` gain as much anywhere in the band."""
     spare = samples - unknowns
-    return bool(spare > 0 and loss > 0 and chdtrc(more, gain * spare / loss) * samples < _BY_CHANCE)
+    return bool(spare > 0 and loss > 0 and chdtrc(more, gain * spare / loss) * samples < TUNING.by_chance)
