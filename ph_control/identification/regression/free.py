@@ -229,17 +229,13 @@ def first_step(
     Then what it leaves, how many directions these are more, and how many unknowns all are.  One input, one output.
     """
     n, parts, fitted = len(p), [], 0
-    for rows in experiments:
-        block = np.concatenate(list(rows.at(p).blocks()), axis=1).T
-        own = rows.own_unknowns(n)
-        columns = block[:, :own]
-        rest = _ExperimentColumns.of(rows, block[:, own:], n, len(shared))
-        left = rest.outputs[:, 0] - rest.shared @ shared
-        basis, solve = orthogonal(columns)
-        residues = (shared[:n] + 1j * shared[n : 2 * n]) if len(shared) else np.zeros(n, complex)
-        slopes = _by_poles(rest.derivatives, rows, solve @ (basis.T @ left), residues[:, None])
-        parts.append(without(np.column_stack([slopes, rest.shared, left]), basis))
-        fitted += basis.shape[1]
+    residues = (shared[:n] + 1j * shared[n : 2 * n]) if len(shared) else np.zeros(n, complex)
+    at = FreeProjection(experiments, p)
+    for rows, (inverse, above, below) in zip(experiments, at._parts, strict=True):
+        own = inverse @ (above.outputs[:, 0] - above.shared @ shared)
+        slopes = _by_poles(below.derivatives, rows, own, residues[:, None])
+        parts.append(np.column_stack([slopes, below.shared, below.outputs[:, 0] - below.shared @ shared]))
+        fitted += len(above.outputs)
     moved = np.concatenate(parts)
     lengths = column_lengths(moved[:, :-1])
     # first the directions, then all that are perpendicular to them
