@@ -40,7 +40,6 @@ _LAYOUTS = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", 
 _SPELLED = {" ": "white space", "\t": "tab", ",": "comma", ";": "semicolon"}
 # control characters that no text table holds; tab, line feed, form feed and carriage return are text
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
-_JOIN = "\x1f"  # one of them, so never part of a field
 _SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+|rad_s)")  # a unit without brackets
 _HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
 
@@ -78,18 +77,15 @@ class Table:
         values = None if any('"' in row for row in rows) else _numbers(rows, self.delimiter, wanted, self.decimal)
         if values is None:
             table = [_split(row, self.delimiter) for row in rows]
-            cells = [_JOIN.join("nan" if f[j].strip().casefold() in _MISSING else f[j] for j in wanted) for f in table]
-            values = _numbers(cells, _JOIN, range(len(wanted)), self.decimal)
-        if values is None:
             values = np.array([[self._value(start + k, j, f[j]) for k, f in enumerate(table)] for j in wanted])
         return values
 
     def _value(self, row: int, column: int, field: str) -> float:
         text = field.strip()
-        if text.casefold() in _MISSING:
-            return math.nan
         if _NUMBER[self.decimal].fullmatch(text) and math.isfinite(value := float(text.replace(",", "."))):
             return value
+        if text.casefold() in _MISSING:
+            return math.nan
         hint = "; put # in front of the line if it holds units" if row == 0 and self.labels else ""
         raise FileFormatError(f"{self.at(row, column)}: {_what_is_wrong(text, self.decimal)}{hint}")
 
