@@ -435,14 +435,15 @@ def choice(name: str, value: Any, allowed: tuple[str, ...]) -> str:
 
 def whole_number(name: str, value: Any, least: int | None = None, most: float = np.inf) -> int:
     """Check a whole number, between `least` and `most` where these are given."""
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | np.integer)
-        or not ((value if least is None else least) <= value <= most)
-    ):
+    if not is_whole(value) or not ((value if least is None else least) <= value <= most):
         bound = "" if least is None else f" of at least {least}" if most == np.inf else f" from {least} to {most}"
         raise StructureError(f"{name} is {shown(value)}; it must be a whole number{bound}")
     return int(value)
+
+
+def is_whole(value: Any) -> bool:
+    """Whether this is a whole number, of Python or of numpy; True and False are none."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def is_flag(value: Any) -> bool:
@@ -471,7 +472,7 @@ def signal_names(names: Mapping[str, Any], **sizes: int) -> None:
     for kind, size in sizes.items():
         given = next((names[key] for key in (kind, kind[:-1]) if names.get(key) is not None), size)
         count = given
-        if isinstance(given, bool) or not isinstance(given, int | np.integer):
+        if not is_whole(given):
             listed = given if isinstance(given, list | tuple) else [given]
             for one in listed:
                 _text(f"one of the {kind}", one)

@@ -128,7 +128,7 @@ class Table:
 
     def find(self, wanted: Any, role: str) -> int:
         """Number of a column that the caller chose by label or number; `role` is the name of the argument."""
-        if isinstance(wanted, int | np.integer) and not isinstance(wanted, bool):
+        if _checks.is_whole(wanted):
             if not 0 <= wanted < self.width:
                 raise StructureError(f"{self.path}: {role}: there is no column number {wanted}; {self.listing()}")
             return int(wanted)

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..._frozen import Frozen
+from ..._types import Array, ComplexArray
 from ..._units import checked_unit, with_unit
 from ...exceptions import IdentificationError, StructureError
 from .time_record import refuse_out_of_range
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from ... import _checks
 from ..._frozen import Frozen
+from ..._types import Array
 from ..._units import checked_unit, with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError
-
-Array = NDArray[np.float64]
 
 _LARGEST = 1e100  # of a signal whose squares are summed
 _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record

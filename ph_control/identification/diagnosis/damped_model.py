@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from ..._display import Report, aligned, percent, to_its_error
 from ..._frozen import Frozen, ReadOnlyMapping
+from ..._types import Array, ComplexArray
 from ..._units import hertz_size
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

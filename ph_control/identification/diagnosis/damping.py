@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 from scipy.stats import norm
 
+from ..._types import Array, ComplexArray
 from ..regression.free import FreeProjection, first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
@@ -29,9 +30,6 @@ from ..search.free_path import FreeStep, evidence, finished, free_path, free_unk
 from ..search.free_search import Channels, FreeSearch, Records, free_search
 from ..search.steps import Step, crowds, more_than_noise
 from .damped_model import DampedModel, HypothesisTest
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _ERRORS = 4.0  # standard errors beyond which something is said, with one mode
 _EVIDENT = 100.0  # energy of a mode in units of the noise: below, its shape is not judged

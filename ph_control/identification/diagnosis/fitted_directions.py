@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
+from ..._types import Array, ComplexArray, Mask
 from ...modal.discretization import Hold
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.frequency_rows import modal_columns
 from ..regression.time_rows import RecordRows
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

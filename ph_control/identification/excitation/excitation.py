@@ -122,7 +122,7 @@ def excitation(
     longest = max(range(len(problems)), key=lambda k: len(problems[k].u))
     problem, measured = problems[longest], [bool(record.observed.any()) for record in records]
     most = min(_MOST, max(Problem(tuple(problems)).carried, _ALWAYS))
-    if isinstance(order, int | np.integer) and not isinstance(order, bool):
+    if _checks.is_whole(order):
         if order < 1:
             raise StructureError(f"order is {order}; a number of modes must be at least 1")
         _refuse_many(int(order), most, problems)

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import EPS
+from ..._types import Array
 from ..regression.elimination import inverse_gram
 from ..regression.modal_regressors import output_weight
 from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Projection
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _TURN = {"velocity": -0.5, "displacement": 0.5, "acceleration": -1.5}  # power of d in a state of unit amplitude
 

@@ -16,13 +16,11 @@ from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
 from ..._frozen import Frozen
+from ..._types import Array, ComplexArray
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm, from_frequencies, imaginary
 from ...modal.reactance import sum_with_twice_the_digits
 from ...numerics import double_double as tf
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _MOST = 10**9  # draws
 _BLOCK = 1 << 17  # entries of a (point x sample) table held at once

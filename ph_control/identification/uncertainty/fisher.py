@@ -12,19 +12,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from ... import _checks
 from ..._checks import EPS
 from ..._frozen import Frozen
+from ..._types import Array, ComplexArray
 from ..regression.modal_regressors import SHORT, Kernel, SampledModes, output_weight
 from ..regression.time_rows import RecordRows
 from ..regression.triangular import reduced
 from ..regression.variable_projection import Projection, eliminate
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NEARLY_BLIND = 0.01  # singular value below which a combination counts: its errors are inflated a hundred times
 _ROUNDED = 0.01  # relative difference of weights that are sorted as equal

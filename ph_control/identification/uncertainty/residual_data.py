@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..._checks import EPS
+from ..._types import Array
 from ..regression.triangular import triangle
-
-Array = NDArray[np.float64]
 
 RANK = 1e-8  # relative size of directions that a regression counts
 

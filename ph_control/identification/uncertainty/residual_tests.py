@@ -17,10 +17,9 @@ from scipy.fft import next_fast_len, rfft
 from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
+from ..._types import Array
 from ..regression.triangular import reduced, triangle
 from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit
-
-Array = NDArray[np.float64]
 
 _NOISE_ORDERS = 20  # most that are tried for the noise
 _ROWS_PER_ORDER = 10

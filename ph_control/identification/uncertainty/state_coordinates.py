@@ -17,17 +17,14 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
+from ..._types import Array, ComplexArray
 from ...exceptions import ConditioningWarning, StructureError
 from ...numerics.polynomials import cofactors
 from ..data.time_record import Record
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import chosen_experiment
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 FORMS = ("ph", "ch", "oh")
 
