@@ -42,10 +42,8 @@ def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Hold, *, states: 
         _, z = _port_hamiltonian(sys.derivative(), u, z0, rule, True)
         assert z is not None
         return sys.C @ z, z if states else None
-    if isinstance(sys, ControllableHamiltonian):
-        return _controllable(sys, u, z0, rule, states)
-    assert isinstance(sys, ObservableHamiltonian)
-    return _observable(sys, u, z0, rule, states)
+    assert isinstance(sys, ControllableHamiltonian | ObservableHamiltonian)
+    return _canonical(sys, u, z0, rule, states)
 
 
 # --- with losses -------------------------------------------------------------------------------------------------
@@ -141,39 +139,31 @@ def companion_step(sys: Any, rule: Hold) -> CompanionStep:
     )
 
 
-def _controllable(
-    sys: ControllableHamiltonian, u: Array, s0: Array, rule: Hold, states: bool
+def _canonical(
+    sys: ControllableHamiltonian | ObservableHamiltonian, u: Array, s0: Array, rule: Hold, states: bool
 ) -> tuple[Array, Array | None]:
-    """In modal coordinates `w' = -i d w + u`, `y = sum kappa Re w`: defined for every `d`, repeated ones included."""
-    d, kappa = _poles(sys)
-    step = rule.step(imaginary(-d), None, kappa[None, :].astype(complex))
-    W = _cofactor_map(d)
-    y, w = simulate(step, u, W @ s0, states=states)
-    if w is None:
-        return y, None
-    error = np.abs(W) @ np.abs(s0) + np.abs(w).max(axis=1)
-    L = _lagrange_map(d)
-    return y, _with_digits(sys, (L.T @ w).real, np.abs(L).T @ error, lambda: companion_step(sys, rule).states(u[0], s0))
+    """In modal coordinates, and from there back to those of the form, where the frequencies are apart.
 
-
-def _observable(
-    sys: ObservableHamiltonian, u: Array, s0: Array, rule: Hold, states: bool
-) -> tuple[Array, Array | None]:
-    """In modal coordinates `w' = -i d w + kappa u`, `y = sum Re w`, where the frequencies are apart."""
+    They are `w' = -i d w + u`, `y = sum kappa Re w` of the controllable form, defined for repeated frequencies too, and
+    `w' = -i d w + kappa u`, `y = sum Re w` of the observable one.
+    """
     d, kappa = _poles(sys)
+    observable, kappa = isinstance(sys, ObservableHamiltonian), kappa.astype(complex)
+    into, back = _cofactor_map(d), _lagrange_map(d)
+    if observable:
+        into, back = back, into
     # after an impulse every mode starts from its residue, which need not be taken out of the state
-    struck, L = bool(s0.any()) and np.array_equal(s0, sys.B[:, 0]), _lagrange_map(d)
-    start = kappa.astype(complex) if struck else L @ s0 if s0.any() else np.zeros(sys.n, complex)
-    error = np.abs(start) if struck or not s0.any() else np.abs(L) @ np.abs(s0)
-    step = rule.step(imaginary(-d), kappa[:, None].astype(complex))
-    y, w = simulate(step, u, start, states=states)
+    struck = observable and bool(s0.any()) and np.array_equal(s0, sys.B[:, 0])
+    start = kappa if struck else into @ s0 if s0.any() else 0 * kappa
+    error = np.abs(into) @ np.abs(s0) if s0.any() and not struck else np.abs(start)
+    weights = (kappa[:, None], None) if observable else (None, kappa[None, :])
+    y, w = simulate(rule.step(imaginary(-d), *weights), u, start, states=states)
     exact = cache(lambda: companion_step(sys, rule).states(u[0], None if struck else s0))
-    if s0.any() and not struck:
+    if observable and s0.any() and not struck:
         y = _with_digits(sys, y, error.sum()[None], lambda: exact()[-1:])
     if w is None:
         return y, None
-    W = _cofactor_map(d)
-    return y, _with_digits(sys, (W.T @ w).real, np.abs(W).T @ (error + np.abs(w).max(axis=1)), exact)
+    return y, _with_digits(sys, (back.T @ w).real, np.abs(back).T @ (error + np.abs(w).max(axis=1)), exact)
 
 
 def _with_digits(sys: Any, rows: Array, error: Array, exact: Callable[[], Array]) -> Array:
