@@ -116,7 +116,7 @@ def modes_table(modes: Any) -> str:
     # of many rows only those that are seen are written
     seen = range(len(modes.d)) if len(modes.d) <= _ROWS else [*range(_ROWS), *range(len(modes.d) - _ROWS, len(modes.d))]
     rows += [[str(l + 1), *(f"{value:.7g}" for value in (modes.d[l], *r[l], *kappa[l]))] for l in seen]
-    return html_table(head, rows, f"{modes.n} mode{'s' * (modes.n != 1)}")
+    return html_table(head, rows, counted(modes.n, "mode"))
 
 
 class ShownModes:
@@ -171,6 +171,11 @@ def aligned(table: list[list[str]]) -> list[str]:
         f" {' '.join(text.rjust(width) for text, width in zip(row[:-1], widths, strict=False))}  {row[-1]}".rstrip()
         for row in table
     ]
+
+
+def counted(number: int, noun: str) -> str:
+    """Number and noun, plural where it must be."""
+    return f"{number} {noun}{'s' * (number != 1)}"
 
 
 def p_value(p: float) -> str:

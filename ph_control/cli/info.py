@@ -18,6 +18,7 @@ from typing import Any
 
 import ph_control as phc
 
+from .._display import counted
 from .._units import hertz_size, rate
 from .inputs import Model, read_models
 from .options import Parser, add_json, add_model
@@ -68,12 +69,12 @@ def _foreign(model: Model) -> str:
 
     system = model.content
     if type(system) is StateSpace:
-        kind = f"state space, {_counted(system.nstates, 'state')}"
+        kind = f"state space, {counted(system.nstates, 'state')}"
     elif type(system) is TransferFunction:
         kind = f"transfer function of degree {max(len(den) for row in system.den_list for den in row) - 1}"
     else:
         return ""
-    return f"{model.source}: {kind}, {_counted(system.ninputs, 'input')}, {_counted(system.noutputs, 'output')}"
+    return f"{model.source}: {kind}, {counted(system.ninputs, 'input')}, {counted(system.noutputs, 'output')}"
 
 
 def _modes(found: Any) -> tuple[phc.ModalForm, str | None]:
@@ -94,11 +95,11 @@ def _fields_of(found: Any) -> dict[str, Any]:
 
 def _lines(found: Any) -> list[str]:
     form, unit = _modes(found)
-    kind, ports = type(found).__name__, _counted(form.nports, "port")
+    kind, ports = type(found).__name__, counted(form.nports, "port")
     if found is form:
-        lines = [f"{kind}: {_counted(form.n, 'mode')}, {ports}"]
+        lines = [f"{kind}: {counted(form.n, 'mode')}, {ports}"]
     else:
-        degrees = f"{_counted(found.n, 'degree')} of freedom, {_counted(found.nstates, 'state')}"
+        degrees = f"{counted(found.n, 'degree')} of freedom, {counted(found.nstates, 'state')}"
         lines = [
             f"{kind} {found.name}: {degrees}, {ports}",
             f"  inputs {', '.join(found.input_labels)}; outputs {', '.join(found.output_labels)}",
@@ -119,8 +120,3 @@ def _number(value: Any) -> str:
     from numpy import array2string, asarray, ndim
 
     return f"{value:<15.8g}" if ndim(value) == 0 else array2string(asarray(value), precision=6).replace("\n", "")
-
-
-def _counted(number: int, noun: str) -> str:
-    """Number and noun, plural where it must be."""
-    return f"{number} {noun}{'s' * (number != 1)}"

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import counted
 from .._types import Array
 from .._units import known_unit
 from ..exceptions import FileFormatError, StructureError
@@ -381,7 +382,7 @@ def _width(path: str, rows: list[str], numbers: list[int], delimiter: str, label
     reference = "the header has" if labels is not None else f"line {numbers[0]} has"
     count = sizes[row][0]
     raise FileFormatError(
-        f"{path}, line {numbers[row]}: {count} field{'s' * (count != 1)}, but {reference} {width} (separator: "
+        f"{path}, line {numbers[row]}: {counted(count, 'field')}, but {reference} {width} (separator: "
         f"{_SPELLED.get(delimiter, repr(delimiter))}); complete the row, put # in front of a line that is no part of "
         "the table, or pass delimiter= if the separator is another"
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _checks
+from .._display import counted
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
@@ -89,9 +90,7 @@ def _inside(given: Any) -> Any:
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
     """Names of systems; a fit is called one, unless its system was named."""
     names = [
-        f"fit ({sys.n} mode{'s' * (sys.n != 1)})"
-        if isinstance(one, FitResult) and sys._generic_name_check()
-        else str(sys.name)
+        f"fit ({counted(sys.n, 'mode')})" if isinstance(one, FitResult) and sys._generic_name_check() else str(sys.name)
         for one, sys in zip(given, systems, strict=True)
     ]
     if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and systems[0]._generic_name_check():

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .. import _checks
+from .._display import counted
 from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
@@ -339,9 +340,7 @@ class PoleZeroMap:
     @property
     def counts(self) -> list[str]:
         """How many there are and, of one port, how they lie; those of several ports need not alternate."""
-        poles, zeros = (
-            f"{len(w)} {what}{'s' * (len(w) != 1)}" for w, what in zip(self.upper, ("pole", "zero"), strict=True)
-        )
+        poles, zeros = map(counted, map(len, self.upper), ("pole", "zero"))
         if self.ports != 1:
             return [poles, zeros]
         order = "alternating" if self.alternating else "not alternating"

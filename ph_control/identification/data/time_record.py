@@ -15,6 +15,7 @@ from control import TimeResponseData
 from numpy.typing import NDArray
 
 from ... import _checks
+from ..._display import counted
 from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import checked_unit, with_unit
@@ -183,7 +184,7 @@ def checked_record(
 def refuse_short(samples: int) -> None:
     """Refuse a record that has no step."""
     if samples < 2:
-        raise IdentificationError(f"the record has {samples} sample{'s' * (samples != 1)}; a fit needs at least 5")
+        raise IdentificationError(f"the record has {counted(samples, 'sample')}; a fit needs at least 5")
 
 
 def refuse_out_of_range(name: str, values: Array) -> None:

@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._display import Report, aligned, percent, to_its_error
+from ..._display import Report, aligned, counted, percent, to_its_error
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array, ComplexArray
 from ..._units import hertz_size
@@ -163,7 +163,7 @@ class DampedModel(Report, Frozen):
         return tuple(np.stack([one.real, one.imag], axis=1).ravel() for one in self.free_amplitudes)
 
     def _headline(self) -> str:
-        return f"{self.order} damped mode{'s' * (self.order != 1)}, fit {percent(self.fit_percent)}"
+        return f"{counted(self.order, 'damped mode')}, fit {percent(self.fit_percent)}"
 
     def __str__(self) -> str:
         return "\n".join(damped_lines(self))

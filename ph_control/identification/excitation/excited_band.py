@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_closing
 
 from ..._checks import EPS
+from ..._display import counted
 from ..._types import Array
 from ..._units import rate
 from ..regression.triangular import triangle
@@ -54,7 +55,7 @@ class ExcitedBand:
     def __str__(self) -> str:
         if self.lines:
             lines = listed([f"{line:.4g}" for line in self.lines])
-            return f"{len(self.lines)} spectral line{'s' * (len(self.lines) > 1)}, at {lines} {rate(self.time_unit)}"
+            return f"{counted(len(self.lines), 'spectral line')}, at {lines} {rate(self.time_unit)}"
         if not self.intervals:
             return "none: the input is constant" if self.order else "none: the input is zero"
         shown = ", ".join(f"{low:.4g} .. {high:.4g}" for low, high in self.intervals[:4])

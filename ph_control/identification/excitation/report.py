@@ -9,7 +9,7 @@ from itertools import islice
 
 import numpy as np
 
-from ..._display import Report, aligned
+from ..._display import Report, aligned, counted
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array
 from ..._units import rate, step_of
@@ -172,7 +172,7 @@ class Excitation(Report, Frozen):
     @property
     def headline(self) -> str:
         """The verdict, in a few words."""
-        count = f"{self.n} mode{'s' * (self.n != 1)}"
+        count = counted(self.n, "mode")
         what = "d and r" if self.from_rest else "d, r and the initial state"
         if self.sufficient:
             return f"shows {what} of {count}"
@@ -227,7 +227,7 @@ class Excitation(Report, Frozen):
         more = "at least " * self.band.full
         smallest = information.singular_values[-1] / max(information.singular_values[0], np.finfo(float).tiny)
         lines = [
-            f"What the record shows of {self.n} mode{'s' * (self.n != 1)}"
+            f"What the record shows of {counted(self.n, 'mode')}"
             + (" spread over the excited band" if self.scan is not None else ""),
             f"  verdict         {self.headline}",
             f"  record          {self.samples} samples, {step_of(self)}: one bin is {self.band.bin:.4g} {unit}, "
@@ -259,10 +259,6 @@ class Excitation(Report, Frozen):
         return [str(l + 1), f"{self.d[l]:.6g}", *d, f"{self.r[l]:.6g}", *r, *inflated, note]
 
 
-def _plural(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 def _in_brief(found: Excitation) -> Iterator[str]:
     """One reason and one remedy."""
     if found.blind and found.observed >= len(found.names):
@@ -287,13 +283,13 @@ def _lost_weights(found: Excitation) -> str:
 def _first(combinations: tuple[Combination, ...]) -> str:
     """The first combination in words, and how many others there are."""
     more = len(combinations) - 1
-    return combinations[0].words + f", and {_plural(more, 'other combination')}" * bool(more)
+    return combinations[0].words + f", and {counted(more, 'other combination')}" * bool(more)
 
 
 def _sentences(found: Excitation) -> Iterator[str]:
     """What the verdict rests on, the gravest first."""
     if found.observed < len(found.names):
-        yield f"It has {_plural(found.observed, 'observed sample')} for {_plural(len(found.names), 'unknown')}."
+        yield f"It has {counted(found.observed, 'observed sample')} for {counted(len(found.names), 'unknown')}."
     if not found.sufficient:
         yield from _of_blindness(found)
         yield from _of_the_input(found)
@@ -331,7 +327,7 @@ def _of_blindness(found: Excitation) -> Iterator[str]:
 def _of_the_input(found: Excitation) -> Iterator[str]:
     shown = found.band.shown_weights
     if not found.from_rest and found.information.deficiency >= found.n - shown > 0:
-        most = f"at most {_plural(int(shown), 'weight')}" if shown else "no weight"
+        most = f"at most {counted(int(shown), 'weight')}" if shown else "no weight"
         yield (
             f"The input ({found.band}; order of excitation {found.band.order}) shows {most} r beside an unknown free "
             f"motion, and the model has {found.n}."

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
+from ..._display import counted
 from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import common_unit
@@ -124,7 +125,7 @@ def _name(model: Any) -> str:
     kind = "fit" if isinstance(model, PEMResult) else type(model).__name__
     n = getattr(system, "n", None)
     if isinstance(n, int):
-        return f"{kind} ({n} mode{'s' * (n != 1)})"
+        return f"{kind} ({counted(n, 'mode')})"
     return f"{kind} ({system.nstates} states)" if isinstance(system, ct.StateSpace) else kind
 
 
