@@ -148,15 +148,15 @@ def _canonical(
     `w' = -i d w + kappa u`, `y = sum Re w` of the observable one.
     """
     d, kappa = _poles(sys)
-    observable, kappa = isinstance(sys, ObservableHamiltonian), kappa.astype(complex)
+    observable, residues = isinstance(sys, ObservableHamiltonian), kappa.astype(complex)
     into, back = _cofactor_map(d), _lagrange_map(d)
     if observable:
         into, back = back, into
     # after an impulse every mode starts from its residue, which need not be taken out of the state
     struck = observable and bool(s0.any()) and np.array_equal(s0, sys.B[:, 0])
-    start = kappa if struck else into @ s0 if s0.any() else 0 * kappa
+    start = residues if struck else into @ s0 if s0.any() else 0 * residues
     error = np.abs(into) @ np.abs(s0) if s0.any() and not struck else np.abs(start)
-    weights = (kappa[:, None], None) if observable else (None, kappa[None, :])
+    weights = (residues[:, None], None) if observable else (None, residues[None, :])
     y, w = simulate(rule.step(imaginary(-d), *weights), u, start, states=states)
     exact = cache(lambda: companion_step(sys, rule).states(u[0], None if struck else s0))
     if observable and s0.any() and not struck:

@@ -27,7 +27,6 @@ from ..diagnosis.fitted_directions import Directions, of_record, of_response, sa
 from ..fit.result import PEMResult
 from ..regression.frequency_rows import modal_columns
 from ..regression.prediction import response_on
-from ..uncertainty.residual_data import factor_of
 
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
@@ -169,16 +168,9 @@ def _completed(motions: Motions, label: str, record: Record, rules: Rules) -> Si
         )
     lengths = np.linalg.norm(columns[record.observed], axis=0)
     columns = columns / np.where(lengths > 0, lengths, 1.0)
-    found = _least_squares(columns[record.observed], target)
+    # the smallest solution, where the columns depend on one another
+    found = np.linalg.lstsq(columns[record.observed], target, rcond=len(target) * _checks.EPS)[0]
     return Simulation(forced + columns @ found, lambda: Directions(np.zeros((record.samples, 0)), columns))
-
-
-def _least_squares(columns: Array, target: Array) -> Array:
-    """Smallest solution, from the triangular factor: columns of unit length keep their singular values in it."""
-    size = columns.shape[1]
-    factor = factor_of(np.concatenate([columns.T, target[None]]))
-    found = np.linalg.lstsq(factor[:size, :size], factor[:size, size], rcond=len(target) * _checks.EPS)[0]
-    return np.asarray(found)
 
 
 # --- results of a fit ------------------------------------------------------------------------------------------------
