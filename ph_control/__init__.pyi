@@ -15,9 +15,9 @@ from .analysis.time_response import forced_response as forced_response
 from .analysis.time_response import impulse_response as impulse_response
 from .analysis.time_response import initial_response as initial_response
 from .analysis.time_response import step_response as step_response
+from .equivalence.filters import Verdict as Verdict
 from .equivalence.groupoids import PortHamiltonianGroupoid as PortHamiltonianGroupoid
 from .equivalence.groupoids import ReducedGroupoid as ReducedGroupoid
-from .equivalence.isomorphism import Verdict as Verdict
 from .equivalence.isomorphism import are_isomorphic as are_isomorphic
 from .equivalence.isomorphism import system_isomorphism as system_isomorphism
 from .equivalence.morphisms import ExpressivePower as ExpressivePower

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,34 @@ from ..systems.port_hamiltonian import PortHamiltonian
 MARGIN = 4.0  # between a bound of an error and what is called a difference
 
 
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Answer to a question of equivalence, as of `same_filter`; true if it holds.
+
+    Attributes
+    ----------
+    holds : bool
+        The answer.
+    residual : float
+        Relative size of what speaks against it.
+    allowed : float
+        What the residual is held against: a multiple of the rounding errors of the data, or what was asked for.
+    witness : object
+        What proves it, or None: the matrix `L`, the pair `(P, A)`, or the common modal form.
+    reason : str
+        The answer in words.
+    """
+
+    holds: bool
+    residual: float
+    allowed: float
+    witness: Any
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
 def separation_of(sys: LosslessSystem | ModalForm) -> Separation:
     """Modes with the bounds of their errors; those of matrices `(Q, B)` carry the rounding of these."""
     if isinstance(sys, PortHamiltonian):
@@ -23,21 +52,7 @@ def separation_of(sys: LosslessSystem | ModalForm) -> Separation:
     return separate(sys if isinstance(sys, ModalForm) else sys.modes)
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """What speaks most against the equality of two transfer functions."""
-
-    residual: float
-    allowed: float
-    reason: str
-
-    @property
-    def decides(self) -> bool:
-        """Whether it is more than rounding explains."""
-        return self.residual > self.allowed
-
-
-def filter_mismatch(first: Separation, second: Separation, rtol: float | None = None) -> Mismatch:
+def compare_filters(first: Separation, second: Separation, rtol: float | None = None) -> Verdict:
     """Compare the transfer functions of two systems, residue by residue.
 
     Poles whose error disks overlap count as one, with the sum of their residues.  What is left of it is held against
@@ -64,13 +79,14 @@ def filter_mismatch(first: Separation, second: Separation, rtol: float | None = 
         for members, shift in ((g.members, k * first.modes.n) for k, s in enumerate(both) for g in s.groups):
             together[np.ix_(members + shift, members + shift)] = True
     label = components(together)[1]
-    worst = Mismatch(0.0, _checks.EPS, "")
+    worst, allowance, reason = 0.0, _checks.EPS, ""
     for group in (np.flatnonzero(label == k) for k in range(label.max(initial=-1) + 1)):
         left = float(np.abs(np.tensordot(sign[group], residues[group], axes=1)).max())
         whole = float(size[group].sum() if rtol is None else size.max()) or 1.0
         bound = float(allowed[group].sum()) / whole if rtol is None else max(rtol, _checks.EPS)
-        if left / whole * worst.allowed > worst.residual * bound:
+        if left / whole * allowance > worst * bound:
             totals = [float(np.trace(residues[group][sign[group] == s].sum(axis=0)).real) for s in (1.0, -1.0)]
             at = f"at frequency {d[group].mean():.6g}" if d[group].any() else "at 0"
-            worst = Mismatch(left / whole, bound, f"the residues {at} differ: {totals[0]:.6g} and {totals[1]:.6g}")
-    return worst
+            worst, allowance = left / whole, bound
+            reason = f"the residues {at} differ: {totals[0]:.6g} and {totals[1]:.6g}"
+    return Verdict(bool(worst <= allowance), float(worst), float(allowance), None, reason)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import control as ct
 import numpy as np
@@ -18,47 +18,18 @@ from .. import _checks
 from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, schur_form
-from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from ..systems.base import LosslessSystem
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
-from .filters import MARGIN, filter_mismatch, separation_of
-from .morphisms import balanced, comparable, is_morphism
+from .filters import MARGIN, Verdict, compare_filters, separation_of
+from .morphisms import balanced, comparable, controllable_morphism, is_morphism
 from .unique_coordinates import norm_of
 
 _NEAR = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of frequencies below which modes are taken to mix
 _SMALL = 16  # states up to which all eigenvalues may be treated as one block
 _LARGEST_BLOCK = 24  # eigenvalues in one block up to which its k^2 equations are solved at once, in O(k^6)
 _PARALLEL = 1e-8  # ports whose weights in a group of modes differ by less give no direction of their own
-
-
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """Answer to a question of equivalence, as of `same_filter`; true if it holds.
-
-    Attributes
-    ----------
-    holds : bool
-        The answer.
-    residual : float
-        Relative size of what speaks against it.
-    allowed : float
-        What the residual is held against: a multiple of the rounding errors of the data, or what was asked for.
-    witness : object
-        What proves it, or None: the matrix `L`, the pair `(P, A)`, or the common modal form.
-    reason : str
-        The answer in words.
-    """
-
-    holds: bool
-    residual: float
-    allowed: float
-    witness: Any
-    reason: str
-
-    def __bool__(self) -> bool:
-        return self.holds
 
 
 def are_isomorphic(sys1: ct.StateSpace, sys2: ct.StateSpace, *, rtol: float | None = None) -> Verdict:
@@ -190,9 +161,9 @@ def _compare_lossless(sys1: LosslessSystem, sys2: LosslessSystem, rtol: float | 
     if gap[l] > allowed[l]:
         reason = f"the frequencies differ: {d1[l]:.6g} and {d2[l]:.6g}"
         return Verdict(False, float(gap[l]), float(allowed[l]), None, reason)
-    mismatch = filter_mismatch(first, second, rtol)
-    if mismatch.decides:
-        return Verdict(False, mismatch.residual, mismatch.allowed, None, mismatch.reason)
+    filters = compare_filters(first, second, rtol)
+    if not filters:
+        return filters
     # the largest relative errors of frequencies
     worst = sum(float(np.max(found.errors.d / found.modes.d, initial=_checks.EPS)) for found in (first, second))
     floor = MARGIN * sys1.n * worst if rtol is None else rtol
@@ -219,13 +190,12 @@ def _modal_coordinates(sys: LosslessSystem) -> tuple[Array, Array]:
     if isinstance(sys, PortHamiltonian):
         nu = _complex_rows(sys.S @ sys.B)[:, 0]
         return real_form(np.diag(1 / nu)) @ sys.S, symplectic_inverse(sys.S) @ real_form(np.diag(nu))
-    # x_l = nu_l sum_k b_k (-i d_l s_{2k+1} + s_{2k+2}), see `controllable_morphism`
-    b, gaps = cofactors(d), (d[:, None] - d) * (d[:, None] + d)
+    # `w` are the states of the normal form with unit weights
+    gaps = (d[:, None] - d) * (d[:, None] + d)
     np.fill_diagonal(gaps, 1.0)
     # entry (k, l) is (-d_l^2)^k / prod_{j != l} (d_j^2 - d_l^2)
     inverse = np.vander(-(d**2), n, increasing=True).T / gaps.prod(axis=0)
-    there, back = np.zeros((2, 2 * n, 2 * n))
-    there[:n, 1::2], there[n:, 0::2] = b, -d[:, None] * b
+    there, back = controllable_morphism(d, np.repeat([1.0, 0.0], n)), np.zeros((2 * n, 2 * n))
     back[1::2, :n], back[0::2, n:] = inverse, -inverse / d
     if isinstance(sys, ControllableHamiltonian):
         return there, back

@@ -22,8 +22,8 @@ from ..symplectic.forms_and_williamson import apply_form
 from ..systems.base import in_normal_form, refuse_losses
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import full_port_hamiltonian
-from .filters import filter_mismatch, separation_of
-from .isomorphism import Verdict, block_unitary, real_form
+from .filters import Verdict, compare_filters, separation_of
+from .isomorphism import block_unitary, real_form
 from .unique_coordinates import power_of_two, resonances, squared_weights
 
 # --- the same transfer function ---------------------------------------------------------------------------------------
@@ -70,11 +70,9 @@ def same_filter(sys1: Any, sys2: Any, *, rtol: float | None = None) -> Verdict:
     ports = first.modes.nports, second.modes.nports
     if ports[0] != ports[1]:
         raise StructureError(f"the systems have {ports[0]} and {ports[1]} ports; filters of as many ports compare")
-    found = filter_mismatch(first, second, rtol)
-    if found.decides:
-        return Verdict(False, found.residual, found.allowed, None, found.reason)
+    verdict = compare_filters(first, second, rtol)
     witness = first if rtol is None else separate(first.modes, rtol=rtol)
-    return Verdict(True, found.residual, found.allowed, witness.minimal(), "poles and residues agree")
+    return replace(verdict, witness=witness.minimal(), reason="poles and residues agree") if verdict else verdict
 
 
 def _separated(sys: Any) -> Separation:
