@@ -63,6 +63,8 @@ class NotLosslessError(StructureError):
     ----------
     violations : tuple of str
         The sentences above.
+    is_refusal : bool
+        Whether the message is another than the default one.
 
     Examples
     --------
@@ -76,6 +78,7 @@ class NotLosslessError(StructureError):
 
     def __init__(self, violations: Sequence[str], message: str | None = None) -> None:
         self.violations, self._message = tuple(violations), message
+        self.is_refusal = message is not None
         if message is not None:
             super().__init__(message)
             return

@@ -84,6 +84,80 @@ def test_every_kind_that_can_be_saved_can_be_shown(kept, tmp_path):
     assert np.allclose(answer["d"], getattr(kept, "modes", kept).d, rtol=1e-15)
 
 
+PLATE = phc.ph(
+    np.diag([4.0, 1.0]), [0.2, 1.0], R=np.diag([0.0, 0.3]), N=[[0.0]], S=[[0.1]], sensors=([[1.0, 0.0]], [[0.5]]),
+    name="plate", inputs="force", outputs=["speed", "où"],
+)  # fmt: skip
+ODD = phc.ph(np.eye(3), [1.0, 0.0, 0.0], J=[[0, 1, 0], [-1, 0, 2], [0, -2, 0]], R=np.diag([0.1, 0.0, 0.0]), name="odd")
+CRITICAL = phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 2.0]))
+
+
+@pytest.mark.parametrize("system", [PLATE, ODD, CRITICAL], ids=lambda system: f"{system.nstates} states")
+@pytest.mark.parametrize("name", ["x.json", "x.mat"])
+def test_a_system_with_losses_goes_round_through_files_with_all_it_has(system, name, tmp_path):
+    phc.save(system, tmp_path / "kept.json")
+    done = run("convert", tmp_path / "kept.json", tmp_path / name)
+    assert (done.status, done.error) == (0, "")
+    back = run("convert", tmp_path / name, tmp_path / "back.json")
+    assert (back.status, back.error) == (0, "")
+    again = phc.load(tmp_path / "back.json")
+    assert type(again) is phc.DissipativePortHamiltonian
+    for part in "QGJRPSNABCD":
+        assert np.array_equal(getattr(again, part), getattr(system, part))
+    for kind in ("input_labels", "output_labels", "state_labels"):
+        assert getattr(again, kind) == getattr(system, kind)
+    assert again.name == system.name
+    assert (tmp_path / "back.json").read_bytes() == (tmp_path / "kept.json").read_bytes()
+
+
+@pytest.mark.parametrize("system", [PLATE, ODD, CRITICAL], ids=lambda system: f"{system.nstates} states")
+def test_info_shows_natural_frequencies_and_damping_of_a_system_with_losses(system, tmp_path):
+    phc.save(system, tmp_path / "kept.json")
+    done = run("info", tmp_path / "kept.json")
+    assert done.status == 0 and "port-Hamiltonian with losses: losses R" in done.out and "damping ratio" in done.out
+    answer = shown((tmp_path / "kept.json").read_bytes())
+    assert answer["lossless"] is False and answer["violations"] == []
+    assert np.allclose(answer["natural_frequencies"], system.natural_frequencies)
+    assert np.allclose(answer["damping_ratios"], system.damping_ratios)
+    assert (answer["ports"], answer["sensors"]) == (1, system.noutputs - 1) and answer["states"] == system.nstates
+
+
+@pytest.mark.parametrize("system", [PLATE, ODD, CRITICAL], ids=lambda system: f"{system.nstates} states")
+def test_modes_with_damping_are_kept_bit_by_bit(system, tmp_path):
+    phc.save(system, tmp_path / "kept.json")
+    assert run("convert", tmp_path / "kept.json", tmp_path / "modes.json", "--to", "modes").status == 0
+    modes = phc.load(tmp_path / "modes.json")
+    s = np.array([0.3j, 1.0 + 1j])
+    assert np.array_equal(modes.evaluate(s), system.modes.evaluate(s)) and np.array_equal(
+        modes.poles, system.modes.poles
+    )
+    assert run("info", tmp_path / "modes.json").status == 0
+    refused = run("convert", tmp_path / "kept.json", tmp_path / "modes.csv", "--to", "modes")
+    assert refused.status == 2 and "modes with damping are kept in JSON" in refused.error
+
+
+@pytest.mark.parametrize("form", ["ss", "tf"])
+def test_matrices_and_coefficients_of_a_system_with_losses_are_written(form, tmp_path):
+    phc.save(CRITICAL, tmp_path / "kept.json")
+    assert run("convert", tmp_path / "kept.json", tmp_path / "x.mat", "--to", form).status == 0
+    found = scipy.io.loadmat(tmp_path / "x.mat")
+    if form == "ss":
+        assert np.array_equal(found["A"], CRITICAL.A) and "Q" not in found
+    else:
+        assert np.allclose(found["den"], [[1.0, 2.0, 1.0]])
+    refused = run("convert", tmp_path / "kept.json", tmp_path / "x.json", "--to", "ch")
+    assert refused.status in (1, 2) and "lossless_part" in refused.error
+
+
+def test_matrices_with_losses_that_others_wrote_are_read(tmp_path):
+    scipy.io.savemat(tmp_path / "x.mat", {"Q": PLATE.Q, "B": PLATE.G, "R": PLATE.R, "S": PLATE.S})
+    answer = json.loads(run("info", tmp_path / "x.mat", "--json").out)
+    assert answer["kind"] == "DissipativePortHamiltonian" and answer["name"] == "x"
+    bad = matlab(Q=PLATE.Q, B=PLATE.G, R=-PLATE.R)
+    done = run("info", "-", stdin=bad)
+    assert done.status == 2 and "negative eigenvalue" in done.error
+
+
 STATE_SPACE = {"A": PLANT.A, "B": PLANT.B, "C": PLANT.C}
 
 

@@ -189,7 +189,7 @@ def test_document_follows_the_schema_in_the_manual(path, model):
     root = [float(model.modes.nu[l, 0].real) for l in range(2)]
     assert document == {
         "format": "ph_control",
-        "schema": 1,
+        "schema": 2,
         "kind": "PortHamiltonian",
         "data": {
             "name": "a bridge",
@@ -511,13 +511,22 @@ def test_every_truncation_is_refused(path, model, message):
         assert "empty" in (text := message(content[:length])) or "cut short" in text
 
 
+def test_a_document_of_schema_1_is_read(path, model):
+    """Its content is that of schema 2, without systems with losses."""
+    save(model, path)
+    text = path.read_text()
+    path.write_text(text.replace('"schema": 2', '"schema": 1'))
+    assert '"schema": 1' in path.read_text() and load(path).input_labels == model.input_labels
+
+
 NOTHING = object()
 
 
 @pytest.mark.parametrize(
     ("place", "value", "expected"),
     [
-        (["schema"], 2, "has schema 2; this version of ph_control reads schema 1: upgrade ph_control"),
+        (["schema"], 3, "has schema 3; this version of ph_control reads schemas 1 to 2: upgrade ph_control"),
+        (["schema"], 0, "has schema 0; this version of ph_control reads schemas 1 to 2"),
         (["schema"], "1", 'schema is "1", needed an integer'),
         (["schema"], True, "schema is true, needed an integer"),
         (["schema"], 1.0, "schema is 1.0, needed an integer"),

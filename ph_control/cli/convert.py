@@ -1,7 +1,7 @@
-"""Turn a lossless model into another form, and into another file format, which is told by the suffix.
+"""Turn a port-Hamiltonian model into another form, and into another file format, which is told by the suffix.
 
-.json, .mat (A, B, C, D; or num, den), .txt and .csv (coefficients of the transfer function, or modes). Standard output
-gets JSON. Exit status 1 if the model is not lossless.
+.json, .mat (A, B, C, D, with losses also Q, G, J, R, P, S, N; or num, den), .txt and .csv (coefficients of the transfer
+function, or modes). Standard output gets JSON. Exit status 1 if the model has no port-Hamiltonian form.
 
 Examples
 --------
@@ -88,9 +88,11 @@ def _format_of(target: str) -> str:
 def _form_of(made: Any) -> str:
     from control import TransferFunction
 
+    from ..modal.general_form import GeneralModalForm
+
     forms: dict[type, str] = {
-        phc.ModalForm: "modes", phc.ControllableHamiltonian: "ch", phc.ObservableHamiltonian: "oh",
-        TransferFunction: "tf", phc.AffineHamiltonian: "affine",
+        phc.ModalForm: "modes", GeneralModalForm: "modes", phc.ControllableHamiltonian: "ch",
+        phc.ObservableHamiltonian: "oh", TransferFunction: "tf", phc.AffineHamiltonian: "affine",
     }  # fmt: skip
     return forms.get(type(made), "ph")
 
@@ -120,16 +122,29 @@ def _encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     if found == "tf":
         arrays = _polynomials(made)
     elif found == "modes" and kind != "json":
+        if not made.is_lossless:
+            raise StructureError("modes with damping are kept in JSON; write .json, or the matrices by --to ss")
         if made.nports != 1 or len(made.rigid):
             raise StructureError("d and r alone do not tell a model of several ports, or with a pole at 0; write .json")
         arrays = {"d": made.d, "r": made.r}
     elif form == "ss" or kind != "json":
         arrays = {key: getattr(made, key) for key in "ABCD"}
+        if form != "ss" and kind == "mat" and isinstance(made, phc.DissipativePortHamiltonian):
+            arrays |= _parts(made)
     else:
         return document_of(made)
     if kind == "json":
         return strict(arrays, indent=None)
     return matlab_of(arrays) if kind == "mat" else _text(arrays, " " if kind == "txt" else ",")
+
+
+def _parts(made: phc.DissipativePortHamiltonian) -> dict[str, Any]:
+    """Structure matrices and names, from which the same system comes back."""
+    rows, through = made.sensors
+    parts = {key: getattr(made, key) for key in "QGJRPSN"}
+    sensors = {"sensor_rows": rows, "sensor_feedthrough": through} if len(rows) else {}
+    names = {"name": made.name, "inputs": made.input_labels, "outputs": made.output_labels, "states": made.state_labels}
+    return {**parts, **sensors, **names}
 
 
 def _polynomials(system: Any) -> dict[str, Any]:

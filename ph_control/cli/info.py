@@ -1,7 +1,8 @@
 """Show what a model is: its modes, and whether it is lossless.
 
 Models are JSON files written by this package or with fields such as A, B, C, D, .mat files with such variables, and
-texts with the numerator and the denominator of a transfer function. Exit status 1 if a model is not lossless.
+texts with the numerator and the denominator of a transfer function. Exit status 1 if a model is neither
+lossless nor a port-Hamiltonian system with losses.
 
 Examples
 --------
@@ -44,7 +45,7 @@ def run(options: Namespace) -> int:
         emit_json({"command": "info", **(fields[0] if len(fields) == 1 else {"models": fields})})
     else:
         emit("\n\n".join(text for _, text in answers) + "\n")
-    return DONE if all(fields["lossless"] for fields, _ in answers) else NO
+    return DONE if all("violations" not in fields or not fields["violations"] for fields, _ in answers) else NO
 
 
 def _answer(model: Model) -> tuple[dict[str, Any], str]:
@@ -59,7 +60,8 @@ def _answer(model: Model) -> tuple[dict[str, Any], str]:
     except NoError as error:
         text = "\n".join([f"{given}, NOT lossless", *(f"  - {line}" for line in error.violations)])
         return {**known, "lossless": False, "violations": error.violations}, text
-    lines = [f"{given}, lossless"] if given else []
+    known["lossless"] = bool(found.is_lossless)
+    lines = [f"{given}, {'lossless' if known['lossless'] else 'with losses'}"] if given else []
     return {**known, **_fields_of(found), "violations": []}, "\n".join(lines + _lines(found))
 
 
@@ -88,6 +90,11 @@ def _fields_of(found: Any) -> dict[str, Any]:
     if found is not form:
         fields |= {"states": found.nstates, "degrees_of_freedom": found.n, "name": found.name}
         fields |= {"inputs": found.input_labels, "outputs": found.output_labels}
+    if not _in_d_and_r(form):
+        fields |= {"states": len(form.poles)} if found is form else {}
+        damped = {"natural_frequencies": form.natural_frequencies, "damping_ratios": form.damping_ratios}
+        hertz = form.natural_frequencies / hertz_size(unit) if unit else None
+        return {**fields, "sensors": form.noutputs - form.nports, "time_unit": unit, "hertz": hertz, **damped}
     if isinstance(found, phc.PortHamiltonian):
         fields["canonical"] = bool(found.is_canonical)
     return {**fields, "time_unit": unit, "hertz": form.d / hertz_size(unit) if unit else None, **modes_of(form)}
@@ -104,6 +111,8 @@ def _lines(found: Any) -> list[str]:
             f"{kind} {found.name}: {degrees}, {ports}",
             f"  inputs {', '.join(found.input_labels)}; outputs {', '.join(found.output_labels)}",
         ]
+    if not _in_d_and_r(form):
+        return lines + _damped_lines(found, form, unit)
     if isinstance(found, phc.PortHamiltonian):
         lines.append(f"  canonical (controllable and observable): {'yes' if found.is_canonical else 'no'}")
     head = f"d [{rate(unit)}]", f"f [{'Hz' if unit else '1/time'}]"
@@ -113,6 +122,27 @@ def _lines(found: Any) -> list[str]:
         lines.append(row.rstrip())
     if len(form.rigid):
         lines.append(f"  pole at 0 with residue kappa_0 = {_number(form.kappa_0)}".rstrip())
+    return lines
+
+
+def _in_d_and_r(form: phc.ModalForm) -> bool:
+    """Whether frequencies and weights tell everything."""
+    from ..modal.general_form import GeneralModalForm
+
+    return not isinstance(form, GeneralModalForm)
+
+
+def _damped_lines(found: Any, form: phc.ModalForm, unit: str | None) -> list[str]:
+    """Losses and sensors of a system, and a table of natural frequencies and damping ratios."""
+    lines = []
+    if found is not form:
+        more = found._beyond_lossless()
+        lines.append(f"  {'lossless' if found.is_lossless else 'port-Hamiltonian with losses'}: {', '.join(more)}")
+    head = f"[{rate(unit)}]", f"f [{'Hz' if unit else '1/time'}]"
+    lines.append(f"   mode   natural frequency {head[0]:12} {head[1]:15}   damping ratio [%]")
+    rows = zip(form.natural_frequencies, form.damping_ratios, strict=True)
+    for l, (w, zeta) in enumerate(rows, 1):
+        lines.append(f"  {l:5d}   {w:<30.10g} {w / hertz_size(unit):<15.8g}   {100 * zeta:.6g}")
     return lines
 
 

@@ -107,14 +107,15 @@ def measurements(names: Sequence[str], options: Namespace) -> Measurements:
 # --- models ----------------------------------------------------------------------------------------------------------
 
 _ADVICE = (
-    "needed are A, B, C (and D) of a state space, num and den of a transfer function, Q and B of a port-Hamiltonian "
-    "system, or d and r of modes"
+    "needed are A, B, C (and D) of a state space, num and den of a transfer function, Q and B (and R, J, P, S, N) of a "
+    "port-Hamiltonian system, or d and r of modes"
 )
 _AS_TEXT = (
     "a model as text is two lines, the numerator and the denominator, highest power first, such as 'num 1 0' and "
     "'den 1 0 4'"
 )
 _KNOWN = ("A", "B", "C", "D", "num", "den", "Q", "d", "r", "Ts", "dt")
+_LOSSES = ("G", "J", "R", "P", "S", "N")  # of port-Hamiltonian systems, spelt exactly so
 _MEANING = {"num": "num", "numerator": "num", "den": "den", "denominator": "den", "d": "d", "r": "r"}
 _COMMENT = re.compile(r"[#%].*|//.*")
 _NAMED = re.compile(r"([A-Za-z]\w*)\s*[:=,;\s]\s*(.*)")
@@ -281,6 +282,8 @@ def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
                 "continuous time; convert it first: in MATLAB by d2c, in Python by ph_control.ph with its method"
             )
     try:
+        if "Q" in spelt and ("G" in fields or ("A" not in spelt and "B" in spelt and "R" in fields)):
+            return _with_losses(fields, array("Q"), port() if "B" in spelt else None, source, name)
         if {"A", "B", "C"} <= set(spelt):
             D = array("D") if "D" in spelt else 0.0
             return ct.ss(array("A"), port(), array("C"), D, name=name, remove_useless_states=False)
@@ -298,6 +301,28 @@ def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
         raise FileFormatError(f"{source} holds no system: {error}; {_ADVICE}") from None
     listed = ", ".join(map(repr, [*fields][:12])) + f" and {len(fields) - 12} more" * (len(fields) > 12)
     raise FileFormatError(f"{source} holds {listed or 'no arrays'}; {_ADVICE}")
+
+
+def _with_losses(fields: Mapping[str, Any], Q: Any, B: Any, source: str, name: str) -> Any:
+    """Port-Hamiltonian system of its structure matrices; `B` is the port matrix where there is no `G`."""
+    from .. import _checks
+
+    def matrix(key: str) -> Any:
+        given = _checks.real_array(f"{source}: {key}", fields[key])
+        return given.reshape(-1, 1) if key in "GP" and given.ndim == 1 else given
+
+    parts = {key: matrix(key) for key in _LOSSES if key in fields}
+    G = parts.pop("G", B)
+    sensors = None
+    if "sensor_rows" in fields:
+        rows = _checks.real_array(f"{source}: sensor_rows", fields["sensor_rows"], 2)
+        through = fields.get("sensor_feedthrough", [[0.0] * G.shape[1]] * len(rows))
+        sensors = rows, _checks.real_array(f"{source}: sensor_feedthrough", through, 2)
+    names = {key: fields[key] for key in ("inputs", "outputs", "states") if isinstance(fields.get(key), list)}
+    own = fields.get("name")
+    return phc.DissipativePortHamiltonian(
+        Q, G, **parts, sensors=sensors, name=own if isinstance(own, str) else name, **names
+    )
 
 
 def _spelling(fields: Mapping[str, Any], known: str, source: str) -> str | None:

@@ -128,6 +128,8 @@ def _code_of(run: Callable[[], int]) -> int:
 
 def _told(error: Exception) -> tuple[int, str]:
     """Exit status and message of an error."""
+    if isinstance(error, NotLosslessError) and error.is_refusal:
+        return NO, in_shell_terms(str(error))
     if isinstance(error, NotLosslessError):
         error = NoError("the system", error.violations)
     if isinstance(error, PHControlError):

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from .. import _checks
 from .._units import checked_unit, with_unit
 from ..exceptions import FileFormatError, StructureError
-from ..modal.modal_form import ModalForm
+from ..modal.general_form import GeneralModalForm
+from ..modal.modal_form import Cluster, ModalForm
 from ..systems.affine import AffineHamiltonian
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.dissipative import DissipativePortHamiltonian
@@ -116,10 +117,42 @@ def _dissipative_from_dict(fields: Fields) -> DissipativePortHamiltonian:
     return system
 
 
+def _general_to_dict(form: GeneralModalForm) -> dict[str, Any]:
+    single = form.single
+    clusters = {str(k): {"A": one.A, "B": one.B, "C": one.C} for k, one in enumerate(form.clusters, 1)}
+    return {
+        "outputs": form.noutputs, "inputs": form.ninputs, "poles": single.mode_poles, "shapes": single.shapes,
+        "participation": single.participation, "feedthrough": form.feedthrough, "clusters": clusters,
+    }  # fmt: skip
+
+
+def _general_from_dict(fields: Fields) -> GeneralModalForm:
+    sizes = fields.integer("outputs"), fields.integer("inputs")
+    if not all(0 <= size <= _MOST_PORTS for size in sizes):
+        raise StructureError(f"{sizes[0]} outputs and {sizes[1]} inputs; of each there are at most {_MOST_PORTS}")
+    p, m = sizes
+    poles = fields.complex_array("poles", (None,))
+    shapes = fields.complex_array("shapes", (len(poles), p))
+    participation = fields.complex_array("participation", (len(poles), m))
+    if (poles.imag < 0).any() or any(part[poles.imag == 0].imag.any() for part in (shapes, participation)):
+        raise StructureError("a pole is in the lower half-plane, or shapes or participation of a real one are complex")
+    clusters = []
+    kept = fields.nested("clusters")
+    for k in range(1, len(kept.content) + 1):
+        block = kept.nested(str(k))
+        A = block.array("A", (None, None))
+        B, C = block.array("B", (len(A), m)), block.array("C", (p, len(A)))
+        if A.shape != (len(A), len(A)) or np.tril(A, -2).any() or (np.diag(A, -1)[1:] * np.diag(A, -1)[:-1]).any():
+            raise StructureError(f"A of cluster {k} is no real Schur form")
+        clusters.append(Cluster(A, B, C))
+    return GeneralModalForm(poles, shapes, participation, fields.array("feedthrough", (p, m)), clusters)
+
+
 # how each kind is written, or the module above this one that tells it, imported when the kind is first met
 _CODECS: dict[str, Codec | str] = {
     "PortHamiltonian": Codec(PortHamiltonian, system_to_dict, system_from_dict),
     "ModalForm": Codec(ModalForm, _modes_to_dict, _modes_from_dict),
+    "GeneralModalForm": Codec(GeneralModalForm, _general_to_dict, _general_from_dict),
     "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
     "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),
     "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, _dissipative_to_dict, _dissipative_from_dict),

@@ -23,7 +23,8 @@ ComplexArray = NDArray[np.complex128]
 Value = TypeVar("Value")
 
 FORMAT = "ph_control"
-SCHEMA = 1
+SCHEMA = 2  # that is written; 1, of lossless systems, is a part of it
+_READ = (1, 2)
 _NON_FINITE = ("nan", "inf", "-inf")
 
 
@@ -94,9 +95,10 @@ def _open_envelope(document: Any, name: str) -> tuple[str, Fields]:
     envelope = Fields(document, name)
     envelope.text("format")
     schema = envelope.integer("schema")
-    if schema != SCHEMA:
+    if schema not in _READ:
         raise FileFormatError(
-            f"{name} has schema {schema}; this version of ph_control reads schema {SCHEMA}: upgrade ph_control"
+            f"{name} has schema {schema}; this version of ph_control reads schemas {_READ[0]} to {_READ[-1]}: upgrade "
+            "ph_control"
         )
     kind = envelope.text("kind")
     data = envelope.nested("data")

@@ -13,6 +13,7 @@ import scipy.io
 from ..exceptions import FileFormatError
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_UTF8 = 16
 _MATRIX, _COMPRESSED = 14, 15  # types of elements that hold others
 _CELL, _STRUCT, _TEXT, _SPARSE, _NUMERIC = 1, 2, 4, 5, range(6, 16)  # classes of arrays
 _OBJECTS = (3, 16, 17)
@@ -105,7 +106,19 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
         keys = [names[k : k + width].split(b"\0")[0].decode("latin-1") for k in range(0, len(names), width)]
         values = [_matrix(part, order)[1] for _, part in elements]
         return name, dict(zip(keys, values, strict=True)) if np.prod(shape) == 1 else "an array of structures"
-    return name, {_CELL: "a cell array", _TEXT: "a text", _SPARSE: "a sparse matrix of logical values"}[kind]
+    if kind == _TEXT:
+        return name, _text(next(elements, (_UTF8, b"")), order)
+    if kind == _CELL:
+        inner = [_matrix(part, order)[1] for _, part in elements]
+        return name, inner if all(isinstance(one, str) for one in inner) else "a cell array"
+    return name, {_SPARSE: "a sparse matrix of logical values"}[kind]
+
+
+def _text(element: tuple[int, bytes], order: str) -> str:
+    """Text of one row; characters of one byte, or of UTF-16 or UTF-8."""
+    kind, body = element
+    wide = {4: "utf-16", 17: "utf-16"}.get(kind)
+    return body.decode((wide + ("-le" if order == "<" else "-be")) if wide else "utf-8" if kind == _UTF8 else "latin-1")
 
 
 def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
@@ -122,7 +135,8 @@ def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
 def matlab_of(fields: Mapping[str, Any]) -> bytes:
     """Content of a `.mat` file."""
     with io.BytesIO() as buffer:
-        scipy.io.savemat(buffer, dict(fields))
+        cells = {key: np.array(value, object) if isinstance(value, list) else value for key, value in fields.items()}
+        scipy.io.savemat(buffer, cells)
         content = bytearray(buffer.getvalue())
     # the header tells the time of writing: the same model shall give the same bytes
     text = b"MATLAB 5.0 MAT-file, written by ph_control"
