@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import counted
-from .._types import Array
+from .._types import Array, Mask
 from .._units import known_unit
 from ..exceptions import FileFormatError, StructureError
 from .files import read_bytes, source_name
@@ -99,7 +98,7 @@ class Table:
         label = self.labels[column] if self.labels else ""
         return f"column {column} ({label!r})" if label else f"column {column}"
 
-    def refuse(self, column: int, wrong: NDArray[np.bool_], message: str, values: Array | None = None) -> None:
+    def refuse(self, column: int, wrong: Mask, message: str, values: Array | None = None) -> None:
         """Refuse a column for the first of its rows that are wrong; the message may show the value there."""
         if wrong.any():
             row = int(np.argmax(wrong))

@@ -8,10 +8,10 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._types import Array, ComplexArray, Mask
+from .._types import Array, ComplexArray, Indices, Mask
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import in_normal_form
@@ -153,7 +153,7 @@ class Curve:
             middle.append(np.append(np.median(levels, axis=1), np.nan))
         return np.concatenate(omega), np.concatenate(middle)
 
-    def gaps(self) -> NDArray[np.intp]:
+    def gaps(self) -> Indices:
         """Places before which a line must break: between the two samples there the response is infinite or zero."""
         if self.tabulated or not len(self.singular):
             return np.zeros(0, np.intp)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import control as ct
-import numpy as np
-from numpy.typing import NDArray
 
 from .. import _checks
 from .._display import counted
+from .._types import Array
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
@@ -28,7 +27,7 @@ class FitResult(Protocol):
     system: PortHamiltonian
     experiments: tuple[Any, ...]
     quantity: str
-    covariance: NDArray[np.float64]
+    covariance: Array
     observed_system: ct.StateSpace
 
     def sample(self, k: int, rng: Any = None) -> Any:

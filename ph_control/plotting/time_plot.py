@@ -14,10 +14,10 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._types import Array
+from .._types import Array, Mask
 from .._units import unit_for
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
@@ -364,7 +364,7 @@ def _lossless(
     return Trace(subject.label, t, values, slow, d[fast], reach, not chosen)
 
 
-def response_of(modes: ModalForm, time: ArrayLike, integrals: int, moving: NDArray[np.bool_] | None = None) -> Array:
+def response_of(modes: ModalForm, time: ArrayLike, integrals: int, moving: Mask | None = None) -> Array:
     """Impulse response of a modal form, integrated so many times (0, 1 or 2), shape (m, m, T).
 
     `integrals` of 1 is the step response.  Of modes that are not `moving` only the mean over an oscillation is taken, a

@@ -13,9 +13,8 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
-from numpy.typing import NDArray
 
-from .._types import Array, ComplexArray, Mask
+from .._types import Array, ComplexArray, Indices, Mask
 from .bode_data import decibels
 from .fit_plot import line_of_model
 from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_label, labelled, picture, plain
@@ -121,7 +120,7 @@ def _phase_cut(measured: ComplexArray) -> float:
 class CorrelationPanel:
     """Correlation at each lag, and half the width of its band."""
 
-    lags: NDArray[np.intp]
+    lags: Indices
     values: Array
     band: Array
     confidence: float
@@ -199,7 +198,7 @@ def residual_panels_plot(
 
 
 def stabilisation_plot(
-    orders: NDArray[np.intp],
+    orders: Indices,
     frequencies: Sequence[Array],
     stable: Sequence[Mask],
     criteria: Mapping[str, Array],
@@ -233,9 +232,7 @@ def stabilisation_plot(
         return drawn.finished("Choice of the order", drawn.legends())
 
 
-def _draw_stabilisation(
-    axis: Axes, orders: NDArray[np.intp], frequencies: Sequence[Array], stable: Sequence[Mask]
-) -> list[Any]:
+def _draw_stabilisation(axis: Axes, orders: Indices, frequencies: Sequence[Array], stable: Sequence[Mask]) -> list[Any]:
     d = np.concatenate([np.zeros(0), *frequencies])
     order = np.repeat(orders, [len(row) for row in frequencies])
     kept = np.concatenate([np.zeros(0, bool), *stable])
@@ -248,7 +245,7 @@ def _draw_stabilisation(
     return lines
 
 
-def _draw_criteria(axis: Axes, orders: NDArray[np.intp], criteria: Mapping[str, Array]) -> list[Any]:
+def _draw_criteria(axis: Axes, orders: Indices, criteria: Mapping[str, Array]) -> list[Any]:
     lines: list[Any] = []
     for name, above in criteria.items():
         colour, marker, style = _CRITERIA[name]

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from control import FrequencyResponseData
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..._units import checked_unit, with_unit
 from ...exceptions import IdentificationError, StructureError
 from .time_record import refuse_out_of_range
@@ -61,7 +60,7 @@ class FrequencyRecord(Frozen):
         return len(self.omega)
 
     @cached_property
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> Mask:
         """Where the response was measured."""
         return _checks.readonly(~np.isnan(self.response))
 

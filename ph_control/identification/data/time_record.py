@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._display import counted
 from ..._frozen import Frozen
-from ..._types import Array
+from ..._types import Array, Mask
 from ..._units import checked_unit, with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError
@@ -68,7 +68,7 @@ class Record(Frozen):
         return len(self.time)
 
     @cached_property
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> Mask:
         """Where the output was measured."""
         mask = np.isnan(self.y)
         return _checks.readonly(np.logical_not(mask, out=mask))

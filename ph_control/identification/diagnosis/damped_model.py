@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..._display import Report, aligned, counted, percent, to_its_error
 from ..._frozen import Frozen, ReadOnlyMapping
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..._units import hertz_size
 
 
@@ -83,8 +83,8 @@ class DampedModel(Report, Frozen):
     free_amplitudes: tuple[ComplexArray, ...]
     offsets: tuple[float, ...]
     predicted: tuple[NDArray[Any], ...]
-    damped: NDArray[np.bool_]
-    negative: NDArray[np.bool_]
+    damped: Mask
+    negative: Mask
     quantity: str
     time_unit: str | None = None
 

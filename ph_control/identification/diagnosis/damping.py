@@ -12,11 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc
 from scipy.stats import norm
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import FreeProjection, first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
@@ -66,7 +65,7 @@ def sentence(model: DampedModel) -> str:
     return f"With {' and '.join(parts)}, {model.fit_percent:.1f} % would be explained: {', and '.join(causes)}."
 
 
-def _modes(which: NDArray[np.bool_]) -> str:
+def _modes(which: Mask) -> str:
     numbers = [str(k + 1) for k in np.flatnonzero(which)]
     return f"mode{'s' * (len(numbers) > 1)} {_joined(numbers)}"
 
@@ -75,7 +74,7 @@ def _joined(items: Sequence[str]) -> str:
     return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
 
 
-def _listed(values: Array, errors: Array, which: NDArray[np.bool_]) -> str:
+def _listed(values: Array, errors: Array, which: Mask) -> str:
     shown = [f"{100 * values[k]:.2g} +- {100 * errors[k]:.1g} %" for k in np.flatnonzero(which)]
     return f"{_joined(shown)} ({_modes(which)})"
 
@@ -241,7 +240,7 @@ def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: s
     return replace(model, damped=damped, negative=negative & problem.driven)
 
 
-def _covariance(at: FreeProjection, variance: float, rank: NDArray[np.intp]) -> Array:
+def _covariance(at: FreeProjection, variance: float, rank: Indices) -> Array:
     """From imaginary and real parts of the poles to natural frequencies and damping ratios; NaN for what is absent."""
     n, inner = len(at.p), at.covariance(variance)
     w, x, d = at.p.imag, at.p.real, at.d
@@ -256,14 +255,14 @@ def _covariance(at: FreeProjection, variance: float, rank: NDArray[np.intp]) -> 
     return full[np.ix_(order, order)]
 
 
-def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[NDArray[np.float64]] | list[ComplexArray]:
+def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[Array] | list[ComplexArray]:
     """What a model leaves of each record in time, or of each response in the scale of its weights."""
     if isinstance(search, Records):
         return [np.fft.irfft(one, len(record.u)) for one, record in zip(left, search.experiments, strict=True)]
     return list(left)
 
 
-def _fit_percent(problem: Problem, errors: Sequence[NDArray[np.float64]] | Sequence[ComplexArray]) -> float:
+def _fit_percent(problem: Problem, errors: Sequence[Array] | Sequence[ComplexArray]) -> float:
     in_time = [one for one in problem.experiments if isinstance(one, RecordRows)]
     if in_time:
         left = np.concatenate([error[one.observed] for error, one in zip(errors, in_time, strict=True)])

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
+from ..._types import Array
+
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said
 _SHARE = 0.01  # of the samples: with more of them the noise has another distribution, or another level in places
@@ -36,7 +38,7 @@ def outliers(residuals: Sequence[NDArray[Any]], spare: int) -> tuple[tuple[int, 
     return tuple(found)
 
 
-def _parts(residuals: NDArray[Any]) -> NDArray[np.float64]:
+def _parts(residuals: NDArray[Any]) -> Array:
     if np.iscomplexobj(residuals):
         return np.stack([residuals.real, residuals.imag], axis=1)
     return np.asarray(residuals, float)[:, None]

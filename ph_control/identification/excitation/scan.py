@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._frozen import Frozen
-from ..._types import Array
+from ..._types import Array, Indices
 from ..._units import rate
 from ..regression.time_rows import RecordRows
 from ..uncertainty.fisher import model_information, work
@@ -37,7 +36,7 @@ class Scan(Frozen):
     """
 
     frequencies: Array
-    deficiency: NDArray[np.intp]
+    deficiency: Indices
     error: Array
     time_unit: str | None = None
 

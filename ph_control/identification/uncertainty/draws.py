@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm, from_frequencies, imaginary
 from ...modal.reactance import sum_with_twice_the_digits
@@ -135,7 +135,7 @@ def draws_from(k: Any, rng: Any) -> tuple[int, np.random.Generator]:
     return _checks.whole_number("k", k, 0, _MOST), _checks.random_generator(rng)
 
 
-def _factor(covariance: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+def _factor(covariance: Array) -> tuple[Mask, Array, Array]:
     """Which components vary, their standard deviations (N,), and `F` (N, p) with `F F^T` their correlation."""
     variance = np.diag(covariance)
     free = (variance > 0) & np.isfinite(variance)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from ..._checks import EPS
-from ..._types import Array
+from ..._types import Array, Indices, Mask
 from ..regression.triangular import triangle
 
 RANK = 1e-8  # relative size of directions that a regression counts
@@ -45,7 +44,7 @@ class ResidualData:
         return [slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
 
     @cached_property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Mask:
         """Where there is a residual."""
         return ~np.isnan(self.residuals)
 
@@ -122,7 +121,7 @@ class ResidualData:
         free = max(1, self.count - self.fitted.size - len(self.parts))
         return np.asarray(covariance * (self.count / free) * _parzen(m / (reach + 1)))
 
-    def shifted_inputs(self, part: slice, lags: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> Array:
+    def shifted_inputs(self, part: slice, lags: Indices, rows: Indices | None = None) -> Array:
         """Row j holds the inputs `lags[j]` samples before the residuals of a record, or some of them; 0 if unknown."""
         v = self.v[part]
         L = int(np.max(np.abs(lags)))

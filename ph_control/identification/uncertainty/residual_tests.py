@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
-from ..._types import Array
+from ..._types import Array, Indices, Mask
 from ..regression.triangular import reduced, triangle
 from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit
 
@@ -34,10 +33,10 @@ _TOGETHER = 1 << 22  # numbers in shifted inputs that are transformed at a time
 class Correlation:
     """Correlation at some lags, half the width of its band, and the number of pairs behind each; NaN without pairs."""
 
-    lags: NDArray[np.intp]
+    lags: Indices
     values: Array
     band: Array
-    pairs: NDArray[np.intp]
+    pairs: Indices
 
     @property
     def outside(self) -> int:
@@ -81,7 +80,7 @@ def autocorrelation(data: ResidualData, confidence: float) -> tuple[Correlation,
     return Correlation(lags, values, band, pairs), statistic, p_value
 
 
-def _moments(data: ResidualData, lags: NDArray[np.intp], pairs: NDArray[np.intp]) -> tuple[Array, Array]:
+def _moments(data: ResidualData, lags: Indices, pairs: Indices) -> tuple[Array, Array]:
     """Mean and variance of `e^T S e / e^T e` for white noise: moments of a ratio of quadratic forms.
 
     `S` is half the sum of the shifts to either side, between observed samples.
@@ -107,7 +106,7 @@ def _moments(data: ResidualData, lags: NDArray[np.intp], pairs: NDArray[np.intp]
     return mean, (trace**2 + 2.0 * square) / (free * (free + 2)) - mean**2
 
 
-def _shifted(Q: Array, seen: NDArray[np.bool_], lags: NDArray[np.intp]) -> tuple[Array, Array]:
+def _shifted(Q: Array, seen: Mask, lags: Indices) -> tuple[Array, Array]:
     """`Q^T S Q`, shape (lags, p, p), and the squared size of `S Q`; by pieces that fit in the cache."""
     products, sizes = np.zeros((len(lags), Q.shape[1], Q.shape[1])), np.zeros(len(lags))
     L = int(lags.max())
@@ -183,7 +182,7 @@ def cross_correlation(data: ResidualData, confidence: float) -> Correlation:
     return Correlation(lags, values, norm.isf(0.5 * (1 - confidence)) * deviation / scale, pairs)
 
 
-def _products(data: ResidualData, lags: NDArray[np.intp]) -> Array:
+def _products(data: ResidualData, lags: Indices) -> Array:
     """Sums of residuals times shifted inputs, and their standard deviations, shape (2, len(lags))."""
     basis = data.fitted_and_means
     inputs = [data.shifted_inputs(part, lags) * data.seen[part] for part in data.parts]
@@ -283,7 +282,7 @@ def _record_factor(data: ResidualData, place: int, whitening: Array) -> tuple[Ar
     fitted = _filtered(whitening, np.concatenate([data.own[place], data.directions[part]], axis=1))
     lags = np.concatenate([np.arange(L + 1), np.arange(-L, 0)])
 
-    def columns(rows: NDArray[np.intp]) -> Array:
+    def columns(rows: Indices) -> Array:
         means = np.zeros((len(data.parts), len(rows)))
         means[place] = data.constant[part][rows]
         past = e[rows - np.arange(1, order + 1)[:, None]]
@@ -301,7 +300,7 @@ def _filtered(weights: Array, columns: Array) -> Array:
     return np.asarray(out)
 
 
-def _with_past(seen: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+def _with_past(seen: Mask, order: int) -> Mask:
     """Where a residual and so many before it were observed."""
     return np.asarray(np.convolve(seen, np.ones(order + 1))[: len(seen)] > order + 0.5)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._display import Report, p_value, percent
 from ..._frozen import Frozen
-from ..._types import Array
+from ..._types import Array, Indices
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
@@ -118,7 +118,7 @@ class ResidualAnalysis(Report, HeldData, Frozen):
     label: str
     autocorrelation: Array
     autocorrelation_band: Array
-    lags: NDArray[np.intp]
+    lags: Indices
     cross_correlation: Array
     cross_correlation_band: Array
     outside: tuple[int, int]

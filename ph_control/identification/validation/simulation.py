@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
 from ... import _checks
-from ..._types import Array
+from ..._types import Array, ComplexArray
 from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
@@ -299,7 +299,7 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 # --- frequency responses ---------------------------------------------------------------------------------------------
 
 
-def _response(model: Any, label: str, record: FrequencyRecord) -> NDArray[np.complex128]:
+def _response(model: Any, label: str, record: FrequencyRecord) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
     if isinstance(model, PEMResult):
         live = model.r > 0
