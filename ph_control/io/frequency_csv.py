@@ -8,6 +8,7 @@ from typing import BinaryIO, TextIO
 
 import numpy as np
 from control import FrequencyResponseData
+from scipy.special import cosdg, sindg
 
 from .. import _checks
 from .._types import Array, ComplexArray
@@ -205,7 +206,9 @@ def _polar(
     table: Table, units: Mapping[str, str | None], columns: list[int], size: Array, angle: Array
 ) -> ComplexArray:
     """Response of its magnitude and phase."""
-    turns = _turned(angle, _unit(table, columns[1], units["phase_unit"], "phase_unit") == "deg")
+    degrees = _unit(table, columns[1], units["phase_unit"], "phase_unit") == "deg"
+    # at quarter turns exact, so that a lossless response stays on its axis
+    turns: ComplexArray = cosdg(angle) + 1j * sindg(angle) if degrees else np.exp(1j * angle)
     if (units["magnitude_unit"] or _spelled(_named(table, columns[0])[1])) != "dB":
         wrong = "the magnitude is {:.6g}, and a linear one is never negative; pass magnitude_unit='dB' if it is in dB"
         table.refuse(columns[0], size < 0, wrong, size)
@@ -215,13 +218,3 @@ def _polar(
     wrong = "{:.6g} dB is beyond the range of doubles; if the magnitude is linear, pass magnitude_unit='linear'"
     table.refuse(columns[0], np.isinf(gain), wrong, size)
     return gain * turns
-
-
-def _turned(angle: Array, degrees: bool) -> ComplexArray:
-    """Points of the unit circle; quarter turns are exact, so that a lossless response stays on its axis."""
-    if not degrees:
-        return np.exp(1j * angle)
-    quarters = np.rint(angle / 90.0)
-    rest = np.exp(1j * np.deg2rad(angle - 90.0 * quarters))
-    known = np.where(np.isnan(quarters), 0.0, np.mod(quarters, 4.0)).astype(int)
-    return np.array([1, 1j, -1, -1j])[known] * rest
