@@ -18,13 +18,13 @@ import numpy as np
 from .. import _checks
 from .._frozen import Frozen
 from .._types import Array, NDArray
-from . import double_double as tf
 
 Exponents = NDArray[np.int64]
 Decimals = NDArray[np.object_]
 
 COEFFICIENT_LIMIT = 1e-4  # relative error of a frequency beyond which coefficients no longer tell it
-WIDE = Context(prec=30, Emax=MAX_EMAX, Emin=MIN_EMIN)  # of products with more digits and exponents than doubles have
+# of products with more digits and exponents than doubles have
+WIDE = Context(prec=30, Emax=MAX_EMAX, Emin=MIN_EMIN, traps=[])
 _PLAIN = 1000  # binary exponents that doubles surely hold
 _SMALLEST = -1074  # binary exponent of the smallest double
 _ROOM = np.finfo(np.longdouble).maxexp - 24  # binary exponents up to which plain numbers are used
@@ -213,63 +213,44 @@ def modes_from_coefficients(a: Array, c: Array) -> tuple[Array, Array, Array, Ar
         P, N = np.ldexp(np.append(a, 1.0), -powers), np.ldexp(c, -powers[1:])
     if not (np.isfinite(P).all() and P.min() > 0 and np.isfinite(N).all()):
         return None
-    y = _simple_positive_roots(P)
-    if y is None:
-        return None
-    (_, slope, half_curvature), (numerator, numerator_slope) = _taylor(P, y, 3), _taylor(N, y, 2)
-    kappa, size = tf.divide(numerator, slope), y[0]
-    error_y = _checks.EPS * np.polyval(P[::-1], size) / np.abs(slope[0])
-    moved = np.abs(numerator_slope[0]) + 2 * np.abs(kappa[0] * half_curvature[0])
-    rounding = np.polyval(np.abs(N)[::-1], size) + np.abs(kappa[0]) * np.polyval(np.polyder(P[::-1]), size)
-    error_kappa = (moved * error_y + _checks.EPS * rounding) / np.abs(slope[0])
-    d, error_d = _square_root(y), 0.5 * error_y / np.sqrt(size)
-    order = np.argsort(d)
+    with localcontext(WIDE):
+        y = _simple_positive_roots(P)
+        if y is None:
+            return None
+        wide, numerator = decimals(P[::-1]), decimals(N[::-1])
+        slope, curvature = (np.polyval(np.polyder(wide, order), -y) for order in (1, 2))
+        kappa = (np.polyval(numerator, -y) / slope).astype(float)
+        d, size, slope, curvature = (values.astype(float) for values in (np.sqrt(y), y, slope, curvature))
+    error_y = _checks.EPS * np.polyval(P[::-1], size) / np.abs(slope)
+    moved = np.abs(np.polyval(np.polyder(N[::-1]), -size)) + np.abs(kappa * curvature)
+    rounding = np.polyval(np.abs(N)[::-1], size) + np.abs(kappa) * np.polyval(np.polyder(P[::-1]), size)
+    error_kappa = (moved * error_y + _checks.EPS * rounding) / np.abs(slope)
     # with c scaled by one power less than a, residues have kept their unit
-    d, error_d = np.ldexp(d[order], unit), np.ldexp(error_d[order], unit)
-    return d, (kappa[0] + kappa[1])[order], error_d, error_kappa[order]
+    return np.ldexp(d, unit), kappa, np.ldexp(0.5 * error_y / np.sqrt(size), unit), error_kappa
 
 
-def _taylor(coefficients: Array, y: tf.Pair, terms: int) -> list[tf.Pair]:
-    """Value, slope, half the curvature .. of an ascending polynomial at `-y`, by Horner's rule, in pairs of doubles."""
-    minus, zero = (-y[0], -y[1]), np.zeros_like(y[0])
-    out = [(zero, zero)] * terms
-    for coefficient in coefficients[::-1]:
-        inner = [(zero + coefficient, zero), *out]
-        out = [tf.add(tf.multiply(value, minus), below) for value, below in zip(out, inner, strict=False)]
-    return out
-
-
-def _simple_positive_roots(P: Array) -> tf.Pair | None:
-    """The n roots `-y` of a polynomial with positive coefficients, if a change of sign shows each of them."""
+def _simple_positive_roots(P: Array) -> Decimals | None:
+    """The n roots `-y` of a polynomial with positive coefficients, `y` ascending, if a change of sign shows each."""
     n = len(P) - 1
-    alternating = P * (-1.0) ** np.arange(n + 1)
-    start = np.sort(np.roots(alternating[::-1]).real)
+    start = np.sort(np.roots((P * (-1.0) ** np.arange(n + 1))[::-1]).real)
     if len(start) < n or start[0] <= 0:
         return None
-    y = np.maximum.accumulate(start * (1 + 1e-9 * np.arange(n))), np.zeros(n)
+    wide = decimals(P[::-1])
+    slope, y = np.polyder(wide), decimals(np.maximum.accumulate(start * (1 + 1e-9 * np.arange(n))))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for _ in range(60):
-            newton = tf.divide(*_taylor(P, y, 2))
+            newton, at = np.polyval(wide, -y) / np.polyval(slope, -y), y.astype(float)
             # the other roots repel (Ehrlich and Aberth), so that no two approximations run into one root
-            gaps = y[0] - y[0][:, None]
+            gaps = at - at[:, None]
             np.fill_diagonal(gaps, np.inf)
-            factor = 1 + newton[0] * np.sum(1 / gaps, axis=1)
-            step = (newton[0] / factor, newton[1] / factor)
-            y = tf.add(y, step)
-            if not (np.isfinite(y[0]).all() and y[0].min() > 0):
+            step = newton / decimals(1 + newton.astype(float) * np.sum(1 / gaps, axis=1))
+            y = y + step
+            at = y.astype(float)
+            if not (np.isfinite(at).all() and at.min() > 0):
                 return None
-            if np.all(np.abs(step[0]) <= 1e-20 * y[0]):
+            if np.all(np.abs(step.astype(float)) <= 1e-20 * at):
                 break
-        order = np.argsort(y[0])
-        y = (y[0][order], y[1][order])
-        radius = 4 * _checks.EPS * y[0]
-        below, above = (np.sign(_taylor(P, tf.add(y, (side, 0 * side)), 1)[0][0]) for side in (-radius, radius))
-    apart = np.all(np.diff(y[0]) > 2 * (radius[1:] + radius[:-1]))
-    return y if apart and np.all(below * above < 0) else None
-
-
-def _square_root(y: tf.Pair) -> Array:
-    root = np.sqrt(y[0])
-    square = tf.two_prod(root, root)
-    rest: Array = ((y[0] - square[0]) - square[1] + y[1]) / (2 * root)
-    return root + rest
+    y = np.sort(y)
+    at, radius = y.astype(float), decimals(4 * _checks.EPS * y.astype(float))
+    apart = np.diff(at) > 2 * (radius[1:] + radius[:-1]).astype(float)
+    return y if apart.all() and np.all(np.polyval(wide, radius - y) * np.polyval(wide, -radius - y) < 0) else None
