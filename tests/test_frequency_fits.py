@@ -400,6 +400,18 @@ def test_a_point_far_out_of_the_noise_is_named(order, tmp_path):
     assert phc.load(tmp_path / "fit.json").experiments[0].outliers == (40,)
 
 
+@pytest.mark.parametrize("point", range(3))
+def test_an_error_at_a_resonance_is_no_damping(point):
+    d, _, exact, data = plant_with_noise(3, 1, relative=0.01)
+    size = 0.01 * np.abs(exact)
+    place = int(np.argmin(np.abs(data.omega - d[point])))
+    measured = np.array(data.frdata[0, 0])
+    measured[place] += 200 * size[place]
+    result = phc.pem(ct.frd(measured, data.omega, smooth=False), 3, weights=1 / size**2)
+    assert result.experiments[0].outliers == (place,) and result.outcome.name == "DOUBTFUL"
+    assert result.damped is None
+
+
 def test_a_sample_far_out_of_the_noise_of_a_record_is_named():
     rng = np.random.default_rng(0)
     u, plant = rng.standard_normal(400), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))

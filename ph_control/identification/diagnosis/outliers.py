@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from ..._types import Array
+from ..regression.frequency_rows import FrequencyRows
+from ..regression.time_rows import RecordRows
+from ..regression.variable_projection import Problem
 
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said
@@ -36,6 +40,21 @@ def outliers(residuals: Sequence[NDArray[Any]], spare: int) -> tuple[tuple[int, 
         far = np.flatnonzero(np.any(size > bound * scale, axis=1)) if scale else np.zeros(0, int)
         found.append(tuple(far.tolist()) if len(far) <= max(1, _SHARE * len(size)) else ())
     return tuple(found)
+
+
+def without(problem: Problem, far: Sequence[tuple[int, ...]]) -> Problem:
+    """The problem without some samples of each experiment."""
+    rows: list[Any] = []
+    for one, places in zip(problem.experiments, far, strict=True):
+        if isinstance(one, RecordRows):
+            observed = one.observed.copy()
+            observed[list(places)] = False
+            rows.append(replace(one, observed=observed))
+        elif isinstance(one, FrequencyRows):
+            response = one.record.response.copy()
+            response[list(places)] = np.nan
+            rows.append(replace(one, record=replace(one.record, response=response)))
+    return replace(problem, experiments=tuple(rows))
 
 
 def _parts(residuals: NDArray[Any]) -> Array:

@@ -20,7 +20,7 @@ from ..diagnosis.circumstance_tests import NOISE, circumstances_of
 from ..diagnosis.damped_model import DampedModel, HypothesisTest
 from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence
 from ..diagnosis.fitted_directions import Directions, of_record, of_response
-from ..diagnosis.outliers import outliers
+from ..diagnosis.outliers import outliers, without
 from ..diagnosis.verdict import WHITE, FitVerdict
 from ..excitation.excitation import examine_fit
 from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
@@ -28,7 +28,7 @@ from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.circumstances import HOLDS, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
-from ..search.criteria import criteria
+from ..search.criteria import criteria, criteria_of
 from ..search.response_noise import NoiseLaw, record_law
 from ..uncertainty.covariance import uncertainty
 from ..uncertainty.fisher import Information, information_at, listed
@@ -39,6 +39,7 @@ from .result import PEMResult
 Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
+_EVIDENT = 10.0  # log-likelihood by which errors of measurement have to explain more than damping
 _COUNTED = 400_000  # samples times unknowns up to which these are felt by the test of whiteness, and cheap
 
 
@@ -78,18 +79,18 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
     held = ~at.free
     findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
-    if not (fit.examined or noiseless or found.interrupted):
-        doubtful = whiteness < WHITE or (held.any() and problem.driven) or is_crowded(at)
-        fit = _examined(fit, at, bool(doubtful), findings)
-        if fit.found is not found:
-            return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
-    if fit.damped is not None and sentence(fit.damped):
-        findings = tuple(one for one in findings if one.cause not in NOISE)
     spare = problem.samples - problem.unknowns(n)
     if not noiseless:
         scaled = [one.residuals * np.sqrt(getattr(one.record, "weights", 1.0)) for one in experiments]
         found_out = outliers(scaled, spare)
         experiments = tuple(replace(one, outliers=k) for one, k in zip(experiments, found_out, strict=True))
+    if not (fit.examined or noiseless or found.interrupted):
+        doubtful = whiteness < WHITE or (held.any() and problem.driven) or is_crowded(at)
+        fit = _examined(fit, at, bool(doubtful), findings, [one.outliers for one in experiments])
+        if fit.found is not found:
+            return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
+    if fit.damped is not None and sentence(fit.damped):
+        findings = tuple(one for one in findings if one.cause not in NOISE)
     law = record_law(fit.records, estimated.variance, fit.law)
     information = information_at(at)
     figures = criteria(problem, at.loss, n)
@@ -163,11 +164,14 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     )
 
 
-def _examined(fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Finding]) -> Fit:
+def _examined(
+    fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Finding], far: Sequence[tuple[int, ...]]
+) -> Fit:
     """The fit with what contradicts it, and then at the minimum next to the frequencies of the plant.
 
     From elsewhere lossless modes do not come there: they mimic its damping, or flee from a residue whose sign they
     cannot have.  Where another arrival of the input explains the record, it is a fit with this one that is tested.
+    Samples far out of the noise do not speak against it where errors in them explain more than damped modes do.
     """
     posed, followed, problem = fit.found.posed, fit.found.followed, fit.problem
     tested = at if posed.searched is None else fit.found.explained
@@ -184,6 +188,12 @@ def _examined(fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Findi
     if found is None:
         return fit
     chosen, gain, model = found
+    if refused and followed is None and posed.searched is None and any(far):
+        spared, bic = _beside_errors(at, far)
+        # a mode with damping may show at a single point: what it has more than one without is not charged for
+        damped = criteria(problem, model.loss * problem.samples, model.order).bic
+        if spared is not None and spared.p >= REFUSED and damped - bic > 2 * _EVIDENT:
+            return replace(fit, tests=(spared,))
     fit = replace(fit, damped=model)
     if held:
         known = tuple(one for one in posed.findings if one.cause is not Cause.HOLD)
@@ -196,6 +206,15 @@ def _examined(fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Findi
     end = refine(chosen, d, rtol=LAST)
     end = replace(end, iterations=fit.found.end.iterations + end.iterations)
     return replace(fit, found=replace(fit.found, end=end), order=order or len(d), at_limit=False)
+
+
+def _beside_errors(at: Projection, far: Sequence[tuple[int, ...]]) -> tuple[HypothesisTest | None, float]:
+    """The test of a lossless fit without some samples, and the BIC with an error of its own in each of them."""
+    spared = without(at.problem, far)
+    end = refine(spared, at.d, rtol=LAST).projection
+    errors = at.problem.samples - spared.samples
+    bic = criteria_of(at.problem.samples, end.loss, at.problem.unknowns(len(at.d)) + errors).bic
+    return lossless_test(spared, end), bic
 
 
 def _modes(at: Projection, order: int) -> ModalForm:
