@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from control import TimeResponseData
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import counted
 from ..._frozen import Frozen
-from ..._types import Array, Mask
+from ..._types import Array, Mask, NDArray
 from ..._units import checked_unit, with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError

@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
+from ..._types import Array, Mask, NDArray
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import ModalForm
 from ..data.time_record import Record
@@ -22,8 +22,6 @@ from ..regression.variable_projection import Problem, Projection, refine
 from ..search.formulation import check_workers, rows_of
 from ..search.path import mapped
 from ..uncertainty.draws import ModeSamples, draws_from, tail_of
-
-Array = NDArray[np.float64]
 
 _OFF = 0.3  # standard errors by which an estimate may miss the minimum of its loss
 _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which a refit takes its last step
@@ -55,7 +53,7 @@ class Bootstrap(Frozen):
     r: Array
     initial_state: Array
     offset: Array
-    active: NDArray[np.bool_]
+    active: Mask
     failed: int
 
     def __len__(self) -> int:
@@ -69,7 +67,7 @@ class Bootstrap(Frozen):
         )
 
     @property
-    def _kept(self) -> NDArray[np.bool_]:
+    def _kept(self) -> Mask:
         return np.asarray(~np.isnan(self.offset).any(axis=1))
 
     def _statistic(self, of: Callable[[Array], Array], *shape: int) -> Mapping[str, Array]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, NDArray
 from ..._units import common_unit
 from ...exceptions import IdentifiabilityWarning
 from ...modal.modal_form import ModalForm
@@ -36,7 +36,6 @@ from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 from .result import PEMResult
 
-Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
 _EVIDENT = 10.0  # log-likelihood by which errors of measurement have to explain more than damping

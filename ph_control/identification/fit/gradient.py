@@ -8,11 +8,11 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._types import Array, ArrayLike
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import from_frequencies
 from ...systems.canonical_forms import ObservableHamiltonian, oh
@@ -21,8 +21,6 @@ from ..data.experiments import as_record
 from ..data.time_record import Record
 from ..uncertainty.state_coordinates import observable_state
 from .observable_model import EulerProblem, Point, columns, weights_of
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("natural", "unique")
 OPTIMIZERS = ("plain", "adam")

@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from ..._types import Array, Mask
 from ..data.time_record import Record
-
-Array = NDArray[np.float64]
 
 _SLOWEST = 1e-3  # turn (rad) of the slowest mode over the record: slower ones are not told from a pole at 0
 
@@ -71,8 +69,8 @@ class EulerProblem:
 
     u: Array
     y: Array
-    learned: NDArray[np.bool_]
-    validated: NDArray[np.bool_]
+    learned: Mask
+    validated: Mask
     samples: int
     h: float
     n: int

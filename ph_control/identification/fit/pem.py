@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
+from ..._types import Array
 from ..diagnosis.damping import DampingWatch, beside
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
@@ -22,8 +22,6 @@ from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Fit, conclude
 from .result import OrderRow, PEMResult
-
-Array = NDArray[np.float64]
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
 

@@ -6,16 +6,14 @@ import textwrap
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import Report, aligned, html_heading, html_report, html_table, percent, to_its_error
+from ..._types import Array
 from ..._units import common_unit, hertz_size, rate, step_of
 from ...exceptions import shortened
 from ..data.time_record import Record
 from ..diagnosis.damped_model import damped_lines
-
-Array = NDArray[np.float64]
 
 _SHOWN = 6  # experiments listed one by one
 

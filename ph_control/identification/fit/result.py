@@ -9,10 +9,10 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
+from ..._types import Array, ArrayLike, ComplexArray, NDArray
 from ..._units import common_unit, unit_for, with_unit
 from ...exceptions import StructureError
 from ...io.codecs import save
@@ -42,9 +42,6 @@ from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .report import FitReport, summary_of
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

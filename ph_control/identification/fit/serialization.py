@@ -10,8 +10,8 @@ from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, NDArray
 from ..._units import SECONDS
 from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict, system_to_dict
@@ -180,7 +180,7 @@ def _table(rows: Iterable[Any], *names: str) -> dict[str, Any]:
     return columns | {"d": np.concatenate([np.zeros(0), *[row.d for row in rows]])}
 
 
-def _split(table: Fields, orders: tuple[int, ...]) -> list[NDArray[np.float64]]:
+def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
     """Frequencies of each row."""
     return np.split(table.array("d", (sum(orders),)), np.cumsum(orders))[:-1]
 

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from ..._checks import EPS
-
-Array = NDArray[np.float64]
+from ..._types import Array
 
 _WELL_CONDITIONED = 1e6  # entries of the inverse of a factor of unit columns, above which its rank is looked at
 

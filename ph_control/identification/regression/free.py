@@ -15,16 +15,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray, Indices, NDArray
 from .elimination import LinearProjection, column_lengths, eliminate, inverse_gram, orthogonal, without
 from .time_rows import FreeRows
 from .triangular import reduced, triangle
 from .tuning import TUNING
 from .variable_projection import refine
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _STEPS = 40
 _SHOWN = 1e-6  # part of a column of unit length that is not among others
@@ -130,7 +127,7 @@ class FreeProjection(LinearProjection):
             found.append(_Together(outputs, members, columns, targets, *orthogonal(columns)))
         return found
 
-    def _places(self, experiment: int, outputs: list[int]) -> NDArray[np.intp]:
+    def _places(self, experiment: int, outputs: list[int]) -> Indices:
         """Places of outputs among those of an experiment."""
         return np.array([np.flatnonzero(self.experiments[experiment].outputs == one)[0] for one in outputs])
 

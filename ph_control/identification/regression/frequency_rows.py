@@ -8,15 +8,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..._checks import EPS
+from ..._types import Array, ComplexArray, Indices, NDArray
 from ..data.frequency_record import FrequencyRecord
 from .spectral_rows import Pair, real_rows, stacked
 from .time_rows import Evaluation
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def differentiated(omega: Array, quantity: str) -> ComplexArray:
@@ -153,7 +150,7 @@ class FreeResponse:
     rows: FrequencyRows
     moving: bool = False
     inputs: int = 1
-    outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
+    outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
 
     @property
     def samples(self) -> int:

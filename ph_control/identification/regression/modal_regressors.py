@@ -18,14 +18,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from ..._types import Array, ComplexArray, NDArray
 from ...modal.discretization import Hold, Multipliers
 from ...modal.modal_form import imaginary
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 QUANTITIES = ("velocity", "displacement", "acceleration")
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._types import Array, ComplexArray, NDArray
 from ..._units import with_unit
 from ...analysis.time_response import forced_response
 from ...exceptions import StructureError
@@ -24,9 +24,6 @@ from ..data.time_record import Record
 from .modal_regressors import output_weight
 from .time_rows import RecordRows
 from .variable_projection import Problem
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

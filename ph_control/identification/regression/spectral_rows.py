@@ -16,16 +16,13 @@ from functools import cached_property
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray, Indices
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
 from .time_rows import Evaluation, RecordRows
 from .tuning import TUNING
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Bins = NDArray[np.intp]
 Pair = tuple[ComplexArray, ComplexArray]
 Kind = TypeVar("Kind", bound="SpectralRows")
 
@@ -104,7 +101,7 @@ class TransformColumns:
     two parts, of its own and of its conjugate, each of shape (n, K).
     """
 
-    def __init__(self, length: int, modes: SampledModes, bins: Bins) -> None:
+    def __init__(self, length: int, modes: SampledModes, bins: Indices) -> None:
         self._length, self._modes, self._bins = length, modes, bins
         place = _place(modes.phase, length)
         self._centre = np.rint(place).astype(int)
@@ -223,11 +220,11 @@ class SpectralRows:
     """Some bins of the transforms of a record."""
 
     spectrum: Spectrum
-    bins: Bins
+    bins: Indices
 
     @classmethod
     def about(cls: type[Kind], spectrum: Spectrum, d: Array, half_width: int = TUNING.half_width) -> Kind:
-        """Bins within `half_width` of any of some modes; the constant is never among them."""
+        """Indices within `half_width` of any of some modes; the constant is never among them."""
         centres = np.rint(spectrum.place(d)).astype(int)
         bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
         return cls(spectrum, bins[(bins >= 1) & (bins <= spectrum.last)])
@@ -332,7 +329,7 @@ class FreeWindow(SpectralRows):
     counts: Array | float = 1.0
     through: bool = True
     moving: ClassVar[bool] = True
-    outputs: ClassVar[NDArray[np.intp]] = np.zeros(1, int)
+    outputs: ClassVar[Indices] = np.zeros(1, int)
 
     @classmethod
     def thinned(cls, spectrum: Spectrum, p: ComplexArray) -> FreeWindow:

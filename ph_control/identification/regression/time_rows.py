@@ -14,16 +14,12 @@ from functools import cached_property, partial
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...modal.discretization import Hold
 from .grouped import Modal, Shared, gram
 from .modal_regressors import SHORT, GroupStates, Kernel, ModalColumns, SampledModes, in_groups
 from .triangular import triangle
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
 
 _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the length of the record
 _FEWEST = 32  # groups of samples in a block
@@ -77,7 +73,7 @@ class FreeRows(Protocol):
         """Number of inputs with columns for the residues; 0 for a free motion."""
 
     @property
-    def outputs(self) -> NDArray[np.intp]:
+    def outputs(self) -> Indices:
         """Which of all outputs these rows show."""
 
     @property
@@ -213,7 +209,7 @@ class FreeRecord:
     offset: int = 0
     through: bool = True
     driven: bool = True
-    outputs: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, int))
+    outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
 
     @classmethod
     def of(cls, one: RecordRows, through: bool = True) -> FreeRecord:

@@ -6,12 +6,10 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 from ..._checks import EPS
-
-Array = NDArray[np.float64]
+from ..._types import Array
 
 Blocks = Callable[[], Iterable[Array]]
 

@@ -13,19 +13,16 @@ from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize, nnls
 
 from ..._checks import EPS
+from ..._types import Array, ComplexArray, Mask, NDArray
 from .elimination import Eliminated, LinearProjection, eliminate, tolerance, without
 from .frequency_rows import FrequencyRows
 from .time_rows import Rows
 from .triangular import reduced
 from .tuning import TUNING
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 Progress = Callable[[int, float], None]  # iteration, loss
 
@@ -138,7 +135,7 @@ class Projection(LinearProjection):
     def _own(self, place: int) -> int:
         return self.problem.experiments[place].own_unknowns(len(self.d))
 
-    def _without_held(self, factor: Array, place: int, held: NDArray[np.bool_]) -> Array:
+    def _without_held(self, factor: Array, place: int, held: Mask) -> Array:
         """Factor whose own columns of held modes are 0, where the structure asks for it."""
         n, own = len(self.d), self._own(place)
         if not (self.problem.structured and held.any() and own >= 2 * n):
@@ -147,14 +144,14 @@ class Projection(LinearProjection):
         factor[:, np.flatnonzero(np.concatenate([held, held]))] = 0.0
         return reduced(factor)
 
-    def _eliminated(self, factors: Sequence[Array], held: NDArray[np.bool_]) -> list[Eliminated]:
+    def _eliminated(self, factors: Sequence[Array], held: Mask) -> list[Eliminated]:
         return [
             eliminate(self._without_held(factor, k, held), self._own(k), self.problem.samples)
             for k, factor in enumerate(factors)
         ]
 
     @cached_property
-    def _solution(self) -> tuple[Array, NDArray[np.bool_], list[Eliminated]]:
+    def _solution(self) -> tuple[Array, Mask, list[Eliminated]]:
         """Residues, which of them are free, and the eliminated experiments."""
         n = len(self.d)
         held = np.zeros(n, bool)
@@ -174,7 +171,7 @@ class Projection(LinearProjection):
         return self._solution[0]
 
     @property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """Which residues are not held at 0 by `kappa >= 0`, shape (n,)."""
         return self._solution[1]
 
@@ -230,18 +227,18 @@ class Projection(LinearProjection):
         return rest[:, n], -rest[:, :n] * self._traced
 
     @property
-    def _moving(self) -> NDArray[np.bool_]:
+    def _moving(self) -> Mask:
         """Which modes may move freely in a record."""
         return self.free if self.problem.structured else np.ones(len(self.d), bool)
 
     @cached_property
-    def _traced(self) -> NDArray[np.bool_]:
+    def _traced(self) -> Mask:
         """Which modes leave a trace in any experiment."""
         n = len(self.d)
         records = any(self._own(k) >= 2 * n for k in range(len(self.problem.experiments)))
         return (self.free & self.problem.driven) | (self._moving & records)
 
-    def jacobian(self) -> tuple[Array, NDArray[np.bool_]]:
+    def jacobian(self) -> tuple[Array, Mask]:
         """Derivatives of the prediction by `(d, kappa, own of each experiment)` and which of these are free.
 
         Orthogonally reduced to a few rows, so that only its Gram matrix is that of the rows of the data.
@@ -282,7 +279,7 @@ class Projection(LinearProjection):
         ]
 
 
-def _residues(columns: Array, rhs: Array, held: NDArray[np.bool_], problem: Problem) -> tuple[Array, NDArray[np.bool_]]:
+def _residues(columns: Array, rhs: Array, held: Mask, problem: Problem) -> tuple[Array, Mask]:
     """Least squares with `kappa >= 0` for columns of length at most 1, and which are free."""
     smallest = tolerance(problem.samples, columns.shape[1])
     kappa = _least_squares(columns, rhs, ~held, smallest)
@@ -294,7 +291,7 @@ def _residues(columns: Array, rhs: Array, held: NDArray[np.bool_], problem: Prob
     return np.maximum(_least_squares(columns, rhs, free, smallest), 0.0), free
 
 
-def _least_squares(columns: Array, rhs: Array, free: NDArray[np.bool_], smallest: float) -> Array:
+def _least_squares(columns: Array, rhs: Array, free: Mask, smallest: float) -> Array:
     """Smallest solution with the columns that are free."""
     solution = np.zeros(columns.shape[1])
     if free.any():

@@ -11,18 +11,15 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
+from ..._types import Array, ComplexArray, Indices
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows, Rows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _RIDGE = 1e-12
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
@@ -189,7 +186,7 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
     return float(np.sqrt(ratio)) * of_output, of_output, none - float(found.fun)
 
 
-def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: NDArray[np.intp]) -> Array:
+def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: Indices) -> Array:
     """Power of noise in some bins, over what it would be if it were white."""
     phase = np.asarray(2 * np.pi / len(one.u) * bins, float)
     if noise is None:

@@ -6,17 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from ..._types import Array
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection, Refinement
 from .circumstances import autoregression
 from .free_path import FreeStep, free_unknowns
 from .steps import Step
-
-Array = NDArray[np.float64]
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
 

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
+from ..._types import Array
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
@@ -31,7 +31,6 @@ from .path import grow
 from .response_search import ResponseSearch
 from .steps import Report, Search, Step, TimeSearch
 
-Array = NDArray[np.float64]
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
 REPRESENTATIONS = ("observable", "controllable")

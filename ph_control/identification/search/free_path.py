@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray
 from ..regression.free import FreeProjection, refine_free
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
 from .free_search import FreeSearch
 from .steps import stands_out
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
 

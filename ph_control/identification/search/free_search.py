@@ -11,21 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.free import FreeProjection, PoleRegion
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.modal_regressors import SampledModes
-from ..regression.spectral_rows import Bins, FreeWindow, Spectrum
+from ..regression.spectral_rows import FreeWindow, Spectrum
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
 from .response_candidates import ranked_candidates
 from .screening import highest_peaks
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows; above, those where most is left
@@ -150,7 +147,7 @@ class Channels:
         """Last bin below the Nyquist frequency."""
         return (self.length - 1) // 2
 
-    def _local(self, left: ComplexArray, half: int, centres: Bins) -> tuple[ComplexArray, Array]:
+    def _local(self, left: ComplexArray, half: int, centres: Indices) -> tuple[ComplexArray, Array]:
         """One mode in each window, frequencies in bins from its centre: `(s - pole) E = sum beta U + gamma z`.
 
         The pole is that of all outputs: what inputs and ends explain of `E` and of `s E` is taken out of both.
@@ -184,7 +181,7 @@ class Channels:
         return p[kept], gain[kept] * (2.0 / T)
 
 
-def _peaking(left: ComplexArray, half: int, centres: Bins) -> Bins:
+def _peaking(left: ComplexArray, half: int, centres: Indices) -> Indices:
     """Centres about which most is left."""
     width = max(1, half // 3)
     total = np.concatenate([[0.0], np.cumsum(np.sum(np.abs(left) ** 2, axis=0))])

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._types import Array, Indices, Mask
 from ..._units import common_unit, unit_for
 from ...exceptions import IdentificationError, StructureError
 from ...plotting.validation_plot import stabilisation_plot
@@ -23,8 +23,6 @@ from ..regression.variable_projection import Problem, refine
 from .criteria import CRITERIA, criteria
 from .formulation import Callback, Formulation, reporter
 from .steps import Step
-
-Array = NDArray[np.float64]
 
 _LARGEST = 10  # by default
 _STABLE, _STABLE_BINS = 0.01, 2.0
@@ -56,14 +54,14 @@ class OrderSelection(Report, Frozen):
         Unit of time of the data; None where it is not known.
     """
 
-    orders: NDArray[np.intp]
+    orders: Indices
     loss: Array
     aic: Array
     aicc: Array
     bic: Array
     holdout: Array | None
     frequencies: tuple[Array, ...]
-    stable: tuple[NDArray[np.bool_], ...]
+    stable: tuple[Mask, ...]
     samples: int
     held_out: int
     time_unit: str | None = None
@@ -288,7 +286,7 @@ def _part(holdout: Any) -> float:
     return part
 
 
-def _stable(path: Sequence[Any], bin_width: float) -> list[NDArray[np.bool_]]:
+def _stable(path: Sequence[Any], bin_width: float) -> list[Mask]:
     """Which frequencies of each step are those of the step before: nearest to one another, and near."""
     marks = [np.zeros(len(path[0].d), bool)]
     for before, step in pairwise(path):

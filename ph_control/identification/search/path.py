@@ -8,15 +8,13 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import _checks
 from ..._frozen import Frozen
+from ..._types import Array
 from ...exceptions import StructureError
 from ..regression.tuning import TUNING
 from .steps import Report, Search, Step
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

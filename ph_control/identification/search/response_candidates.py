@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray, Indices
 from ..regression.frequency_rows import FreeResponse, FrequencyRows, differentiated
 from ..regression.tuning import TUNING
 from .screening import highest_peaks
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _WINDOW = 8  # points on either side of a candidate
 _PLACES = np.array([0.02, 0.125, 0.375, 0.625, 0.875, 0.98])  # candidates between two points
@@ -43,7 +40,7 @@ def ranked_candidates(experiments: Sequence[FrequencyRows], left: Sequence[Compl
     return d[best], gain[best]
 
 
-def _peaking(experiments: Sequence[FrequencyRows], left: Sequence[ComplexArray], edges: Array) -> NDArray[np.intp]:
+def _peaking(experiments: Sequence[FrequencyRows], left: Sequence[ComplexArray], edges: Array) -> Indices:
     """Intervals about the points at which most is left."""
     chosen = []
     for one, residual in zip(experiments, left, strict=True):

@@ -13,10 +13,10 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
+from ..._types import Array
 from ..data.frequency_record import FrequencyRecord
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.tuning import TUNING
@@ -24,8 +24,6 @@ from ..regression.variable_projection import Problem, refine
 from .formulation import Formulation
 from .free_path import criterion, free_criterion
 from .response_search import ResponseSearch
-
-Array = NDArray[np.float64]
 
 _ROUNDS = 8  # of fit and law in turn
 _SETTLED = 1e-3  # relative change of the weights

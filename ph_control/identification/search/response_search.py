@@ -8,8 +8,8 @@ judged by the loss.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from ..uncertainty.residual_data import without_peaks
@@ -18,9 +18,6 @@ from .free_path import FreeStep, free_step
 from .free_search import Responses
 from .response_candidates import vector_fit
 from .steps import Report, Search, Step
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 class ResponseSearch(Search):

@@ -11,15 +11,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..._types import Array, ComplexArray, Indices
 from ...modal.modal_form import imaginary
 from ..regression.modal_regressors import output_weight
-from ..regression.spectral_rows import Bins, Spectrum
+from ..regression.spectral_rows import Spectrum
 from ..regression.tuning import TUNING
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _WINDOW = 12  # bins around a candidate
 _OFFSETS = np.array([-0.375, -0.125, 0.125, 0.375])  # candidates in every bin, never on it
@@ -37,7 +34,7 @@ class _CandidateColumns:
     All is scaled so that squares add up to squares in time.
     """
 
-    bins: Bins
+    bins: Indices
     rows: Array
     scale: float
 
@@ -80,7 +77,7 @@ class Screen:
         """Candidates in every bin of the longest experiment."""
         return self._candidates(np.arange(self._finest.length // 2 + 1))
 
-    def _candidates(self, bins: Bins) -> Array:
+    def _candidates(self, bins: Indices) -> Array:
         one = self._finest
         places = (bins[:, None] + _OFFSETS).ravel()
         largest = one.experiment.largest_phase * one.length / (2 * np.pi)
@@ -98,8 +95,8 @@ class Screen:
         order = np.argsort(-explained, kind="stable")
         return d[order], explained[order]
 
-    def _peaking(self, residuals: list[ComplexArray]) -> Bins:
-        """Bins of the longest experiment about which the residual has most energy."""
+    def _peaking(self, residuals: list[ComplexArray]) -> Indices:
+        """Indices of the longest experiment about which the residual has most energy."""
         place = self.spectra.index(self._finest)
         power = np.abs(residuals[place]) ** 2
         smooth = np.convolve(power, np.ones(3), mode="same")
@@ -150,15 +147,15 @@ class Screen:
         return np.asarray(total + force**2 / np.where(stiffness == 0, 1.0, stiffness))
 
 
-def highest_peaks(values: Array, most: int) -> Bins:
+def highest_peaks(values: Array, most: int) -> Indices:
     """Places of at most so many local maxima, the highest first."""
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
     return peaks[np.argsort(-values[peaks], kind="stable")[:most]]
 
 
-def _window(spectrum: Spectrum, d: Array) -> Bins:
-    """Bins about each frequency, shape (candidates, bins)."""
+def _window(spectrum: Spectrum, d: Array) -> Indices:
+    """Indices about each frequency, shape (candidates, bins)."""
     width = min(_WINDOW, spectrum.length // 2)
     centres = np.rint(spectrum.place(d)).astype(int)
     first = np.clip(centres - width // 2, 0, spectrum.length // 2 - width)
@@ -169,7 +166,7 @@ def _about(spectrum: Spectrum, d: Array) -> _CandidateColumns:
     return _columns(spectrum, d, _window(spectrum, d))
 
 
-def _columns(spectrum: Spectrum, d: Array, bins: Bins) -> _CandidateColumns:
+def _columns(spectrum: Spectrum, d: Array, bins: Indices) -> _CandidateColumns:
     """Columns of the residue and of the ends of modes; of those on a bin, where the pole of one is, a little off it.
 
     With `(z - lambda) (z - conj(lambda))` below, the numerators of both poles together have real coefficients.

@@ -12,18 +12,15 @@ from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from ..._types import Array, ComplexArray, Mask
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Refinement, refine
 from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 Report = Callable[[int, float], None]  # iteration, loss
 
@@ -47,7 +44,7 @@ class Step:
     converged: bool
     candidates: Array
     gains: Array
-    held: NDArray[np.bool_]
+    held: Mask
     weights: Array
     coloured: bool = False
     foretold: Array = field(default_factory=lambda: np.ones(1))

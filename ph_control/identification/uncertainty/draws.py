@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, ArrayLike, ComplexArray, Mask
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm, from_frequencies, imaginary
 from ...modal.reactance import sum_with_twice_the_digits
