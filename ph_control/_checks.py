@@ -40,14 +40,15 @@ def shown(value: Any) -> str:
     return text if len(text) < 40 and "\n" not in text else type(value).__name__
 
 
-def labels(value: Any) -> list[str]:
-    """Texts of a label, or of several."""
-    if isinstance(value, str):
-        return [value]
+def labels(value: Any, count: int, what: str) -> list[str]:
+    """Texts of a label, or of several: one for each of so many things."""
     try:
-        return [str(one) for one in value]
+        found = [value] if isinstance(value, str) else [str(one) for one in value]
     except (TypeError, OSError):  # python-control raises the last on being iterated
         raise StructureError(f"label is {shown(value)}; give a text, or a list of them") from None
+    if len(found) != count:
+        raise StructureError(f"{len(found)} labels for {count} {what}; give one for each")
+    return found
 
 
 def unit_text(unit: Any) -> str:

@@ -70,13 +70,11 @@ def energy_plot(
     ['Energy', 'Stored less\nsupplied']
     >>> plt.close(plot.figure)
     """
-    balances = as_list(balance)
+    balances = as_list(balance, "balances")
     for one in balances:
         if not isinstance(one, EnergyBalance):
             raise StructureError(f"this is a {type(one).__name__}; pass what energy_balance(response, sys) gives")
-    names = _checks.labels([""] * len(balances) if label is None else label)
-    if len(names) != len(balances) or not balances:
-        raise StructureError(f"{len(names)} labels for {len(balances)} balances; give one for each, and one at least")
+    names = _checks.labels([""] * len(balances) if label is None else label, len(balances), "balances")
     look = Look.of(style)
     with look.context():
         drawn = picture(look, ax, (2, 1), (6.4, 4.6), sharex=True, height_ratios=[2.0, 1.0])

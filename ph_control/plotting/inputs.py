@@ -54,16 +54,16 @@ class Subject:
         return in_normal_form(self.system)
 
 
-def as_list(given: Any) -> list[Any]:
-    """One thing or several, as a list."""
+def as_list(given: Any, what: str = "") -> list[Any]:
+    """One thing or several, as a list; of `what` there must be one at least."""
+    if what and isinstance(given, list | tuple) and not given:
+        raise StructureError(f"the list of {what} is empty; give at least one")
     return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: bool = False) -> list[Subject]:
     """Systems of one number of ports; of fits their models, and frequency responses where `tabulated` allows them."""
-    given = as_list(sysdata)
-    if not given:
-        raise StructureError("the list of systems is empty; give at least one")
+    given = as_list(sysdata, "systems")
     systems = [ph(one) if isinstance(one, ModalForm) else _inside(one) for one in given]
     kinds = (ct.StateSpace, ct.TransferFunction, *([ct.FrequencyResponseData] if tabulated else []))
     for sys in systems:
@@ -76,9 +76,7 @@ def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: b
     shapes = [(sys.noutputs, sys.ninputs) for sys in systems]
     if len(set(shapes)) > 1:
         raise StructureError(f"the systems differ in (outputs, inputs): {shapes}; draw them in pictures of their own")
-    labels = _names(given, systems) if label is None else _checks.labels(label)
-    if len(labels) != len(systems):
-        raise StructureError(f"{len(labels)} labels for {len(systems)} systems; give one for each")
+    labels = _names(given, systems) if label is None else _checks.labels(label, len(systems), "systems")
     return [Subject(*one) for one in zip(given, systems, labels, strict=True)]
 
 

@@ -107,9 +107,7 @@ def values_of(record: Kind) -> NDArray[Any]:
 
 def names_of(models: Sequence[Any], labels: str | Sequence[str] | None) -> tuple[str, ...]:
     """One name for each model, all different."""
-    names = [_name(model) for model in models] if labels is None else _checks.labels(labels)
-    if len(names) != len(models):
-        raise StructureError(f"{len(names)} labels for {len(models)} models; give one for each")
+    names = [_name(model) for model in models] if labels is None else _checks.labels(labels, len(models), "models")
     repeated, counts = Counter(names), Counter[str]()
     for k, name in enumerate(names):
         if repeated[name] > 1:
