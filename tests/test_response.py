@@ -341,10 +341,12 @@ def test_states_looked_at_later_are_those_of_the_inputs_and_instants_of_the_call
     at_once = phc.forced_response(sys, time, u, 1.0, return_states=True)
     later = phc.forced_response(sys, time, u, 1.0)
     u[:], time[:] = 0.0, 0.0
-    assert np.array_equal(later.inputs, np.cos(TIME))
-    later.u[0, 0] = 5.0  # nothing hangs on it
+    with pytest.raises(ValueError, match="read-only"):
+        later.u[0, 0] = 5.0
     assert np.array_equal(later.states, at_once.states)
     assert np.array_equal(later.time, TIME)
+    assert np.array_equal(later.inputs, np.cos(TIME))
+    at_once.u[0, 0] = 5.0  # nothing hangs on it any more
 
 
 @pytest.mark.parametrize(

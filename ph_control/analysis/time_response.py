@@ -119,6 +119,7 @@ def forced_response(
     def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         u = _input_signal(inputs, sys.ninputs, t.size, transpose)
         problem = _Problem(sys, t, u, initial_state, method, intersample)
+        u.flags.writeable = return_states is not None  # states that are still to come are made of it
         return _Response(
             None if return_states is False else problem.states, sys, t, problem.rule, problem.outputs(), inputs=u,
             issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
@@ -440,8 +441,11 @@ class _Response(TimeResponseData):
         self._compute: Callable[[], Array] | None = None
         self._states: Array | None = None
         self.rule = rule
-        # no rows rather than no states, on which `states` fails
-        super().__init__(t.copy(), y, y[:0], **described)
+        # of one sample, since all given to it is copied; no rows rather than no states, on which `states` fails
+        first = slice(None, 1)
+        u = described.pop("inputs", None)
+        super().__init__(t[first], y[..., first], y[:0, ..., first], None if u is None else u[..., first], **described)
+        self.t, self.y, self.u, self.x = t.copy(), y, u, y[:0]
         if compute is not None:
             self._compute, self.nstates, self.state_labels = compute, sys.nstates, list(sys.state_labels)
             if self.return_x:
