@@ -8,8 +8,7 @@ from reference import EPS, dense_simulation
 
 import ph_control as phc
 from ph_control.identification.regression import time_rows as experiment
-from ph_control.identification.regression.grouped import Modal, Shared, gram
-from ph_control.identification.regression.time_rows import RecordColumns, RecordRows
+from ph_control.identification.regression.time_rows import Modal, RecordColumns, RecordRows, Shared, gram
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
 
