@@ -180,3 +180,15 @@ def test_of_several_arrivals_the_one_that_explains_the_record_is_taken():
     result = phc.pem((u, y + 0.1 * np.std(y) * rng.standard_normal(2000)), dt=1.0)
     assert result.intersample == "foh" and found_all(result, plant, 2000)
     assert set(causes(result)) == {"HOLD"}
+
+
+def test_a_drift_beside_one_mode_that_starts_at_rest_is_no_motion_of_the_mode():
+    rng = np.random.default_rng(0)
+    t, u = 0.1 * np.arange(600), rng.standard_normal(600)
+    y = phc.forced_response(phc.ph(phc.modes(1.3, 1.0)), t, u, intersample="zoh").outputs
+    y = y + 0.5 + 0.03 * t + 0.02 * rng.standard_normal(600)
+    result = phc.pem((u, y), 1, dt=0.1, initial_state="zero")
+    assert "DRIFT" in causes(result) and not result.initial_state.any()
+    np.testing.assert_allclose(result.d, 1.3, atol=4 * result.stderr["d"][0])
+    left = result.residuals - result.residuals.mean()
+    assert np.std(left) < 0.022

@@ -504,7 +504,8 @@ class TimeEvaluation(RecordColumns):
     def _by_d(self, states: GroupStates, kappa: Array, own: Array) -> ModalColumns:
         """Derivatives by the frequencies, from the amplitudes of all past and their derivatives."""
         n = self._kernel.n
-        moving = own[:n, None] + 1j * own[n : 2 * n, None] if len(own) >= 2 * n else np.zeros((n, 1), complex)
+        rest = self._experiment.from_rest
+        moving = np.zeros((n, 1), complex) if rest else own[:n, None] + 1j * own[n : 2 * n, None]
         slope, state, within = moving * states.free_slope, moving * states.free, None
         if self._experiment.driven:
             slope += kappa[:, None] * states.driven_slope[0]

@@ -135,13 +135,16 @@ class Projection(LinearProjection):
     def _own(self, place: int) -> int:
         return self.problem.experiments[place].own_unknowns(len(self.d))
 
+    def motion(self, place: int) -> int:
+        """How many unknowns of an experiment are the free motion of its modes; they come first."""
+        return self._own(place) - self.problem.experiments[place].own_unknowns(0)
+
     def _without_held(self, factor: Array, place: int, held: Mask) -> Array:
         """Factor whose own columns of held modes are 0, where the structure asks for it."""
-        n, own = len(self.d), self._own(place)
-        if not (self.problem.structured and held.any() and own >= 2 * n):
+        if not (self.problem.structured and held.any() and self.motion(place)):
             return factor
         factor = factor.copy()
-        factor[:, np.flatnonzero(np.concatenate([held, held]))] = 0.0
+        factor[:, np.flatnonzero(np.tile(held, 2))] = 0.0
         return reduced(factor)
 
     def _eliminated(self, factors: Sequence[Array], held: Mask) -> list[Eliminated]:
@@ -179,17 +182,16 @@ class Projection(LinearProjection):
     def own(self) -> list[Array]:
         """What belongs to each experiment: free motion `(alpha, beta)` of each mode, then the offset."""
         found = []
-        for part in self._solution[2]:
+        for k, part in enumerate(self._solution[2]):
             own = part.inverse @ (part.above[:, -1] - part.above[:, :-1] @ self.kappa)
-            if self.problem.structured and len(own) >= 2 * len(self.d):
-                own[np.flatnonzero(np.concatenate([~self.free, ~self.free]))] = 0.0
+            own[: self.motion(k)][np.tile(~self._moving, 2)[: self.motion(k)]] = 0.0
             found.append(own)
         return found
 
     def amplitudes(self, place: int) -> ComplexArray:
         """Free motion of each mode at the output of an experiment, shape (n,); 0 from rest."""
         n, own = len(self.d), self.own[place]
-        return own[:n] + 1j * own[n : 2 * n] if len(own) >= 2 * n else np.zeros(n, complex)
+        return own[:n] + 1j * own[n : 2 * n] if self.motion(place) else np.zeros(n, complex)
 
     @cached_property
     def ascending(self) -> Projection:
@@ -234,8 +236,7 @@ class Projection(LinearProjection):
     @cached_property
     def _traced(self) -> Mask:
         """Which modes leave a trace in any experiment."""
-        n = len(self.d)
-        records = any(self._own(k) >= 2 * n for k in range(len(self.problem.experiments)))
+        records = any(self.motion(k) for k in range(len(self.problem.experiments)))
         return (self.free & self.problem.driven) | (self._moving & records)
 
     def jacobian(self) -> tuple[Array, Mask]:
@@ -252,18 +253,17 @@ class Projection(LinearProjection):
             part[:, ends[k] : ends[k + 1]] = factor[:, :s]
             part[:, n : 2 * n], part[:, :n] = factor[:, s : s + n], factor[:, s + n : s + 2 * n]
             rows.append(part)
-            parts = [self._moving, self._moving, np.ones(s - 2 * n, bool)] if s >= 2 * n else [np.ones(s, bool)]
-            known.append(np.concatenate(parts))
+            known.append(np.append(np.tile(self._moving, 2)[: self.motion(k)], np.ones(s - self.motion(k), bool)))
         return np.concatenate(rows), np.concatenate(known)
 
     @cached_property
     def energies(self) -> Array:
         """Output energy of each mode, roughly: of its forced and its free motion."""
         n, found = len(self.d), np.zeros(len(self.d))
-        for factor, own in zip(self._factors, self.own, strict=True):
+        for k, (factor, own) in enumerate(zip(self._factors, self.own, strict=True)):
             squares = np.sum(factor[:, :-1] ** 2, axis=0)
             found += self.kappa**2 * squares[len(own) :]
-            if len(own) >= 2 * n:
+            if self.motion(k):
                 found += np.sum((own[: 2 * n] ** 2 * squares[: 2 * n]).reshape(2, n), axis=0)
         return found
 

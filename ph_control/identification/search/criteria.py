@@ -9,6 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ..._types import Array
+from ..regression.elimination import column_lengths
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection, Refinement
@@ -102,24 +103,19 @@ def _evidence(at: Projection) -> Array:
     variance = at.loss / degrees
     if variance == 0:
         return np.full(n, np.inf)
-    values = np.concatenate([np.zeros(n), at.kappa, *at.own])
-    lengths = np.linalg.norm(J, axis=0)
-    lengths = np.where(lengths > 0, lengths, 1.0)
-    R = np.linalg.qr(J[:, known] / lengths[known], mode="r")
-    place = np.full(len(known), -1)
-    place[known] = np.arange(int(known.sum()))
-    inverse = np.linalg.pinv(R)
+    # the mode that each unknown belongs to; -1 where that is a frequency, or an offset
+    modes, none = np.arange(n), np.full(n, -1)
+    own = [
+        np.append(np.tile(modes, 2)[: at.motion(k)], np.full(len(part) - at.motion(k), -1))
+        for k, part in enumerate(at.own)
+    ]
+    owner = np.concatenate([none, modes, *own])[known]
+    lengths = column_lengths(J[:, known])
+    scaled = np.concatenate([np.zeros(n), at.kappa, *at.own])[known] * lengths
+    inverse = np.linalg.pinv(np.linalg.qr(J[:, known] / lengths, mode="r"))
     found = np.zeros(n)
-    for l in range(n):
-        own, start = [n + l], 2 * n
-        for part in at.own:
-            own += [start + l, start + n + l] if len(part) >= 2 * n else []
-            start += len(part)
-        live = [k for k in own if known[k]]
-        if not live:
-            continue
-        rows = inverse[place[live]]
-        scaled = values[live] * lengths[live]
+    for l in np.unique(owner[owner >= 0]):
+        rows, values = inverse[owner == l], scaled[owner == l]
         # the covariance of these unknowns is rows @ rows.T; its inverse weighs them
-        found[l] = scaled @ np.linalg.lstsq(rows @ rows.T, scaled, rcond=None)[0] / variance
+        found[l] = values @ np.linalg.lstsq(rows @ rows.T, values, rcond=None)[0] / variance
     return found
