@@ -28,6 +28,7 @@ from ..search.criteria import criteria, free_preference, preference
 from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
 from ..search.free_search import Channels, FreeSearch, Records, free_search
 from ..search.steps import Step, crowds, more_than_noise
+from ..uncertainty.fisher import listed, named_modes
 from .damped_model import DampedModel, HypothesisTest
 
 _ERRORS = 4.0  # standard errors beyond which something is said, with one mode
@@ -66,17 +67,12 @@ def sentence(model: DampedModel) -> str:
 
 
 def _modes(which: Mask) -> str:
-    numbers = [str(k + 1) for k in np.flatnonzero(which)]
-    return f"mode{'s' * (len(numbers) > 1)} {_joined(numbers)}"
-
-
-def _joined(items: Sequence[str]) -> str:
-    return " and ".join([", ".join(items[:-1]), items[-1]]) if len(items) > 1 else items[0]
+    return named_modes((np.flatnonzero(which) + 1).tolist())
 
 
 def _listed(values: Array, errors: Array, which: Mask) -> str:
     shown = [f"{100 * values[k]:.2g} +- {100 * errors[k]:.1g} %" for k in np.flatnonzero(which)]
-    return f"{_joined(shown)} ({_modes(which)})"
+    return f"{listed(shown)} ({_modes(which)})"
 
 
 # --- the test --------------------------------------------------------------------------------------------------------

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 
-from ..._display import p_value
+from ..._display import counted, p_value
+from ..uncertainty.fisher import named_modes
 from .damped_model import HypothesisTest
 
 WHITE = 1e-3  # p-value below which residuals are called coloured
@@ -116,7 +117,7 @@ class FitVerdict:
             return "Nothing to model: no mode improves the BIC. " + " ".join(parts)
         if self.order > self.n:
             parts.append(
-                f"The record shows {self.n} mode{'s' * (self.n != 1)}, the residual is at rounding level; the other "
+                f"The record shows {counted(self.n, 'mode')}, the residual is at rounding level; the other "
                 f"{self.order - self.n} of the {self.order} asked for have r = 0 and placeholder frequencies."
             )
         if self.at_limit:
@@ -126,19 +127,18 @@ class FitVerdict:
                 "doubt the model."
             )
         if self.drifting and not self.blind:
-            listed = ", ".join(str(l + 1) for l in self.drifting)
+            named = named_modes([l + 1 for l in self.drifting]).capitalize()
             parts.append(
-                f"Mode{'s' * (len(self.drifting) > 1)} {listed} would complete less than a period in the record: an "
-                "offset or a drift, rather; subtract the mean or the trend first."
+                f"{named} would complete less than a period in the record: an offset or a drift, rather; subtract the "
+                "mean or the trend first."
             )
         if self.active and not self.blind:
-            listed = ", ".join(str(l + 1) for l in self.active)
             asked = (
                 "there the record asks for a residue that no lossless model with input and output at the same port has."
                 if self._unexplained or self.contradiction
                 else "noise hides whether the input reaches it."
             )
-            parts.append(f"The constraint r >= 0 is active for mode{'s' * (len(self.active) > 1)} {listed}: {asked}")
+            parts.append(f"The constraint r >= 0 is active for {named_modes([l + 1 for l in self.active])}: {asked}")
         if self.blind or self.remark:
             parts.append(self.blind or self.remark)
         if self.contradiction:
@@ -151,8 +151,9 @@ class FitVerdict:
             )
         parts += self.circumstances
         if self._unexplained:
-            p = f"p = {self.whiteness:.1e}" if self.whiteness > 0 else "p < 1e-300"
-            parts.append(f"The residuals are not white (Ljung-Box {p}): something is left unexplained.")
+            parts.append(
+                f"The residuals are not white (Ljung-Box {p_value(self.whiteness)}): something is left unexplained."
+            )
         if self.alike and (self._unexplained or self.contradiction):
             parts.append(
                 "All points were taken as equally sure: noise that goes with the gain looks like this too; if yours "
@@ -166,7 +167,7 @@ class FitVerdict:
                 parts.append("The plant was taken to start at rest; if it may not have, use initial_state='estimate'.")
         if self.spare < _FEW and not self.noiseless:
             parts.append(
-                f"The record has only {self.spare} sample{'s' * (self.spare != 1)} more than the model has unknowns: "
+                f"The record has only {counted(self.spare, 'sample')} more than the model has unknowns: "
                 "its quality cannot be judged."
             )
         if any(self.outliers) and not (self._coloured or self.contradiction):
