@@ -149,9 +149,8 @@ def _canonical(
     """
     d, kappa = _poles(sys)
     observable, residues = isinstance(sys, ObservableHamiltonian), kappa.astype(complex)
-    into, back = _cofactor_map(d), _lagrange_map(d)
-    if observable:
-        into, back = back, into
+    W, L = companion_maps(d)
+    into, back = (L, W) if observable else (W, L)
     # after an impulse every mode starts from its residue, which need not be taken out of the state
     struck = observable and bool(s0.any()) and np.array_equal(s0, sys.B[:, 0])
     start = residues if struck else into @ s0 if s0.any() else 0 * residues
@@ -186,23 +185,23 @@ def _with_digits(sys: Any, rows: Array, error: Array, exact: Callable[[], Array]
     return rows
 
 
-def _cofactor_map(d: Array) -> ComplexArray:
-    """Rows `sum_k b_k (lambda s_{2k+1} + s_{2k+2})` with the coefficients of the other modes' polynomial."""
-    b = cofactors(d)
-    W = np.empty((len(d), 2 * len(d)), complex)
+def companion_maps(d: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Maps `W` of states of a companion matrix to its modes, poles `lambda = -i d`, and `L`, shape (n, 2n) each.
+
+    Rows of `W` are `sum_k b_k (lambda s_{2k+1} + s_{2k+2})` with the coefficients of the other modes' polynomial, rows
+    of `L` are `lambda^{k-1} / (lambda prod_{j != l} (d_j^2 - d_l^2))`: residues of `s^{k-1}/P(s)`, twice.  States of
+    the controllable form are `Re L^T w` of what is `w = W s`, those of the observable one `Re W^T w` of `w = L s`.
+    """
+    n, b = len(d), cofactors(d)
+    W = np.empty((n, 2 * n), complex)
     W[:, 0::2], W[:, 1::2] = -1j * d[:, None] * b, b
-    return W
-
-
-def _lagrange_map(d: Array) -> ComplexArray:
-    """Rows `lambda^{k-1} / (lambda prod_{j != l} (d_j^2 - d_l^2))`: residues of `s^{k-1}/P(s)`, twice."""
-    n = len(d)
     gaps = (d - d[:, None]) * (d + d[:, None])
     np.fill_diagonal(gaps, 1.0)
     # interleaved, so that powers and products do not leave the range of doubles one after the other
     with np.errstate(all="ignore"):
         ratio = (d[:, None] ** 2 / np.where(np.eye(n, dtype=bool), d**2, gaps)).prod(axis=1)
-        return ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1)) * (-1j) ** (np.arange(2 * n) - 1)
+        L = ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1)) * (-1j) ** (np.arange(2 * n) - 1)
+    return W, L
 
 
 def check_finite(y: Array, z: Array | None, growth: float, rule: Hold) -> None:

@@ -20,8 +20,8 @@ import numpy as np
 
 from ... import _checks
 from ..._types import Array, ComplexArray
+from ...analysis.trajectories import companion_maps
 from ...exceptions import ConditioningWarning, StructureError
-from ...numerics.polynomials import cofactors
 from ..data.time_record import Record
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import chosen_experiment
@@ -120,40 +120,24 @@ def _refuse_unreachable(r: Array, amplitudes: ComplexArray) -> None:
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is refused
 def observable_state(d: Array, amplitudes: ComplexArray) -> tuple[Array, float]:
     """State of OH(d, v) with these free motions (n,) in its output, and the digits of them that it carries."""
-    b = cofactors(d)
-    state, size = np.empty(2 * len(d)), np.empty(2 * len(d))
-    state[0::2], state[1::2] = b.T @ (d * amplitudes.imag), b.T @ amplitudes.real
-    size[0::2], size[1::2] = b.T @ (d * np.abs(amplitudes.imag)), b.T @ np.abs(amplitudes.real)
+    W, L = companion_maps(d)
+    state = (W.T @ amplitudes).real
     _checks.representable(f"the entries of the observable state of {len(d)} modes", state)
-    # a = 2 S(-i d) / P'(-i d) with S the polynomial of the state
-    lost = (d[:, None] ** np.arange(2 * len(d)) @ size) / (d * np.abs(_derivatives(d)))
-    return state, _digits(lost, amplitudes)
+    return state, _digits(np.abs(L) @ (np.abs(W).T @ np.abs(amplitudes)), amplitudes)
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+@np.errstate(over="ignore", invalid="ignore")
 def controllable_state(d: Array, r: Array, amplitudes: ComplexArray) -> tuple[Array, float]:
     """State of CH(d, v) with these free motions in its output, all other modes at rest, and the digits it carries.
 
-    The inverse of `controllable_morphism`: `s_k = 2 Re sum_l (-i d_l)^(k-1) w_l / P'(-i d_l)`, without a solution of
-    equations.
+    The inverse of `controllable_morphism`, without a solution of equations.
     """
-    n, kappa, slope = len(d), r * d, _derivatives(d)
+    W, L = companion_maps(d)
+    kappa = r * d
     w = np.where(amplitudes == 0, 0.0, amplitudes / np.where(kappa > 0, kappa, 1.0))
-    powers = (-d * d) ** np.arange(n)[:, None]
-    parts = np.stack([-w.imag / (d * slope), w.real / slope])
-    state = (powers @ parts.T).ravel()
-    size = (np.abs(powers) @ np.abs(parts).T).ravel()
-    _checks.representable(f"the entries of the controllable state of {n} modes", state)
-    b = cofactors(d)
-    lost = kappa * (d * (b @ size[0::2]) + b @ size[1::2])
-    return state, _digits(lost, amplitudes)
-
-
-def _derivatives(d: Array) -> Array:
-    """`prod_{j != l} (d_j^2 - d_l^2)`, that is `P'(-i d_l) / (-2 i d_l)`."""
-    gaps = (d - d[:, None]) * (d + d[:, None])
-    np.fill_diagonal(gaps, 1.0)
-    return np.asarray(gaps.prod(axis=1))
+    state = (L.T @ w).real
+    _checks.representable(f"the entries of the controllable state of {len(d)} modes", state)
+    return state, _digits(kappa * (np.abs(W) @ (np.abs(L).T @ np.abs(w))), amplitudes)
 
 
 def _digits(lost: Array, amplitudes: ComplexArray) -> float:
