@@ -20,11 +20,11 @@ from ..exceptions import NotLosslessError, StructureError
 from ..numerics import definiteness as _definite
 from ..numerics import pole_residue
 from ..numerics.pole_residue import SAFETY, PoleResidueForm, clusters
-from ..numerics.polynomials import COEFFICIENT_LIMIT, modes_from_coefficients
+from ..numerics.polynomials import COEFFICIENT_LIMIT
 from ..symplectic.forms_and_williamson import apply_form
 from .discrete import continuous, sampling_rule
 from .discretization import Hold
-from .modal_form import ModalForm, imaginary
+from .modal_form import ModalForm
 from .propagation import transfer_function
 
 _POINTS = 6  # at which modes are held against the matrices that they were found in
@@ -106,45 +106,20 @@ def _poles_and_residues(sys: Any, rest: float) -> PoleResidueForm:
 
 
 def _from_transfer_function(num: Array, den: Array) -> Judged:
-    """Modes of an odd transfer function with twice the digits, if its roots are simple; of any other in doubles."""
     form = pole_residue.from_polynomials(num, den)
-    parts = _even_and_odd(num, den)
-    exact = modes_from_coefficients(*parts) if parts is not None else None
-    if exact is not None and np.max(exact[2] / exact[0]) <= COEFFICIENT_LIMIT:
-        return decide(_sharpened(form, *exact))
     try:
         return decide(form)
     except (NotLosslessError, StructureError):
         with np.errstate(divide="ignore", invalid="ignore"):
             lost = float(np.nanmax(form.pole_error / np.abs(form.poles), initial=0.0))
-        if parts is None or lost < COEFFICIENT_LIMIT:
+        odd = not (np.any(den[-2::-2]) or np.any(num[-1::-2]))
+        if not odd or lost < COEFFICIENT_LIMIT:
             raise
         raise StructureError(
             f"the coefficients of the transfer function carry {max(0.0, -np.log10(lost)):.1f} digits of its poles, "
             f"needed {-np.log10(COEFFICIENT_LIMIT):.0f}: the rest is lost in their rounding to doubles; give natural "
             "frequencies and weights, zeros, poles and gain, or a state space instead"
         ) from None
-
-
-def _even_and_odd(num: Array, den: Array) -> tuple[Array, Array] | None:
-    """Coefficients of `s sum c_k s^{2k} / sum a_k s^{2k}`, monic and ascending, if the transfer function is one."""
-    num, den = (np.trim_zeros(np.asarray(p, float), "f")[::-1] for p in (num, den))
-    n = (len(den) - 1) // 2
-    if len(den) % 2 == 0 or n == 0 or len(num) > 2 * n or den[1::2].any() or num[0::2].any() or den[0::2].min() <= 0:
-        return None
-    c = np.zeros(n)
-    c[: len(num[1::2])] = num[1::2]
-    top = den[-1]
-    return den[0:-1:2] / top, c / top
-
-
-def _sharpened(form: PoleResidueForm, d: Array, kappa: Array, d_error: Array, kappa_error: Array) -> PoleResidueForm:
-    """Replace poles and residues by better ones; the bounds, of coefficients that are not rounded well, stay larger."""
-    order = 2 * len(d)
-    poles = imaginary(np.concatenate([d, -d]))
-    residues = np.concatenate([kappa, kappa])[:, None, None] * complex(0.5)
-    pole_error, residue_error = (2 * order * np.concatenate([e, e]) for e in (d_error, 0.5 * kappa_error))
-    return PoleResidueForm.simple(poles, residues, pole_error, residue_error, form.feedthrough)
 
 
 def _ports(noutputs: int, ninputs: int) -> None:

@@ -541,8 +541,8 @@ class ModalForm(ShownModes):
         if len(even) == 0:
             return from_frequencies(np.zeros(0), np.zeros(0))
         with np.errstate(over="ignore", invalid="ignore"):
-            found = polynomials.modes_from_coefficients(even, odd[::-1])
-        worst = np.inf if found is None else float((found[2] / found[0]).max())
+            found = polynomials.fractions_from_coefficients(even, odd[::-1])
+        worst = np.inf if found is None else float((found[0][1] / found[0][0]).max())
         if found is None or not worst <= COEFFICIENT_LIMIT:
             told = "no digit" if not worst < np.inf else f"{-np.log10(worst):.1f} digits"
             raise StructureError(
@@ -550,7 +550,7 @@ class ModalForm(ShownModes):
                 "rounding to doubles moves the roots of the denominator together, or off the imaginary axis; keep "
                 "d and r, or zeros, poles and gain, instead of coefficients"
             )
-        d, kappa, _, error = found
+        (d, _), (kappa, error) = found
         negative = kappa < -error
         if negative.any():
             pairs = zip(kappa[negative], d[negative], strict=True)

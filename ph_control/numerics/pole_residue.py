@@ -1,6 +1,6 @@
 """Poles and residues of any linear system, each with an honest bound of its error.
 
-Three routes, one result: from state space by the blocks of a Schur form, from polynomials by polished roots,
+Three routes, one result: from state space by the blocks of a Schur form, from polynomials by their roots,
 from zeros and poles by products.
 """
 
@@ -18,6 +18,7 @@ from .._types import Array, ComplexArray, Indices, Mask
 from ..exceptions import NotLosslessError, StructureError
 from .graphs import components
 from .invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, reordered, schur_form
+from .polynomials import COEFFICIENT_LIMIT, fractions_from_coefficients
 
 _PARALLEL = np.sqrt(_checks.EPS)  # eigenvectors that nearly coincide are those of a Jordan block
 
@@ -326,8 +327,7 @@ def _block_errors(block: _Block, pole_error: float, residue_error: float) -> tup
 def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
     """Poles and residues of `num/den` (descending powers), in a time scaled to the size of the poles.
 
-    Roots are polished and carry the bound that the rounding of the coefficients implies.  Where roots of the
-    denominator coincide within it, a companion form takes clusters of them apart.
+    Simple poles on the axis are found with twice the digits, any others by a companion form.
     """
     num = np.trim_zeros(_checks.real_array("the numerator", num, 1), "f")
     den = np.trim_zeros(_checks.real_array("the denominator", den, 1), "f")
@@ -342,6 +342,8 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         )
     while len(num) and num[-1] == 0 and den[-1] == 0:
         num, den = num[:-1], den[:-1]
+    if len(num) and (exact := _on_the_axis(num, den)) is not None:
+        return exact
     order = len(den) - 1
     scale = _time_scale(den)
     powers = scale ** -np.arange(order + 1.0)
@@ -353,20 +355,6 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
     D = np.array([[feedthrough]])
     if order == 0 or not num.any():
         return _static(D)
-    poles, pole_error, derivative = _polished_roots(den)
-    distance = np.abs(poles[:, None] - poles) + np.diag(np.full(order, np.inf))
-    if np.all(distance > 2 * SAFETY * (pole_error[:, None] + pole_error)):
-        top_value = np.polyval(num, poles)
-        residues = top_value / derivative
-        size = np.abs(poles)
-        moved = np.abs(np.polyval(np.polyder(num), poles)) + np.abs(residues * np.polyval(np.polyder(den, 2), poles))
-        rounding = 2 * order * _checks.EPS * np.polyval(np.abs(num), size)
-        slope_rounding = 2 * order * _checks.EPS * np.polyval(np.polyder(np.abs(den)), size) * np.abs(residues)
-        error = (moved * pole_error + rounding + slope_rounding) / np.abs(derivative)
-        # residues carry the unit of 1/time as the poles do
-        return PoleResidueForm.simple(
-            poles * scale, residues[:, None, None] * scale, pole_error * scale, error * scale, D
-        )
     A = np.diag(np.ones(order - 1), -1)
     A[0] = -den[1:]
     form = from_state_space(A * scale, np.eye(order)[:, :1] * scale, num[None, :], D)
@@ -383,20 +371,24 @@ def _time_scale(den: Array) -> np.float64:
     return np.float64(2.0) ** np.round(mean)
 
 
-def _polished_roots(den: Array) -> tuple[ComplexArray, Array, ComplexArray]:
-    """Roots after Newton steps, the bound of their error, and the derivative there."""
-    order = len(den) - 1
-    slope = np.polyder(den)
-    roots = np.roots(den).astype(complex)
-    for _ in range(3):
-        derivative = np.polyval(slope, roots)
-        step = np.polyval(den, roots) / np.where(derivative == 0, 1.0, derivative)
-        roots = roots - np.where(np.abs(step) < 0.1 * np.abs(roots), step, 0.0)
-    derivative = np.polyval(slope, roots)
-    rounding = 2 * order * _checks.EPS * np.polyval(np.abs(den), np.abs(roots))
-    # n times the first-order radius holds a root also where the slope itself is lost in rounding
-    error = rounding / np.maximum(np.abs(derivative), np.finfo(float).tiny)
-    return roots, error, derivative
+def _on_the_axis(num: Array, den: Array) -> PoleResidueForm | None:
+    """Form with twice the digits if the denominator is even, or that times `s`, with simple roots on the axis."""
+    order, still = len(den) - 1, 1 - len(den) % 2
+    P, c = den[::-1] / den[0], num[::-1] / den[0]
+    if P[1 - still :: 2].any() or P[still::2].min() <= 0 or order < 2 or len(num) > order:
+        return None
+    found = fractions_from_coefficients(P[still:-1:2], c[0::2], c[1::2])
+    if found is None or np.max(found[0][1] / found[0][0]) > COEFFICIENT_LIMIT:
+        return None
+    (d, d_error), (even, even_error), (odd, odd_error) = found
+    upper = 0.5 * (odd - 1j * even / d) / (1j * d) ** still
+    error = 0.5 * (odd_error + even_error / d) / d**still + np.abs(upper) * d_error / d
+    at_zero = c[:still] / P[still]
+    # coefficients may be rounded more than once
+    poles, residues = np.concatenate([[0.0] * still, 1j * d, -1j * d]), np.concatenate([at_zero, upper, upper.conj()])
+    pole_error = 2 * order * np.concatenate([[0.0] * still, d_error, d_error])
+    residue_error = 2 * order * np.concatenate([_checks.EPS * np.abs(at_zero), error, error])
+    return PoleResidueForm.simple(poles, residues[:, None, None], pole_error, residue_error, np.zeros((1, 1)))
 
 
 def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResidueForm:

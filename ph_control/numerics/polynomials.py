@@ -199,34 +199,33 @@ def digits(d: Array) -> float:
     return max(0.0, -float(np.log10(worst) + np.log10(_checks.EPS)))
 
 
-def modes_from_coefficients(a: Array, c: Array) -> tuple[Array, Array, Array, Array] | None:
-    """Frequencies and residues of `s sum c_k s^{2k} / (s^{2n} + sum a_k s^{2k})`, each with its error.
+def fractions_from_coefficients(a: Array, *numerators: Array) -> list[tuple[Array, Array]] | None:
+    """Frequencies `d` of `P(s^2) = s^{2n} + sum a_k s^{2k}`, and `N(-d^2) / P'(-d^2)` of numerators, with their errors.
 
-    Parameters are the coefficients of ascending even powers, n of each, with `a > 0`.  The errors are what a relative
-    error `eps` of every coefficient moves them by, to first order.  None if the roots of the denominator are not n
-    distinct numbers on the imaginary axis, or are not told apart by these errors.
+    Coefficients ascend, with `a > 0`.  The errors are what a relative error `eps` of every coefficient moves them by,
+    to first order.  None if the roots of `P` are not n distinct negative numbers, or are not told apart by these
+    errors.
     """
     n = len(a)
     unit = round(float(np.log2(a[0])) / (2 * n))
-    powers = 2 * unit * np.arange(n, -1, -1)
     with np.errstate(over="ignore", under="ignore"):
-        P, N = np.ldexp(np.append(a, 1.0), -powers), np.ldexp(c, -powers[1:])
-    if not (np.isfinite(P).all() and P.min() > 0 and np.isfinite(N).all()):
+        scaled = np.ldexp(np.append(a, 1.0), -2 * unit * np.arange(n, -1, -1))
+    if not (np.isfinite(scaled).all() and scaled.min() > 0):
         return None
     with localcontext(WIDE):
-        y = _simple_positive_roots(P)
+        y = _simple_positive_roots(scaled)
         if y is None:
             return None
-        wide, numerator = decimals(P[::-1]), decimals(N[::-1])
-        slope, curvature = (np.polyval(np.polyder(wide, order), -y) for order in (1, 2))
-        kappa = (np.polyval(numerator, -y) / slope).astype(float)
-        d, size, slope, curvature = (values.astype(float) for values in (np.sqrt(y), y, slope, curvature))
-    error_y = _checks.EPS * np.polyval(P[::-1], size) / np.abs(slope)
-    moved = np.abs(np.polyval(np.polyder(N[::-1]), -size)) + np.abs(kappa * curvature)
-    rounding = np.polyval(np.abs(N)[::-1], size) + np.abs(kappa) * np.polyval(np.polyder(P[::-1]), size)
-    error_kappa = (moved * error_y + _checks.EPS * rounding) / np.abs(slope)
-    # with c scaled by one power less than a, residues have kept their unit
-    return np.ldexp(d, unit), kappa, np.ldexp(0.5 * error_y / np.sqrt(size), unit), error_kappa
+        y, P, eps = y * Decimal(4) ** unit, decimals(np.append(1.0, a[::-1])), Decimal(_checks.EPS)
+        slope, curvature = (np.polyval(np.polyder(P, order), -y) for order in (1, 2))
+        error_y = eps * np.polyval(P, y) / np.abs(slope)
+        found = [(np.sqrt(y), error_y / (2 * np.sqrt(y)))]
+        for numerator in (decimals(c[::-1]) for c in numerators):
+            value = np.polyval(numerator, -y) / slope
+            moved = np.abs(np.polyval(np.polyder(numerator), -y)) + np.abs(value * curvature)
+            rounding = np.polyval(np.abs(numerator), y) + np.abs(value) * np.polyval(np.polyder(P), y)
+            found.append((value, (moved * error_y + eps * rounding) / np.abs(slope)))
+        return [(values.astype(float), errors.astype(float)) for values, errors in found]
 
 
 def _simple_positive_roots(P: Array) -> Decimals | None:
