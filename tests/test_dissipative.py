@@ -103,7 +103,7 @@ def in_50_digits(Q, B, R, t, x0):
         return np.array([float(x) for x in mp.expm(A * t) * mp.matrix(x0.tolist())])
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-8, 1e-4, 1e-1])
 def test_critical_damping_keeps_its_digits(n, distance):
     """All modes at and beside the point where two poles of each meet, which is one for all of them."""
@@ -121,6 +121,83 @@ def test_critical_damping_keeps_its_digits(n, distance):
             s = mp.mpc(0, w)
             exact = sum(mp.mpf(b) ** 2 * s / (s**2 + 2 * mp.mpf(z) * s + 1) for b, z in zip(B[n:], zeta, strict=True))
             assert abs(system(1j * w) - complex(exact)) <= 1e-12 * np.sum(B**2)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-8, 1e-4, 1e-1])
+def test_poles_of_one_chain_that_all_meet_keep_their_digits(n, distance):
+    """One Jordan block of size 2n, turned: no transformation parts the poles at and beside the point."""
+    N = 2 * n
+    turn = np.linalg.qr(np.random.default_rng(n).normal(size=(N, N)))[0]
+    A = turn @ (-np.diag(1.0 + distance * np.arange(N)) + 0.9 * np.eye(N, k=1)) @ turn.T
+    B = turn @ np.ones(N)
+    system = phc.ph(np.eye(N), B, J=0.5 * (A - A.T), R=-0.5 * (A + A.T))
+    x0, t = turn @ np.arange(1.0, N + 1), np.linspace(0.0, 6.0, 13)
+    free = phc.forced_response(system, t, 0.0, x0).states
+    step = phc.step_response(system, t).outputs
+    with mp.workdps(50):
+        exact = mp.matrix(system.J.tolist()) - mp.matrix(system.R.tolist())
+        port, one = mp.matrix(B.tolist()), mp.eye(N)
+        for k in (1, 5, 12):
+            motion = mp.expm(exact * mp.mpf(t[k]))
+            wanted = np.array([float(x) for x in motion * mp.matrix(x0.tolist())])
+            assert np.abs(free[:, k] - wanted).max() <= 1e-12 * np.abs(x0).max()
+            risen = (port.T * mp.lu_solve(exact, (motion - one) * port))[0]
+            assert abs(step[k] - float(risen)) <= 1e-12 * np.abs(step).max()
+        for w in (0.1, 1.0, 3.0):
+            value = complex((port.T * mp.lu_solve(mp.mpc(0, w) * one - exact, port))[0])
+            assert abs(system(1j * w) - value) <= 1e-12 * abs(value)
+
+
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**31), size=st.floats(-5.0, 0.0))
+def test_responses_and_simulations_are_those_of_50_digits(seed, size):
+    """Chains with dampers, down to damping ratios of 1e-6 where a pole is known to the rounding of its frequency."""
+    rng = np.random.default_rng(seed)
+    n, low = int(rng.integers(2, 6)), 10.0**size
+    system = phc.spring_chain(
+        rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n - 1), ground=rng.uniform(0.1, 1.0, n),
+        c=low * rng.uniform(0.01, 0.1, n - 1), ground_c=low * rng.uniform(0.01, 0.1, n), port=[0, n - 1],
+    )  # fmt: skip
+    N, modes, h, T = 2 * n, system.modes, 0.1, 60
+    u = rng.normal(size=(2, T + 1))
+    got = phc.forced_response(system, h * np.arange(T + 1), u, intersample="zoh").outputs
+    with mp.workdps(50):
+        Q, G = mp.matrix(system.Q.tolist()), mp.matrix(system.G.tolist())
+        A, C = (mp.matrix(system.J.tolist()) - mp.matrix(system.R.tolist())) * Q, G.T * Q
+        for w in [*modes.natural_frequencies, *rng.uniform(0.1, 3.0, 3)]:
+            wanted = C * mp.lu_solve(mp.mpc(0, float(w)) * mp.eye(N) - A, G[:, 0])
+            terms = np.abs(modes.residues[:, :, 0] / (1j * w - modes.poles)[:, None]).sum(axis=0)
+            error = np.abs(system(1j * w)[:, 0] - np.array([complex(x) for x in wanted]))
+            assert np.all(error <= max(1e-13, 4 * EPS / modes.damping_ratios.min()) * terms)
+        whole = mp.zeros(N + 2)
+        whole[:N, :N], whole[:N, N:] = A, G
+        step, x, exact = mp.expm(whole * mp.mpf(h)), mp.zeros(N, 1), []
+        for k in range(T + 1):
+            exact.append([float(y) for y in C * x])
+            x = step[:N, :N] * x + step[:N, N:] * mp.matrix(u[:, k].tolist())
+    assert np.abs(got - np.array(exact).T).max() <= 1e-12 * np.abs(exact).max()
+
+
+@settings(max_examples=8, deadline=None)
+@SEEDS
+def test_the_midpoint_rule_keeps_the_balance_of_power_in_every_step(seed):
+    """Ten thousand steps: each to 1e-14 of the energy that flows, and by the equation of the balance itself."""
+    system, _, rng = drawn(seed, sensors=False)
+    steps, h = 10_000, 0.05
+    t, u = h * np.arange(steps + 1), rng.normal(size=(system.ninputs, steps + 1))
+    response = phc.forced_response(system, t, u, method="midpoint", intersample="foh")
+    balance = phc.energy_balance(response, system)
+    flow = max(balance.stored.max(), np.abs(balance.supplied).max(), balance.dissipated.max())
+    assert np.abs(np.diff(balance.defect)).max() <= 1e-14 * flow
+    x, middle = response.states, 0.5 * (u[:, 1:] + u[:, :-1])
+    e = system.Q @ (0.5 * (x[:, 1:] + x[:, :-1]))
+    both = np.vstack([e, middle])
+    W = np.block([[system.R, system.P], [system.P.T, system.S]])
+    y = (system.G + system.P).T @ e + (system.S + system.N) @ middle
+    supplied, lost = h * np.sum(middle * y, axis=0), h * np.sum(both * (W @ both), axis=0)
+    gained = np.sum(e * np.diff(x), axis=0)  # of a quadratic energy the difference of stored ones
+    assert np.abs(gained - supplied + lost).max() <= 1e-12 * np.max(np.abs(supplied) + lost + balance.stored[1:])
 
 
 def test_poles_on_the_axis_give_infinity_and_never_nan():

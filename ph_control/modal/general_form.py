@@ -23,11 +23,14 @@ from .. import _checks
 from .._display import html_table, literal
 from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
+from ..numerics.double_double import Pair, add, exactly, product
 from ..numerics.pole_residue import PoleResidueForm
 from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
 
 _CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
+_REFINED = 500  # states of a system whose modes are corrected
+_SLIGHT = 1e-6  # corrections of eigenvectors that are small enough for their first order
 
 
 def _only_lossless(name: str) -> Any:
@@ -347,6 +350,47 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     lead = c[np.arange(len(c)), np.abs(c).argmax(axis=1)] if c.size else np.ones(len(c))
     lead = np.where(lead == 0, 1.0, lead)[:, None]
     return GeneralModalForm(poles, c / lead, b * lead, D, clusters)
+
+
+def refined(form: GeneralModalForm, A: Pair) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
+    """Poles, right eigenvectors (N, n) and left ones (n, N), corrected to first order by residuals of twice the digits.
+
+    `form` is that of `A` with all states for its last inputs and outputs.  The poles are then right to their own
+    rounding, as far as their conditions allow to see it.  None where they are not parted, or too many.
+    """
+    size = len(A[0])
+    poles, shapes, weights = form._both_halves
+    if not 0 < size <= _REFINED or len(poles) != size:
+        return None
+    _, (scale, _) = matrix_balance(A[0], permute=False, separate=True)
+    X, W = shapes[:, -size:].T / scale[:, None], weights[:, -size:] * scale
+    right, left = exactly(np.hstack([X.real, X.imag])), exactly(np.vstack([W.real, W.imag]))
+    high, low = (part * scale / scale[:, None] for part in A)
+    unit = _complex(product(left, right, 2), np.eye(size, dtype=complex))
+    rest = _complex(product(left, product((high, low), right, 2), 2), np.diag(poles)) - unit * poles
+    gap = poles - poles[:, None]
+    with np.errstate(all="ignore"):
+        turn = np.where(np.abs(rest) < _SLIGHT * np.abs(gap), rest / gap, 0.0)
+    np.fill_diagonal(turn, 0.0)
+    if not max(np.abs(unit).max(), np.abs(turn).max()) < _SLIGHT:
+        return None
+    single = poles.imag >= 0
+    moved = np.where(poles == 0, 0.0, poles + np.diag(rest))
+    real = poles.imag == 0
+    moved, X, W = np.where(real, moved.real, moved), X + X @ turn, W - unit @ W - turn @ W
+    X, W = np.where(real, X.real, X) * scale[:, None], np.where(real[:, None], W.real, W) / scale
+    return moved[single], X[:, single], W[single]
+
+
+def _complex(pair: Pair, less: ComplexArray) -> ComplexArray:
+    """`(a + i b) (c + i d)` of the four blocks of `[a; b] [c, d]`, less a matrix, both with the digits of pairs."""
+    (rr, ri), (ir, ii) = ([(high, low) for high, low in zip(*row, strict=True)] for row in zip(
+        *([np.split(block, 2, axis=1) for block in np.split(part, 2)] for part in pair), strict=True
+    ))  # fmt: skip
+    real, imag = add(rr, (-ii[0], -ii[1])), add(ri, ir)
+    none = np.zeros(less.shape)
+    (a, b), (c, d) = add(real, (-less.real, none)), add(imag, (-less.imag, none))
+    return (a + b) + 1j * (c + d)
 
 
 def _single_mode(block: Array, b: Array, c: Array, noise: float) -> tuple[complex, NDArray[Any], NDArray[Any]] | None:

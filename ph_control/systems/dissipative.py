@@ -14,8 +14,9 @@ from .. import _checks
 from .._checks import EPS
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal
 from ..exceptions import NotLosslessError, StructureError
-from ..modal.general_form import GeneralModalForm, from_state_space
+from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
+from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import symplectic_form
 from .base import LosslessSystem, View, refuse_losses
 from .passive_form import Conversion, PortRows, passive_parts, port_order
@@ -71,7 +72,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
     -----
     `dH/dt = u^T y - [e; u]^T W [e; u]` with `e = Q x` and `W = [[R, P], [P^T, S]] >= 0`.  Matrices are locked.
     Frequency responses, poles and simulations run on the modal form, O(n) a point; what takes O(n^3) is computed on
-    first access and kept.
+    first access and kept.  Up to 500 states, modes are corrected by residuals of twice the digits: where a
+    transformation parts the poles, they are right to their own rounding.
 
     Examples
     --------
@@ -165,10 +167,14 @@ class DissipativePortHamiltonian(PortHamiltonian):
     def _split(self) -> GeneralModalForm:
         """Modes with all states for inputs and outputs beside those of the system."""
         n = len(self.Q)
-        rows = np.vstack([self.C, np.eye(n)])
-        return from_state_space(
-            ct.ss(self.A, np.hstack([self.B, np.eye(n)]), rows, np.zeros((len(rows), n + self.ninputs)))
-        )
+        rows, columns = np.vstack([self.C, np.eye(n)]), np.hstack([self.B, np.eye(n)])
+        none = np.zeros((len(rows), n + self.ninputs))
+        form = from_state_space(ct.ss(self.A, columns, rows, none))
+        better = refined(form, product(two_sum(self.J, -self.R), exactly(self.Q)))
+        if better is None:
+            return form
+        poles, right, left = better
+        return GeneralModalForm(poles, (rows @ right).T.copy(), left @ columns, none)
 
     @property
     def modes(self) -> ModalForm:
