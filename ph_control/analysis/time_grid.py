@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 
 from .. import _checks
+from .._display import counted
 from .._types import Array
 from ..exceptions import ResolutionWarning
 
@@ -51,7 +52,7 @@ def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
 def listed(d: Array) -> str:
     """Text that names modes in a warning."""
     shown = ", ".join(f"{value:.4g}" for value in d[:3])
-    return f"{len(d)} mode{'s' if len(d) > 1 else ''} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
+    return f"{counted(len(d), 'mode')} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
 
 
 def printed_step(t: Array) -> float:

@@ -15,7 +15,7 @@ from .._types import Array, ComplexArray, Indices, Mask
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import in_normal_form
-from .inputs import FitResult, Subject, models_around, subjects_of, title_of
+from .inputs import FitResult, Subject, models_around, subjects_of, timebase, title_of
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
@@ -283,7 +283,7 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     nyquist = _nyquist(sys)
     grid = grid if nyquist is None else grid[grid <= nyquist]
     s = 1j * grid
-    response = sys(s if nyquist is None else np.exp(s * _timebase(sys)), squeeze=False, warn_infinite=False)
+    response = sys(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
     power = _power_of_s(subject)
     if power:
         # a zero without sign leaves the phase of a lossless response at one side of half a turn
@@ -292,12 +292,7 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
 
 
 def _nyquist(sys: Any) -> float | None:
-    return float(np.pi) / _timebase(sys) if sys.isdtime(strict=True) else None
-
-
-def _timebase(sys: Any) -> float:
-    """Sampling time of a discrete-time system; 1 where it is unspecified, as python-control takes it."""
-    return 1.0 if sys.dt is True else float(sys.dt)
+    return float(np.pi) / timebase(sys) if sys.isdtime(strict=True) else None
 
 
 # --- frequency axes --------------------------------------------------------------------------------------------------
@@ -359,14 +354,14 @@ def features(sys: Any) -> tuple[Array, Array]:
     poles = np.asarray(sys.poles(), complex)
     points = np.concatenate([poles, *(np.asarray(entry.zeros(), complex) for entry in entries)])
     if sys.isdtime(strict=True):
-        points = np.log(points[points != 0]) / _timebase(sys)
+        points = np.log(points[points != 0]) / timebase(sys)
     points = points[np.isfinite(points)]
     if in_normal_form(sys) and sys.issiso():
         on_axis = np.unique(points.imag[points.imag > 0])
         return on_axis, on_axis
     size = np.abs(points)
     # eigenvalue solvers return zeros at infinity as huge numbers, and those at the origin as tiny ones
-    scale = np.max(np.abs(poles), initial=0.0) if sys.isctime() else np.pi / _timebase(sys)
+    scale = np.max(np.abs(poles), initial=0.0) if sys.isctime() else np.pi / timebase(sys)
     points = points[(size > _NEGLIGIBLE * scale) & ((size < scale / _NEGLIGIBLE) | (scale == 0))]
     on_axis = points[(np.abs(points.real) <= 1e-7 * np.abs(points)) & (points.imag > 0)].imag
     # well damped ones have no peak, and of repeated real ones the imaginary parts are rounding

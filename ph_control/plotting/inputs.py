@@ -99,6 +99,11 @@ def _names(given: list[Any], systems: list[Any]) -> list[str]:
     ]
 
 
+def timebase(sys: Any) -> float:
+    """Sampling time of a discrete-time system; 1 where it is unspecified, as python-control takes it."""
+    return 1.0 if sys.dt is True else float(sys.dt)
+
+
 def title_of(kind: str, subjects: list[Subject], relabelled: bool) -> str:
     """Title of a picture, with the names of its systems where they are few and have some."""
     systems = [one.system for one in subjects]

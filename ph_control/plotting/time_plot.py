@@ -24,7 +24,7 @@ from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
-from .inputs import Subject, models_around, subjects_of, title_of
+from .inputs import Subject, models_around, subjects_of, timebase, title_of
 from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -388,7 +388,7 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked
     sys, label, sampled = subject.system, subject.label, bool(subject.system.isdtime(strict=True))
     fastest = 0.0
     if sampled:
-        step = 1.0 if sys.dt is True else float(sys.dt)
+        step = timebase(sys)
         t = step * np.arange(min(_MOST_STEPPED, int(np.floor(end / step * (1 + 1e-12))) + 1), dtype=float)
     else:
         # the fastest of the oscillations that last longer than a dot of the picture
