@@ -354,11 +354,11 @@ def conjugate_closed(name: str, value: ArrayLike) -> NDArray[np.complex128]:
 def time_vector(time: ArrayLike, *, name: str = "the time vector") -> tuple[Array, float]:
     """Check a uniform, increasing time vector; return it with its step (0 for a single sample)."""
     t = real_array(name, time, 1)
-    return t, time_step(t, name=name)[0]
+    return t, time_step(t, name=name)
 
 
-def time_step(t: Array, *, name: str = "the time vector") -> tuple[float, float]:
-    """Step of uniform, increasing instants, and their largest distance from the grid `t_0 + k step`.
+def time_step(t: Array, *, name: str = "the time vector") -> float:
+    """Step of uniform, increasing instants; 0 of a single one.
 
     Instants made as `t_0 + k h` are followed with that very `h`: their mean step may miss it by a unit in the last
     place, and a mode would be off by `d t eps`.
@@ -366,7 +366,7 @@ def time_step(t: Array, *, name: str = "the time vector") -> tuple[float, float]
     if t.size == 0:
         raise StructureError(f"{name} is empty; give at least one instant")
     if t.size == 1:
-        return 0.0, 0.0
+        return 0.0
     step, rounding = float(t[1] - t[0]), 2 * EPS * max(abs(float(t[0])), abs(float(t[-1])))
     off = distance_from_grid(t, step)
     if off > rounding:
@@ -378,7 +378,7 @@ def time_step(t: Array, *, name: str = "the time vector") -> tuple[float, float]
         step, off = _nearest_grid(t, step, allowed)
     if not step > 0 or off > allowed or 1000 * rounding > step:
         _refuse_instants(t, off, allowed, name)
-    return step, off
+    return step
 
 
 def _nearest_grid(t: Array, step: float, allowed: float) -> tuple[float, float]:

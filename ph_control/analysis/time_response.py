@@ -410,7 +410,7 @@ class _Problem:
         _checks.choice("method", method, METHODS)
         _checks.choice("intersample", intersample, INTERSAMPLE)
         # Euler's rule takes the input at the start of a step, whatever it does until the next
-        hold, h = "zoh" if method == "euler" else intersample, _checks.time_step(t)[0] or 1.0
+        hold, h = "zoh" if method == "euler" else intersample, _checks.time_step(t) or 1.0
         self.sys, self.u, self.rule = sys, u, Hold(h, method, hold)
         self.z0 = _initial_state(initial_state, sys.nstates)
 
