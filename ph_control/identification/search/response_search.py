@@ -16,7 +16,6 @@ from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
 from .free_search import Responses
-from .response_candidates import vector_fit
 from .steps import Report, Search, Step
 
 
@@ -28,40 +27,26 @@ class ResponseSearch(Search):
         self.data = Responses(problem)
         self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.data.experiments)
         self._poles: dict[float, complex] = {}
-        self._together: dict[int, FreeStep] = {}
 
     def damped(self, d: Array) -> FreeStep:
         """The best damped modes near some frequencies, from the poles that were found there before."""
         p = np.array([self._poles.get(one, complex(np.nan, one)) for one in d.tolist()], complex)
-        return self._kept(free_step(self.data, p))
-
-    def _kept(self, step: FreeStep) -> FreeStep:
+        step = free_step(self.data, p)
         self._poles.update(zip(step.at.d.tolist(), step.at.p.tolist(), strict=True))
         return step
 
-    def _at_once(self, n: int) -> FreeStep:
-        """The best that comes of all modes found together, whatever has joined until now."""
-        if n not in self._together:
-            self._together[n] = self._kept(free_step(self.data, vector_fit(self.data.all_rows(True), n)))
-        return self._together[n]
-
-    def is_white(self, step: FreeStep) -> bool:
+    def _is_white(self, step: FreeStep) -> bool:
         """Whether what damped modes leave is noise from point to point, but for a few that outweigh all others."""
         parts = [without_peaks(part) for one in step.left for part in (one.real, one.imag)]
         return ljung_box(parts, TUNING.lags) >= TUNING.white
 
     def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
         damped = self.damped(d)
-        white = self.is_white(damped)
-        if not white and len(d):
-            other = self._at_once(len(d))
-            if len(other.at.p) == len(d) and other.loss < damped.loss:
-                damped, white = other, self.is_white(other)
         candidates, gains = self.data.candidates(damped.left)
         end = refine(self.problem, damped.at.d, rtol=rtol, progress=report)
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
         return Step(
             damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, at.energies,
-            not white and damped.loss > TUNING.much * self.power,
+            damped.loss > TUNING.much * self.power and not self._is_white(damped),
         )  # fmt: skip
