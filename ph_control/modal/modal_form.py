@@ -370,25 +370,6 @@ class ModalForm(ShownModes):
         infinite = np.einsum("lij,kl->ijk", (alpha != 0) | (beta != 0), at_pole) | ((residue != 0) & at_zero)
         return np.where(infinite, complex(np.inf, 0.0), out)
 
-    def _rising(self, omega: Array, integrated: bool) -> Array:
-        """Sign of the slope over frequency of `G(i w)/i`, or `G(i w)/(i w)`: a number for one port, else (m, m, N)."""
-        if self.nports == 1:
-            return np.ones(())
-        alpha, residue = self._symmetric_residues[0], self.rigid.T @ self.rigid
-        out = np.empty((*residue.shape, len(omega)))
-        step = max(1, _CHUNK // max(1, self.n))
-        with np.errstate(all="ignore"):
-            for start in range(0, len(omega), step):
-                w = omega[start : start + step]
-                terms = (1.0 / (self.d[:, None] - w) / (self.d[:, None] + w)) ** 2
-                still = w**-2.0
-                if not integrated:
-                    terms *= self.d[:, None] ** 2 + w**2
-                else:
-                    still = still**2
-                out[:, :, start : start + step] = np.tensordot(alpha, terms, axes=(0, 0)) + residue[:, :, None] * still
-        return np.where(out < 0, -1.0, 1.0)
-
     def freqresp(self, omega: ArrayLike) -> ComplexArray:
         """Frequency response `G(i omega)`.
 

@@ -16,6 +16,7 @@ from ..exceptions import NotLosslessError, StructureError
 from ..modal.modal_form import ModalForm, imaginary
 
 _ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
+_RIGHT = 1e-9  # of a frequency: how far to the right of the axis values show which way
 _LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
 
 
@@ -159,10 +160,16 @@ class LosslessSystem(ct.StateSpace):
         it went: up at a zero, down at a pole.  What unwraps it, as `control.bode_plot` does, goes the same way.
         """
         response = super().frequency_response(omega, squeeze)
-        values, across = response.frdata, -1j if self._integrated else 1.0
-        level = np.isfinite(values) & ((values.imag if self._integrated else values.real) == 0)
-        size = np.where(level, _ASIDE * np.abs(values), 0.0)
-        response.frdata = values + across * size * self.modes._rising(response.omega, self._integrated)
+        values, unit = response.frdata, -1j if self._integrated else 1.0
+
+        def across(G: ComplexArray) -> Array:
+            return -G.imag if self._integrated else G.real
+
+        aside = np.where(np.isfinite(values) & (across(values) == 0), _ASIDE * np.abs(values), 0.0)
+        if self.ninputs > 1:
+            # entries of residues with either sign go either way
+            aside = np.copysign(aside, across(self.horner(response.omega * (1j + _RIGHT))))
+        response.frdata = values + unit * aside
         return response
 
     def bode_plot(self, *args: Any, **kwargs: Any) -> Any:
