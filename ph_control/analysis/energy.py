@@ -7,7 +7,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from .. import _checks
 from .._display import Report
@@ -173,6 +173,9 @@ def _flows(sys: PortHamiltonian, z: Array, u: Array, h: float, method: str, inte
 
 def _integral_along(M: Array, form: Array, h: float) -> Array:
     """`integral_0^h exp(M^T t) form exp(M t) dt`, of a short step by Van Loan's block exponential, then doubled."""
+    # in units of one size, by powers of 2: the norm is then that of the fastest mode
+    M, (scale, _) = matrix_balance(M, permute=False, separate=True)
+    form = form * scale * scale[:, None]
     doublings = max(0, int(np.ceil(np.log2(max(2.0 * h * float(np.linalg.norm(M, 1)), 1.0)))))
     k, step = len(M), h / 2**doublings
     E = expm(step * np.block([[-M.T, form], [np.zeros((k, k)), M]]))
@@ -181,7 +184,7 @@ def _integral_along(M: Array, form: Array, h: float) -> Array:
     for _ in range(doublings):
         total = total + F.T @ total @ F
         F = F @ F
-    return 0.5 * (total + total.T)
+    return 0.5 * (total + total.T) / scale / scale[:, None]
 
 
 def _trace(value: Any, what: str, rows: int, samples: int) -> Array:

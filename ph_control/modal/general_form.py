@@ -29,6 +29,7 @@ from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
 
 _CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
+_BLOCK = 1 << 14  # terms of responses that are computed together: what a cache holds
 _REFINED = 500  # states of a system whose modes are corrected
 _SLIGHT = 1e-6  # corrections of eigenvectors that are small enough for their first order
 
@@ -211,7 +212,7 @@ class GeneralModalForm(ModalForm):
         points = _checks.complex_points("the points", s)
         poles, residues = self._fractions
         out = np.empty((points.size, residues.shape[1]), complex)
-        step = max(1, (1 << 20) // max(1, len(poles)))
+        step = max(1, _BLOCK // max(1, len(poles)))
         for start in range(0, points.size, step):
             part = slice(start, start + step)
             with np.errstate(all="ignore"):
