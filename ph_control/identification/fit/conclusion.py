@@ -202,7 +202,7 @@ def _examined(
     if chosen is problem and (followed is not None or not (model.damped.any() or model.negative.any())):
         return fit
     d = beside(model.natural_frequencies, at.d, order)
-    end = refine(chosen, d, rtol=LAST)
+    end = refine(chosen, np.sort(d), rtol=LAST)
     end = replace(end, iterations=fit.found.end.iterations + end.iterations)
     return replace(fit, found=replace(fit.found, end=end), order=order or len(d), at_limit=False)
 

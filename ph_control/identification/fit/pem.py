@@ -196,7 +196,7 @@ def _found(
         path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
         starts += more
         start = path[place].d
-    end = refine(search.problem, start, rtol=LAST, progress=report(len(start)))
+    end = refine(search.problem, np.sort(start), rtol=LAST, progress=report(len(start)))
     all_d = end.projection.d if place else path[-1].d
     if automatic and followed is None:
         end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))
