@@ -14,11 +14,11 @@ from typing import Any, cast
 import numpy as np
 from scipy.special import chdtrc
 
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, Mask
 from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Interrupted, Problem, Refinement, refine
+from ..regression.variable_projection import Interrupted, Problem, refine
 from .circumstances import autoregression, input_noise, meeting
 from .screening import Screen
 
@@ -102,10 +102,36 @@ class TimeSearch(Search):
         self._slow = TUNING.slow * max(one.bin for one in self._experiments)
         self.affords_batches = max(len(one.u) for one in self._experiments) >= TUNING.long_enough
 
-    def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
+    def _posed(self, d: Array, intersample: str | None = None) -> Problem:
+        """All of the records, or of long ones the bins about some modes; also with an input held otherwise."""
+        problem = self.problem if intersample is None else meeting(self.problem, intersample)
         # the bins about a slow mode are few, and what it has in common with a constant is not among them
-        windowed = self._windowed and not np.any(d < self._slow)
-        return (self._in_bins if windowed else self._in_time)(d, rtol, report)
+        if not self._windowed or np.any(d < self._slow):
+            return problem
+        pairs = zip(self._spectra, problem.experiments, strict=True)
+        windows = (Window.about(replace(one, experiment=cast(RecordRows, rows)), d) for one, rows in pairs)
+        return Problem(tuple(windows), problem.signed)
+
+    def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
+        problem = self._posed(d)
+        end = refine(problem, d, rtol=rtol, last=False, progress=report)
+        at, loss, left = end.projection, end.projection.loss, [one.Y for one in self._spectra]
+        if problem is self.problem:
+            pairs = zip(self._experiments, at.predicted(), strict=True)
+            left = [np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0)) for one, predicted in pairs]
+        else:
+            if len(d):
+                windows = (one for one in problem.experiments if isinstance(one, Window))
+                left = [one.at(at.d).left(at.kappa, own) for one, own in zip(windows, at.own, strict=True)]
+            left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
+            loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
+        foretold = autoregression(left, [len(one.u) for one in self._experiments])[1]
+        step = Step(
+            at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
+            ~at.free, at.energies, foretold=foretold,
+        )  # fmt: skip
+        crowding = loss > self.problem.rounding and crowds(step, self.problem)
+        return replace(step, crowding=tuple(self._experiments)) if crowding else step
 
     def slow(self, step: Step) -> bool:
         """Whether what would join next is as slow as a constant or a drift, and more than noise."""
@@ -138,43 +164,10 @@ class TimeSearch(Search):
 
     def likelihood(self, step: Step, intersample: str) -> float:
         """Log-likelihood of the modes of a step, but for a constant, with an input held otherwise."""
-        d, windowed = step.d, self._windowed and not np.any(step.d < self._slow)
-        if windowed:
-            rows = []
-            for one, met in zip(self._spectra, meeting(self.problem, intersample).experiments, strict=True):
-                rows.append(Window.about(replace(one, experiment=cast(RecordRows, met)), d))
-            problem = Problem(tuple(rows), self.problem.signed)
-        else:
-            problem = meeting(self.problem, intersample)
-        known = not windowed and self._experiments[0].hold.intersample == intersample
-        loss = step.loss if known else problem.project(d).loss
+        problem, own = self._posed(step.d, intersample), self._experiments[0].hold.intersample
+        known = isinstance(problem.experiments[0], RecordRows) and intersample == own
+        loss = step.loss if known else problem.project(step.d).loss
         return -0.5 * problem.samples * float(np.log(max(loss / problem.samples, np.finfo(float).tiny)))
-
-    def _in_time(self, d: Array, rtol: float, report: Report | None) -> Step:
-        end = refine(self.problem, d, rtol=rtol, last=False, progress=report)
-        pairs = zip(self._experiments, end.projection.predicted(), strict=True)
-        left = [np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0)) for one, predicted in pairs]
-        return self._ended(end, left, end.projection.loss)
-
-    def _in_bins(self, d: Array, rtol: float, report: Report | None) -> Step:
-        windows = [Window.about(one, d) for one in self._spectra]
-        end = refine(Problem(tuple(windows), self.problem.signed), d, rtol=rtol, last=False, progress=report)
-        left, at = [one.Y for one in self._spectra], end.projection
-        if len(d):
-            left = [one.at(at.d).left(at.kappa, own) for one, own in zip(windows, at.own, strict=True)]
-        left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
-        loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
-        return self._ended(end, left, loss)
-
-    def _ended(self, end: Refinement, left: list[ComplexArray], loss: float) -> Step:
-        at = end.projection
-        foretold = autoregression(left, [len(one.u) for one in self._experiments])[1]
-        step = Step(
-            at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
-            ~at.free, at.energies, foretold=foretold,
-        )  # fmt: skip
-        crowding = loss > self.problem.rounding and crowds(step, self.problem)
-        return replace(step, crowding=tuple(self._experiments)) if crowding else step
 
 
 def crowds(step: Step, problem: Problem) -> bool:
