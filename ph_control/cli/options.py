@@ -56,11 +56,6 @@ class Parser(argparse.ArgumentParser):
 # --- types of values -------------------------------------------------------------------------------------------------
 
 
-def column(text: str) -> str | int:
-    """Column of a table: digits are its number, unless the library finds them as a label."""
-    return int(text) if text.isascii() and text.isdigit() and len(text) < 10 else text
-
-
 def order(text: str) -> str | int:
     """Number of modes, or 'auto'."""
     return text if text == "auto" else int(text)
@@ -159,10 +154,10 @@ def add_recording(parser: Parser) -> None:
     table = parser.add_argument_group(
         "recordings", "text tables: columns between commas, semicolons, tabs or white space, by name or number from 0"
     )
-    table.add_argument("--input", type=column, metavar="COLUMN", help="column of the input")
-    table.add_argument("--output", type=column, metavar="COLUMN", help="column of the output")
+    table.add_argument("--input", metavar="COLUMN", help="column of the input")
+    table.add_argument("--output", metavar="COLUMN", help="column of the output")
     table.add_argument("--no-input", action="store_true", help="nothing drove the record: a free motion")
-    table.add_argument("--time", type=column, metavar="COLUMN", help="column of the time")
+    table.add_argument("--time", metavar="COLUMN", help="column of the time")
     table.add_argument("--no-time", action="store_true", help="no column is the time; needs --dt")
     table.add_argument("--dt", type=float, metavar="STEP", help="time between samples, without a time column")
     table.add_argument(
@@ -179,11 +174,11 @@ def add_recording(parser: Parser) -> None:
     )
     for role in ("frequency", "magnitude", "phase", "real", "imag"):
         part = _PARTS.get(role, role)
-        response.add_argument(f"--{role}", type=column, metavar="COLUMN", help=f"column of the {part}")
+        response.add_argument(f"--{role}", metavar="COLUMN", help=f"column of the {part}")
     response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: that in the name of the column")
     response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: that in the name, or linear")
     response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: that in the name of the column")
-    response.add_argument("--weights", type=column, metavar="COLUMN", help="column of weights, as 1/variance")
+    response.add_argument("--weights", metavar="COLUMN", help="column of weights, as 1/variance")
 
 
 def add_meeting(parser: argparse._ActionsContainer, states: Sequence[str], holds: Sequence[str] = INTERSAMPLE) -> None:
