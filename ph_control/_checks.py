@@ -58,8 +58,13 @@ def unit_text(unit: Any) -> str:
     return unit or ""
 
 
-def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, fresh: bool = True) -> Array:
-    """Convert to an array of finite doubles with `ndim` dimensions, one of its own unless not `fresh`."""
+def real_array(
+    name: str, value: ArrayLike, ndim: int | None = None, *, fresh: bool = True, missing: bool = False
+) -> Array:
+    """Convert to an array of finite doubles with `ndim` dimensions, one of its own unless not `fresh`.
+
+    NaN marks what is `missing`, where anything may be.
+    """
     raw = value if type(value) is np.ndarray and value.dtype.char == "d" else _real_numbers(name, value)
     array = np.array(raw, dtype=float) if fresh else np.asarray(raw, dtype=float)
     if ndim is not None and array.ndim != ndim:
@@ -67,7 +72,7 @@ def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, fresh: b
             f"{name} has {array.ndim} dimensions (shape {array.shape}), needed {ndim}; "
             "reshape it so that nothing is guessed"
         )
-    finite(name, array)
+    finite(name, np.where(np.isnan(array), 0.0, array) if missing else array)
     return array
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import signal
 
 from .. import _checks
@@ -165,21 +164,10 @@ def _record(data: Any) -> tuple[Array, Array, float]:
         raise StructureError(f"the record has {len(time)} samples; a spectral estimate needs at least {_SHORTEST}")
     if np.ptp(u) <= len(u) * _checks.EPS * np.max(np.abs(u)):
         raise StructureError(f"the input of the record is constant ({u[0]:.6g}); it excites no frequency but 0")
-    y = gapped_array("the output of the record", data.y.reshape(-1))
+    y = _checks.real_array("the output of the record", data.y.reshape(-1), missing=True)
     _checks.in_range("the input of the record", u, _checks.SMALLEST_SQUARED)
     _checks.in_range("the output of the record", y[~np.isnan(y)], _checks.SMALLEST_SQUARED)
     return u, y, step
-
-
-def gapped_array(name: str, value: ArrayLike) -> Array:
-    """Convert to a fresh vector of doubles in which NaN marks missing samples."""
-    raw = np.asarray(value)
-    if raw.dtype.kind != "f" or np.ma.is_masked(value):
-        return _checks.real_array(name, value, 1)
-    missing = np.isnan(raw)
-    array = _checks.real_array(name, np.where(missing, 0.0, raw), 1)
-    array[missing] = np.nan
-    return array
 
 
 def _segment_length(samples: int, segments: Any) -> int:

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from .. import _checks
 from .._display import percent
 from .._types import Array
-from ..analysis.spectral_estimate import gapped_array
 from ..exceptions import StructureError
 from .inputs import FitResult
 from .style import MEASURED, SAMPLES, STYLES, ZERO, FrameStyle, Look, Picture, extremes, labelled, picture, plain
@@ -213,7 +212,8 @@ class Outputs:
 
 def _checked(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike) -> Outputs:
     t = _checks.real_array("the time", time, 1)
-    y, p = gapped_array("the measured output", measured), gapped_array("the predicted output", predicted)
+    y = _checks.real_array("the measured output", measured, 1, missing=True)
+    p = _checks.real_array("the predicted output", predicted, 1, missing=True)
     if not len(t) == len(y) == len(p):
         raise StructureError(
             f"the time has {len(t)} samples, the measured output {len(y)} and the predicted output {len(p)}; "
