@@ -331,12 +331,7 @@ def transfer_coefficients(a: ArrayLike, c: ArrayLike) -> tuple[Array, Array]:
 
 def conjugate_closed(name: str, value: ArrayLike) -> NDArray[np.complex128]:
     """Check the zeros or poles of a real system: finite, and each with its conjugate."""
-    try:
-        points = np.atleast_1d(np.asarray(value, dtype=complex))
-    except (TypeError, ValueError):
-        raise StructureError(f"the {name} are not numbers: {value!r}") from None
-    if points.ndim != 1:
-        raise StructureError(f"the {name} have shape {points.shape}; give a vector")
+    points = complex_points(f"the {name}", value)
     finite(f"the list of {name}", points)
     upper, lower = points[points.imag > 0], points[points.imag < 0].conj()
     if len(upper) != len(lower):
