@@ -186,21 +186,10 @@ class GeneralModalForm(ModalForm):
 
     def state_space(self) -> ct.StateSpace:
         """Real state space of the modes, block by block."""
-        blocks, B, C = [], [np.zeros((0, self.ninputs))], [np.zeros((self.noutputs, 0))]
-        for p, c, b in zip(self._poles, self._shapes, self._participation, strict=True):
-            if p.imag == 0:
-                blocks.append([[p.real]])
-                B.append(b.real[None])
-                C.append(c.real[:, None])
-            else:
-                blocks.append([[p.real, p.imag], [-p.imag, p.real]])
-                B.append(np.stack([b.real, -b.imag]))
-                C.append(2 * np.stack([c.real, c.imag], axis=1))
-        A = block_diag(*blocks, *(block.A for block in self.clusters))
-        B, C = B + [block.B for block in self.clusters], C + [block.C for block in self.clusters]
-        size = sum(map(len, B))
-        A = A.reshape(-1)[: size * size].reshape(size, size)  # of no blocks one that is empty
-        return ct.ss(A, np.concatenate(B), np.hstack(C), self.feedthrough)
+        A, B, C = real_matrices(*self.equations)
+        A = block_diag(A, *(block.A for block in self.clusters))
+        B = np.concatenate([B, *(block.B for block in self.clusters)])
+        return ct.ss(A, B, np.hstack([C, *(block.C for block in self.clusters)]), self.feedthrough)
 
     @cached_property
     def zeros(self) -> ComplexArray:
@@ -254,6 +243,18 @@ class GeneralModalForm(ModalForm):
         rows = zip(range(1, self.n + 1), self.natural_frequencies, self.damping_ratios, strict=True)
         cells = [[f"{value:.7g}" for value in row] for row in rows]
         return self._repr_latex_() + html_table(["mode", "natural frequency", "damping ratio"], cells)
+
+
+def real_matrices(p: ComplexArray, b: ComplexArray, c: ComplexArray) -> tuple[Array, Array, Array]:
+    """`A`, `B`, `C` of `x' = p x + b u`, `y = Re(c x)`: states are the real and imaginary parts, of real poles one."""
+    even = 2 * np.arange(len(p))
+    A = np.zeros((2 * len(p), 2 * len(p)))
+    A[even, even] = A[even + 1, even + 1] = p.real
+    A[even, even + 1], A[even + 1, even] = 0.0 - p.imag, p.imag
+    B = np.stack([b.real, b.imag], axis=1).reshape(2 * len(p), b.shape[1])
+    C = np.stack([c.real, 0.0 - c.imag], axis=2).reshape(len(c), 2 * len(p))
+    kept = np.stack([p == p, p.imag != 0], axis=1).ravel()
+    return A[np.ix_(kept, kept)], B[kept], C[:, kept]
 
 
 # --- makers ------------------------------------------------------------------------------------------------------

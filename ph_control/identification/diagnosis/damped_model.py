@@ -14,6 +14,7 @@ from ..._display import Report, aligned, counted, percent, to_its_error
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array, ComplexArray, Mask
 from ..._units import hertz_size
+from ...modal.general_form import real_matrices
 
 
 @dataclass(frozen=True)
@@ -148,13 +149,7 @@ class DampedModel(Report, Frozen):
 
         Its free motion from the real and imaginary parts of `free_amplitudes` is that of the record.
         """
-        n = self.order
-        A, B, C = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 1)), np.zeros((1, 2 * n))
-        for l, (p, rho) in enumerate(zip(self.poles, self.residues, strict=True)):
-            block = slice(2 * l, 2 * l + 2)
-            A[block, block] = [[p.real, -p.imag], [p.imag, p.real]]
-            B[block, 0] = 2 * rho.real, 2 * rho.imag
-            C[0, 2 * l] = 1.0
+        A, B, C = real_matrices(self.poles, 2 * self.residues[:, None], np.ones((1, self.order), complex))
         return ct.StateSpace(A, B, C, [[self.feedthrough]], remove_useless_states=False)
 
     @property
