@@ -205,3 +205,20 @@ def test_the_picture_shades_the_bands():
     omega, value = line.get_data()
     np.testing.assert_allclose(value, system(1j * omega).real, rtol=1e-6, atol=1e-9)
     plt.close(plot.figure)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_hidden_positions_of_rigid_bodies_are_no_reason_to_call_them_active(seed):
+    """Free bodies beside oscillators and a slow dashpot, in rotated states: rounding parts the double poles at 0."""
+    rng = np.random.default_rng(seed)
+    bodies, ports = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+    rigid, nu, slow = rng.normal(size=(bodies, ports)), rng.normal(size=(4, ports)), rng.normal(size=(1, ports))
+    positions = np.kron([[0, 1], [0, 0]], rng.normal(size=(bodies, bodies)))
+    A = block_diag(positions, [[0, 2], [-2, 0]], [[0, 3], [-3, -0.1]], [[-1e-3]])
+    nu[2] = 0
+    B = np.vstack([0 * rigid, rigid, nu, slow])
+    C = np.vstack([0 * rigid, rigid, nu, slow]).T
+    T = np.linalg.qr(rng.normal(size=A.shape))[0]
+    system = ct.ss(T @ A @ T.T, T @ B, C @ T.T, 0)
+    assert phc.passivity(system).is_passive
+    assert not phc.passivity(-1 * system).is_passive

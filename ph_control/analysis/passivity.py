@@ -13,7 +13,7 @@ from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
 from ..exceptions import StructureError
-from ..modal.positive_real import Passivity, split_axis, staircase, violations
+from ..modal.positive_real import Passivity, split_axis, violations
 from ..systems.base import in_normal_form
 
 Array = NDArray[np.float64]
@@ -182,10 +182,12 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
         beside = Passivity(none((0, 0)), none((0, m)), none((m, 0)), none((m, m)), scattering=False)
         return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
     plain = _state_space(sys)
-    A, B, C, D = staircase(*(np.array(getattr(plain, name), float) for name in "ABCD"))
+    A, B, C, D = (np.array(getattr(plain, name), float) for name in "ABCD")
     split = split_axis(A, B, C)
-    tested = None if len(split.unstable) else Passivity(*split.rest, D, scattering=kind == "scattering")
-    found = violations(split, tested, scattering=kind == "scattering")
+    scattering = kind == "scattering"
+    whole = Passivity(*split.rest, D, scattering=scattering, condition=split.condition)
+    tested = None if len(split.unstable) else whole
+    found = violations(split, tested, scattering=scattering)
     margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf
     if tested is not None and not found:
         margin = tested.margin()

@@ -14,22 +14,24 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import eig, eigvals, matrix_balance, schur, solve_sylvester
+from scipy.linalg import eigvals, matrix_balance, rsf2csf, schur, solve_sylvester
+from scipy.linalg.lapack import dtrsen
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
 from .._types import Array, ComplexArray
+from ..numerics.invariant_subspaces import clusters, eigenvalues_of, invariant_block
 from .general_form import from_matrices
 
 Matrices = tuple[Array, Array, Array, Array]
 
 _SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0
-_GIVEN = 16  # roundings of each matrix that is given
+_GIVEN = 64  # roundings of each matrix that is given
 _NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative between the points looked at
 _PIECES = 8  # of the way between two of these: for the worst frequency of a band, which has several minima
 _FINE = 1e-7  # of it: to what the least value is sought
 _LEVELS = 20  # steps down to it, at most; three are usual
-_AXIS = 16  # times the rounding of an eigenvalue: a real part that is taken for 0
+_AXIS = 64  # times the rounding of an eigenvalue: a real part that is taken for 0
 _HIDDEN = 64  # times the number of states, roundings of `|B| |C|`: a residue that is none
 _RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermitian positive semidefinite matrix
 _WIDTHS = (0.25, 1.0, 4.0)  # of a resonance, beside it: points looked at
@@ -52,8 +54,8 @@ class Band:
 class Passivity:
     """The smallest eigenvalue of `Phi` of a stable system, and the bands in which it is negative."""
 
-    def __init__(self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool) -> None:
-        self.matrices, self.scattering = (A, B, C, D), scattering
+    def __init__(self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool, condition: float = 1.0) -> None:
+        self.matrices, self.scattering, self.condition = (A, B, C, D), scattering, condition
         self.modes = from_matrices(A, B, C, D.copy())
 
     def smallest(self, omega: Any) -> tuple[Array, Array]:
@@ -139,7 +141,8 @@ class Passivity:
         # by what is most negative; the bound of all points would cost more than the bands themselves
         for k in np.unique([np.argmin(values), np.argmin(values / slack), len(omega) // 2]):
             M = 1j * omega[k] * np.eye(len(A)) - A
-            size = np.linalg.norm(A) * np.linalg.norm(np.linalg.solve(M, B)) * np.linalg.norm(np.linalg.solve(M.T, C.T))
+            x, y = np.linalg.norm(np.linalg.solve(M, B)), np.linalg.norm(np.linalg.solve(M.T, C.T))
+            size = np.linalg.norm(A) * x * y + np.linalg.norm(B) * y + self.condition * np.linalg.norm(C) * x
             size *= 1 + np.linalg.norm(D) if self.scattering else 1
             if -values[k] > slack[k] + _GIVEN * EPS * size:
                 return True
@@ -228,73 +231,79 @@ def balanced(A: Array, B: Array, C: Array, D: Array) -> Matrices:
 # --- poles on the axis and what ports do not see ------------------------------------------------------------
 
 
-def staircase(A: Array, B: Array, C: Array, D: Array) -> Matrices:
-    """Matrices of what inputs reach and outputs see."""
-    if not len(A):
-        return A, B, C, D
-    # of its own tolerance: that of a staircase form whose inputs and outputs are of the size of A
-    balance = matrix_balance(A, separate=True, permute=False)[1][0]
-    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
-    size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
-    reduced = ct.ss(A, B * (size / b), C * (size / c), D).minreal()
-    return reduced.A, reduced.B * (b / size), reduced.C * (c / size), D
-
-
 @dataclass(frozen=True)
 class Split:
     """Frequencies and residues on the imaginary axis, matrices of the rest of the system, and the poles to the right.
 
-    Residues are not finite where a pole is not simple.
+    Residues are not finite where a pole is not simple.  `condition` is what may have become of a rounding in the
+    outputs of the rest when it was parted from the axis.
     """
 
     axis: list[tuple[float, ComplexArray]]
     rest: tuple[Array, Array, Array]
     unstable: ComplexArray
+    condition: float = 1.0
 
 
 def split_axis(A: Array, B: Array, C: Array) -> Split:
-    """Poles on the imaginary axis, which are judged by their residues, and the rest."""
-    n = len(A)
-    if not n:
+    """Poles on the imaginary axis, which are judged by their residues, and the rest; both without what is hidden.
+
+    Poles that rounding may mix are judged together, by their mean: the two of a rigid body lie apart by the root of it.
+    """
+    if not len(A):
         return Split([], (A, B, C), np.zeros(0, complex))
     balance = matrix_balance(A, separate=True, permute=False)[1][0]
     A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
-    poles, left, right = eig(A, left=True)
-    condition = 1 / np.maximum(np.abs(np.sum(left.conj() * right, axis=0)), EPS)
-    tolerance = _AXIS * n * EPS * np.linalg.norm(A, 2) * condition
-    on_axis = np.abs(poles.real) <= tolerance
-    unstable = poles[(poles.real > 0) & ~on_axis]
-    if not on_axis.any():
+    # what is left out moves poles by rounding of all that was given
+    rounding = _AXIS * len(A) * EPS * float(np.linalg.norm(A, 2))
+    unseen = _HIDDEN * len(A) * EPS * float(np.linalg.norm(B) * np.linalg.norm(C))
+    A, B, C = _staircase(A, B, C)
+    n = len(A)
+    if not n:
+        return Split([], (A, B, C), np.zeros(0, complex))
+    T, Z = schur(A, output="real")
+    U, Y = rsf2csf(T, Z)
+    found = eigenvalues_of(U)
+    axis: list[tuple[float, ComplexArray]] = []
+    off = np.ones(n, bool)
+    for group in clusters(found.values, rounding / found.separation):
+        block = invariant_block(U, group)
+        center, error = complex(np.mean(np.diag(block.T))), rounding / block.separation
+        if abs(center.real) > error:
+            continue
+        off[group] = False
+        if center.imag < -error:
+            continue
+        c, b = C @ Y @ block.columns, block.rows @ Y.conj().T @ B
+        K = _residue(block.T - center * np.eye(len(group)), b, c, float(np.linalg.norm(A)))
+        if not np.linalg.norm(K) <= unseen:
+            still = center.imag <= error
+            axis.append((0.0, np.asarray(K.real, complex)) if still else (center.imag, K))
+    unstable = found.values[off & (found.values.real > rounding / found.separation)]
+    count = n - int(off.sum())
+    if not count:
         return Split([], (A, B, C), unstable)
-    widest = float(np.max(tolerance[on_axis]))
-    T, Z, count = schur(A, output="real", sort=lambda x, y=0.0: abs(np.real(x)) <= widest)
+    T, Z, _, _, count, _, apart, _ = dtrsen(~off, T, Z, lwork=max(n, 2 * count * (n - count)), liwork=n * n)
     B, C = Z.T @ B, C @ Z
     X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
     rest = T[count:, count:], B[count:], C[:, count:] + C[:, :count] @ X
-    on_axis_part = T[:count, :count], B[:count] - X @ B[count:], C[:, :count]
-    unseen = _HIDDEN * n * EPS * float(np.linalg.norm(B) * np.linalg.norm(C))
-    found = _residues(*on_axis_part, widest)
-    return Split([(w, K) for w, K in found if not np.linalg.norm(K) <= unseen], rest, unstable)
+    condition = float(np.linalg.norm(T)) / apart if len(rest[0]) else 1.0
+    return Split(sorted(axis, key=lambda one: one[0]), rest, unstable, max(condition, 1.0))
 
 
-def _residues(A: Array, B: Array, C: Array, tolerance: float) -> list[tuple[float, ComplexArray]]:
-    """Residue matrix of each frequency of a block with poles on the axis; not finite where a pole is not simple."""
-    poles = np.linalg.eigvals(A)
-    found: list[tuple[float, ComplexArray]] = []
-    left = np.flatnonzero(poles.imag >= -tolerance)
-    while len(left):
-        first = poles[left[0]].imag
-        reach = 2 * tolerance + EPS * abs(first)
-        T, Z, count = schur(A, output="complex", sort=lambda x, w=first, reach=reach: abs(x.imag - w) <= reach)
-        B1, C1 = Z.conj().T @ B, C @ Z
-        X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
-        b, c = B1[:count] - X @ B1[count:], C1[:, :count]
-        center = np.mean(np.diag(T[:count, :count]))
-        again = c @ (T[:count, :count] - center * np.eye(count)) @ b  # over (s - p)^2
-        simple = np.linalg.norm(again) <= _RESIDUE * np.linalg.norm(A) * np.linalg.norm(c) * np.linalg.norm(b)
-        found.append((max(float(center.imag), 0.0), c @ b if simple else np.full((len(C), B.shape[1]), np.nan)))
-        left = left[np.abs(poles[left].imag - first) > reach]
-    return found
+def _staircase(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """Matrices of what inputs reach and outputs see."""
+    # its tolerance is that of inputs and outputs of the size of A
+    size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
+    reduced = ct.ss(A, B * (size / b), C * (size / c), np.zeros((len(C), B.shape[1]))).minreal()
+    return reduced.A, reduced.B * (b / size), reduced.C * (c / size)
+
+
+def _residue(beside: ComplexArray, b: ComplexArray, c: ComplexArray, size: float) -> ComplexArray:
+    """Residue of a pole, `c b`; not finite if `c beside b / (s - p)^2` says that it is not simple."""
+    again = np.linalg.norm(c @ beside @ b)
+    simple = again <= _RESIDUE * size * np.linalg.norm(c) * np.linalg.norm(b)
+    return c @ b if simple else np.full((len(c), b.shape[1]), np.nan + 0j)
 
 
 def is_positive(K: ComplexArray) -> bool:

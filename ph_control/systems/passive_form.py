@@ -21,12 +21,13 @@ import control as ct
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, eig, eigh, svd
 from slycot import sb03od
+from slycot.exceptions import SlycotError, SlycotResultWarning
 
 from .. import _checks
 from .._checks import EPS
 from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
-from ..modal.positive_real import Matrices, Passivity, Split, split_axis, staircase, violations
+from ..modal.positive_real import Matrices, Passivity, Split, split_axis, violations
 from ..modal.storage import NoStorageError, dissipation, semidefinite, storage_coordinates
 
 Parts = dict[str, Array]
@@ -146,20 +147,20 @@ def passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | Non
 
 def _passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | None) -> tuple[Parts, Conversion]:
     m = given.ports
-    A, B, C, D = staircase(given.A, given.B, given.C, given.D)
-    split = split_axis(A, B, C)
+    split, D = split_axis(given.A, given.B, given.C), given.D
+    omega = _band(split)
     _refuse_active(split, D, m, refusal)
     parts, energy = None, storage
     if storage == "auto":
         parts, energy = physical_parts(given.A, given.B, given.C, given.D), "given"
-        if parts is None and len(C) == m:
+        if parts is None and len(D) == m:
             parts, energy = classical_parts(*split.rest, D, split.axis), "modal"
-        if parts is not None and not _difference(parts, given) <= _EXACT:
+        if parts is not None and not _difference(parts, given, omega) <= _EXACT:
             parts = None
     if parts is None:
         energy = "mean" if storage == "auto" else storage
         parts = _joined([_stored(PortRows(*split.rest, D), energy), *_lossless(split.axis, m)], D[m:])
-    error = _difference(parts, given)
+    error = _difference(parts, given, omega)
     if not error <= _LOST:
         raise StructureError(
             f"the system is too ill-conditioned to convert: its port-Hamiltonian form differs from it by {error:.2g} "
@@ -181,8 +182,8 @@ def _passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | No
 def _refuse_active(split: Split, D: Array, m: int, refusal: NotLosslessError | None) -> None:
     """Refuse a system whose ports give energy."""
     A, B, C = split.rest
-    ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
-    tested = None if len(split.unstable) else Passivity(A, B, C[:m], D[:m], scattering=False)
+    ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable, split.condition)
+    tested = None if len(split.unstable) else Passivity(A, B, C[:m], D[:m], scattering=False, condition=split.condition)
     found = violations(ports, tested, scattering=False)
     if not found and tested is not None:
         return
@@ -201,7 +202,7 @@ def _signs(split: Split, D: Array) -> tuple[int, ...]:
     for signs in [-np.ones(m), *(np.ones(m) - 2 * row for row in np.eye(m) if m > 1)]:
         A, B, C = split.rest
         turned = Split([(w, signs[:, None] * K) for w, K in split.axis], split.rest, split.unstable)
-        tested = Passivity(A, B, signs[:, None] * C, signs[:, None] * D, scattering=False)
+        tested = Passivity(A, B, signs[:, None] * C, signs[:, None] * D, scattering=False, condition=split.condition)
         if not violations(turned, tested, scattering=False):
             return tuple(int(sign) for sign in signs)
     return ()
@@ -257,7 +258,12 @@ def _gramian_root(A: Array, C: Array) -> Array:
         C = np.asarray(np.linalg.qr(C, mode="r"), float)
     rows = np.zeros((n, n), order="F")
     rows[: len(C)] = C
-    U, scale, _ = sb03od(n, len(C), np.array(A, order="F"), np.zeros((n, n), order="F"), rows, "C")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SlycotResultWarning)
+        try:
+            U, scale, _ = sb03od(n, len(C), np.array(A, order="F"), np.zeros((n, n), order="F"), rows, "C")
+        except (SlycotError, SlycotResultWarning):
+            raise LinAlgError("a pole is unstable by rounding") from None
     return np.asarray(np.triu(U[:n, :n]) / scale, float)
 
 
@@ -306,25 +312,24 @@ def _joined(found: Sequence[Parts], through: Array) -> Parts:
 # --- held against what was given ----------------------------------------------------------------------------------
 
 
-def _difference(parts: Parts, given: PortRows) -> float:
+def _difference(parts: Parts, given: PortRows, omega: Array) -> float:
     """Largest difference of the responses beyond the rounding of the given matrices, over the largest response."""
     K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
     C = np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
     D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
-    omega = _band(given.A)
     with np.errstate(invalid="ignore", over="ignore"):
         wanted, moved = _response(given.A, given.B, given.C, given.D, omega)
         got, _ = _response(K @ parts["Q"], G - P, C, D, omega)
         off = np.abs(got - wanted).max(axis=(1, 2), initial=0.0) - _GIVEN * EPS * moved
     size = np.abs(wanted).max(axis=(1, 2), initial=0.0)
-    clear = np.isfinite(size)
+    clear = np.isfinite(size) & np.isfinite(off)  # not at a pole
     largest, worst = float(size[clear].max(initial=0.0)), float(off[clear].max(initial=0.0))
     return worst / largest if largest else worst
 
 
-def _band(A: Array) -> Array:
+def _band(split: Split) -> Array:
     """Frequencies between and beside poles, and at those that are damped by more than rounding."""
-    poles = np.linalg.eigvals(A) if len(A) else np.ones(1)
+    poles = np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]])
     size = np.abs(poles)
     size = size[size > np.sqrt(EPS) * size.max(initial=0.0)] if size.any() else np.ones(1)
     damped = poles[np.abs(poles.real) > 1e-6 * np.abs(poles)]
