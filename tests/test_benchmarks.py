@@ -19,7 +19,7 @@ import ph_control as phc
 
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
 
-from benchmarks import cold, digits, methods, montecarlo, page, peers, report, tasks, trials
+from benchmarks import cold, digits, methods, montecarlo, page, passive_peers, peers, report, tasks, trials
 from benchmarks.bound import fit_from_truth, output_and_jacobian, standard_errors
 from benchmarks.recordings import BAND, POWER_RATIO, Configuration, simulate, spaced_frequencies
 
@@ -490,3 +490,17 @@ def test_one_step_of_variable_projection_is_measured_in_a_process_of_its_own():
 def test_an_import_is_timed_after_what_comes_before():
     assert cold.imported("import time", "time.sleep(0)", rounds=1) < 0.1
     assert cold.imported("", "sum(range(10**6))", rounds=1) > 1e-3
+
+
+def test_the_conversion_of_passive_systems_is_judged_by_its_matrices(capsys, monkeypatch):
+    passive_peers.main(["--count", "1", "--states", "6", "--method", "ph_control", "epsilon"])
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("ph_control")]
+    assert len(rows) == len(passive_peers.KINDS) and all(" 1/1 " in row for row in rows)
+
+    def lossy(A, B, C, D):
+        Q, J, R, *rest = passive_peers.ours(A, B, C, D)
+        return Q, J, -R, *rest
+
+    monkeypatch.setitem(passive_peers.METHODS, "ph_control", lossy)
+    trial = passive_peers.attempt("ph_control", "chain", 6, 0)
+    assert not trial.counts and trial.losses < -0.1 and trial.transfer > 1e-3
