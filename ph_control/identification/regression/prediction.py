@@ -98,16 +98,13 @@ def unit_norm(error: NDArray[Any], unit: float) -> float:
 
 def state_from_amplitudes(modes: ModalForm, amplitudes: ComplexArray, quantity: str = "velocity") -> Array:
     """State in Williamson coordinates from the free motion of each mode at the output; 0 where `r` is 0."""
-    gain = modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0]
+    gain = _output_gain(modes, quantity)
     x = np.where(gain == 0, 0.0, amplitudes / np.where(gain == 0, 1.0, gain))
     return np.concatenate([x.real, x.imag])
 
 
-def amplitudes_from_state(modes: ModalForm, state: Array, quantity: str = "velocity") -> ComplexArray:
-    """Free motion of each mode at the output, from a state in Williamson coordinates."""
-    n = len(modes.d)
-    gain = modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0]
-    return np.asarray(gain * (state[:n] + 1j * state[n:]))
+def _output_gain(modes: ModalForm, quantity: str) -> ComplexArray:
+    return np.asarray(modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0])
 
 
 def estimated_state(
@@ -132,15 +129,9 @@ def response_on(
 ) -> ct.TimeResponseData:
     """Output of a model on a record, from a state, with the states of the system."""
     found = forced_response(system, record.time, record.u, state, method=hold.method, intersample=hold.intersample)
-    if quantity != "velocity":
-        modes = system.modes
-        amplitudes = amplitudes_from_state(modes, state, quantity)
-        experiment = RecordRows(record.u, np.zeros(record.samples), record.observed, hold, False, True, quantity)
-        own = np.concatenate([amplitudes.real, amplitudes.imag, [offset]])
-        output = experiment.at(modes.d).predict(modes.kappa, own)
-    else:
-        output = np.reshape(found.outputs, -1) + offset
-    found.y = np.reshape(output, found.y.shape)
+    if (observed := observed_system(system, quantity)) is not system:
+        found.y = np.reshape(observed.C @ found.states + observed.D @ record.u[None], found.y.shape)
+    found.y = found.y + offset
     return with_unit(found, record.time_unit)
 
 
@@ -157,7 +148,7 @@ def observed_system(system: PortHamiltonian, quantity: str) -> Any:
     if quantity == "velocity":
         return system
     modes = system.modes
-    weight = modes.d * modes.nu[:, 0].conj() * output_weight(modes.d, quantity)[0]
+    weight = _output_gain(modes, quantity)
     output = np.concatenate([weight.real, -weight.imag])[None]
     through = [[float(modes.kappa.sum())]] if quantity == "acceleration" else [[0.0]]
     return ct.StateSpace(
