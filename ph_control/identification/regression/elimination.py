@@ -32,8 +32,11 @@ class Eliminated:
     below: Array
 
 
-def eliminate(factor: Array, own: int, samples: int) -> Eliminated:
-    """Eliminate the first `own` columns of a triangular factor; directions that these do not reach stay below."""
+def eliminate(factor: Array, own: int, samples: int, smallest: float = 0.0) -> Eliminated:
+    """Eliminate the first `own` columns of a triangular factor; directions that these do not reach stay below.
+
+    Not reached is what has a relative singular value of rounding of so many samples, or below the `smallest`.
+    """
     if own == 0:
         return Eliminated(np.zeros((0, 0)), factor[:0], factor)
     corner = factor[:own, :own]
@@ -42,7 +45,7 @@ def eliminate(factor: Array, own: int, samples: int) -> Eliminated:
     if not singular and np.abs(direct).max() < _WELL_CONDITIONED:
         return Eliminated(direct / lengths[:, None], factor[:own, own:], factor[own:, own:])
     U, sigma, Vt = np.linalg.svd(corner / lengths)
-    kept = sigma > tolerance(samples, own) * sigma.max(initial=0.0)
+    kept = sigma > max(smallest, tolerance(samples, own)) * sigma.max(initial=0.0)
     above = U.T @ factor[:own, own:]
     inverse = (Vt[kept].T / sigma[kept]) / lengths[:, None]
     return Eliminated(inverse, above[kept], np.concatenate([above[~kept], factor[own:, own:]]))

@@ -17,6 +17,7 @@ from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
 from ..._types import Array, Indices, Mask
+from ..regression.elimination import eliminate
 from ..regression.triangular import reduced, triangle
 from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit
 
@@ -257,21 +258,11 @@ def _eliminated(data: ResidualData, whitening: Array) -> tuple[Array, int, list[
     scale = 1.0 / np.where(lengths > 0, lengths, 1.0)
     found, free = [], sum(samples for _, samples in factors)
     for (factor, _), columns in zip(factors, data.own, strict=True):
-        own = columns.shape[1]
-        below, fitted = _without_own(factor, own)
-        found.append(below * scale)
-        free -= fitted
+        part = eliminate(factor, columns.shape[1], len(columns), RANK)
+        found.append(part.below * scale)
+        free -= len(part.above)
     rows = np.concatenate(found)
     return (reduced(rows) if len(rows) > width else rows), free, counts
-
-
-def _without_own(factor: Array, own: int) -> tuple[Array, int]:
-    """What is left of a factor when its first columns are fitted, and the rank of these."""
-    size = np.linalg.norm(factor[:own, :own], axis=0)
-    U, sigma, _ = np.linalg.svd(factor[:own, :own] / np.where(size > 0, size, 1.0))
-    kept = sigma > RANK
-    above = U.T @ factor[:own, own:]
-    return np.concatenate([above[~kept], factor[own:, own:]]), int(kept.sum())
 
 
 def _record_factor(data: ResidualData, place: int, whitening: Array) -> tuple[Array, int]:
