@@ -18,9 +18,9 @@ from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from ..symplectic.forms_and_williamson import apply_form
-from ..systems.base import refuse_losses
 from ..systems.port_hamiltonian import PortHamiltonian
 from .isomorphism import are_isomorphic
+from .morphisms import refuse_other_coordinates
 from .relations import reduced_residuals, star_equivalent
 from .unique_coordinates import power_of_two
 
@@ -418,13 +418,7 @@ class ReducedGroupoid(_Arrow):
 
 def _one_port(system: PortHamiltonian) -> None:
     """Refuse what is no object of the groupoid."""
-    refuse_losses(system, "groupoids are")
-    if not isinstance(system, PortHamiltonian):
-        raise StructureError(
-            f"an object of the groupoid is a PortHamiltonian, not a {type(system).__name__}; use ph(Q, B)"
-        )
-    if system.ninputs != 1:
-        raise StructureError(f"the system has {system.ninputs} ports; the groupoid is that of systems of one port")
+    refuse_other_coordinates(system, "groupoids", one_port=True)
     if len(system.d) != system.n:
         raise StructureError(
             f"Q is only positive semidefinite: {system.n - len(system.d)} of {system.n} degrees of freedom have no "

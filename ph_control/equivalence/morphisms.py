@@ -131,7 +131,7 @@ def observable_morphism(sys: PortHamiltonian) -> Array:
            [ -4.,   0.],
            [  0.,   1.]])
     """
-    _one_port(sys)
+    refuse_other_coordinates(sys, "morphisms to canonical forms", one_port=True)
     d, E, E0 = sys._energy
     rigid = sys.n - len(d)
     b = cofactors(np.concatenate([np.zeros(rigid), d]))
@@ -181,7 +181,7 @@ def lift_morphism(sys: PortHamiltonian, m: int) -> Array:
            [0., 1.],
            [0., 0.]])
     """
-    _port_hamiltonian(sys)
+    refuse_other_coordinates(sys, "morphisms", one_port=False)
     n = sys.n
     m = lifted_size(m, n)
     L = np.zeros((2 * m, 2 * n))
@@ -463,20 +463,13 @@ def comparable(sys1: ct.StateSpace, sys2: ct.StateSpace) -> None:
         ) from None
 
 
-def _port_hamiltonian(sys: PortHamiltonian) -> None:
-    """Refuse what has no phase-space coordinates."""
-    refuse_losses(sys, "morphisms are")
+def refuse_other_coordinates(sys: PortHamiltonian, what: str, *, one_port: bool) -> None:
+    """Refuse what has no states `(q, p)`, or several ports where one is needed."""
+    refuse_losses(sys, f"{what} are")
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(
-            f"sys is of type {type(sys).__name__}, needed a PortHamiltonian, whose states the morphism starts from; "
-            "convert it by ph(sys)"
+            f"this is a {type(sys).__name__}, needed a PortHamiltonian: {what} are those of its states; convert it by "
+            "ph(sys)"
         )
-
-
-def _one_port(sys: PortHamiltonian) -> None:
-    """Refuse what has no canonical form of one port."""
-    _port_hamiltonian(sys)
-    if sys.ninputs != 1:
-        raise StructureError(
-            f"the system has {sys.ninputs} ports, needed 1: the canonical forms are those of one port; take one entry"
-        )
+    if one_port and sys.ninputs != 1:
+        raise StructureError(f"the system has {sys.ninputs} ports, needed 1: {what} are those of one port")
