@@ -306,3 +306,23 @@ def test_what_only_lossless_forms_have_is_refused_with_the_damping():
 def test_what_is_no_modal_form_is_refused(arguments, options, message):
     with pytest.raises(phc.StructureError, match=message):
         phc.modes(*arguments, **options)
+
+
+@pytest.mark.parametrize("damping", [[[0.1, -0.1], [-0.1, 0.1]], [[0.1, 0.0], [0.0, 0.0]]])
+def test_a_rigid_body_with_dampers_has_poles_at_0_exactly_and_none_to_the_right(damping):
+    floating = phc.from_second_order(np.diag([1.0, 3.0]), [[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], C=damping)
+    free = bool(damping[0][1])
+    poles = floating.poles()
+    assert poles.real.max() == 0 and np.sum(poles == 0) == 1 + free
+    assert floating.damping_ratios.min() >= 0
+    M, K, C = np.diag([1.0, 3.0]), np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array(damping)
+    for s in (1e-3j, 0.4j, 1.0 + 1.0j):
+        truth = s * np.linalg.inv(s**2 * M + s * C + K)[0, 0]
+        assert abs(floating(s) - truth) < 1e-9 * abs(truth)
+
+
+def test_a_label_that_python_control_cannot_place_is_refused():
+    """Where there are more outputs than inputs it takes one for the other."""
+    watched = phc.ph(np.eye(2), [0.0, 1.0], R=np.eye(2), sensors=np.eye(2))
+    with pytest.raises(TypeError):
+        watched.bode_plot(label="a")

@@ -342,7 +342,14 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     for part in parts:
         mode = _single_mode(T[part, part], inputs[part], outputs[:, part], float(noise[part].max()))
         if mode is None:
-            clusters.append(Cluster(T[part, part].copy(), inputs[part].copy(), outputs[:, part].copy()))
+            rounding = len(A) * _checks.EPS * float(np.prod([np.linalg.norm(M) for M in (W[part], A, X[:, part])]))
+            clusters.append(
+                Cluster(
+                    _without_noise(T[part, part], rounding),
+                    inputs[part].copy(),
+                    outputs[:, part].copy(),
+                )
+            )
         else:
             found.append(mode)
     poles = np.array([pole for pole, _, _ in found], complex)
@@ -393,6 +400,15 @@ def _complex(pair: Pair, less: ComplexArray) -> ComplexArray:
     none = np.zeros(less.shape)
     (a, b), (c, d) = add(real, (-less.real, none)), add(imag, (-less.imag, none))
     return (a + b) + 1j * (c + d)
+
+
+def _without_noise(block: Array, noise: float) -> Array:
+    """Block with real poles of 0 in place of what rounding has made of them, as of rigid-body modes."""
+    below = np.concatenate([[0.0], np.diag(block, -1), [0.0]])
+    still = (np.abs(np.diag(block)) <= noise) & (below[:-1] == 0) & (below[1:] == 0)
+    cleared = block.copy()
+    cleared[np.diag_indices_from(block)] = np.where(still, 0.0, np.diag(block))
+    return cleared
 
 
 def _single_mode(block: Array, b: Array, c: Array, noise: float) -> tuple[complex, NDArray[Any], NDArray[Any]] | None:

@@ -178,8 +178,8 @@ class LosslessSystem(ct.StateSpace):
             kwargs.setdefault("initial_phase", 0)
         try:
             return super().bode_plot(*args, **kwargs)
-        # python-control hands what it does not know to the lines of matplotlib
-        except (AttributeError, KeyError) as error:
+        # python-control hands what it does not know to the lines of matplotlib, and does not count labels
+        except (AttributeError, KeyError, IndexError) as error:
             raise TypeError(str(error)) from None
 
     def poles(self) -> ComplexArray:

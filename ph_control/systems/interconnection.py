@@ -375,8 +375,9 @@ def _constrained(whole: _Whole, c: Array, kept: Array) -> _Whole:
     new |= {"G": new["G"] @ kept, "P": new["P"] @ kept, "S": kept.T @ part["S"] @ kept, "N": kept.T @ part["N"] @ kept}
     whole = whole._replace(states=_without(whole.states, gone))
     # `J k = E`: k^T x is the difference of what the outputs are the rates of
-    conserved = np.linalg.lstsq(part["J"], E, rcond=None)[0]
+    conserved = part["J"].T @ E  # where J is orthogonal, as the canonical one
     if not np.array_equal(part["J"] @ conserved, E):
+        conserved = np.linalg.lstsq(part["J"], E, rcond=None)[0]
         conserved = np.where(np.abs(conserved) > _ROUNDING * len(E) * EPS * np.abs(conserved).max(), conserved, 0.0)
     k = conserved[rest]
     if not k.any() or any(_acts(new[name], k) for name in "JRGP"):
