@@ -53,13 +53,16 @@ def step_through(F: Array, now: Array, then: Array, u: Array) -> Array:
     drive[:, :-1] += then @ u[:, 1:]
     blocks = np.zeros((len(F), size * size))
     blocks[:, 1:samples] = drive[:, : samples - 1]
-    x = blocks.reshape(len(F), size, size)
+    # by place in the block, state and block
+    x = blocks.reshape(len(F), size, size).transpose(2, 0, 1).copy()
     for k in range(1, size):
-        x[:, :, k] += F @ x[:, :, k - 1]
+        x[k] += F @ x[k - 1]
     powers = np.stack(list(accumulate(repeat(F, size), np.matmul)))
+    ends = x[-1].T.copy()
     for block in range(1, size):
-        x[:, block] += (powers @ x[:, block - 1, -1]).T
-    return blocks[:, :samples]
+        ends[block] += powers[-1] @ ends[block - 1]
+    x[:, :, 1:] += powers @ ends[:-1].T
+    return x.transpose(1, 2, 0).reshape(blocks.shape)[:, :samples]
 
 
 def transfer_function(modes: ModalForm, points: ComplexArray, hold: Hold | None) -> ComplexArray:

@@ -293,7 +293,10 @@ def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motio
 @np.errstate(over="ignore", invalid="ignore")
 def _free_motions(F: Array, C: Array, samples: int) -> Array:
     """Free motions at the output from each unit state, shape (T, n): the columns of observability."""
-    return step_through(F.T, C.T, 0 * C.T, np.eye(1, samples + 1))[:, 1:].T
+    rows = C
+    while len(rows) < samples:
+        rows, F = np.concatenate([rows, rows @ F]), F @ F
+    return rows[:samples]
 
 
 # --- frequency responses ---------------------------------------------------------------------------------------------
