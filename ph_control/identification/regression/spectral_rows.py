@@ -31,16 +31,16 @@ _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more ac
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Transforms of a record of T samples; missing outputs count as what `filled` puts in their place."""
+    """Transforms of a record of T samples; missing outputs count as 0."""
 
     experiment: RecordRows
     U: ComplexArray
     Y: ComplexArray
 
     @classmethod
-    def of(cls, experiment: RecordRows, filled: Array | None = None) -> Spectrum:
+    def of(cls, experiment: RecordRows) -> Spectrum:
         """Transform a record."""
-        y = np.where(experiment.observed, experiment.y, 0.0 if filled is None else filled)
+        y = np.where(experiment.observed, experiment.y, 0.0)
         return cls(experiment, np.fft.rfft(experiment.u), np.fft.rfft(y))
 
     @property
