@@ -263,11 +263,12 @@ class PoleRegion:
     bin: float
     ceiling: float
 
-    def inside(self, p: ComplexArray) -> ComplexArray:
-        """Poles brought to where they are allowed."""
-        w = np.clip(p.imag, 1e-3 * self.bin, self.ceiling)
+    def inside(self, x: Array) -> Array:
+        """Imaginary and real parts of poles brought to where they are allowed."""
+        w, real = np.split(x, 2)
+        w = np.clip(w, 1e-3 * self.bin, self.ceiling)
         steepest = w * TUNING.most_damped / np.sqrt(1 - TUNING.most_damped**2)
-        return np.clip(p.real, -steepest, np.minimum(steepest, TUNING.fastest_growth * self.bin)) + 1j * w
+        return np.append(w, np.clip(real, -steepest, np.minimum(steepest, TUNING.fastest_growth * self.bin)))
 
 
 @dataclass(frozen=True)
@@ -284,14 +285,12 @@ class FreeProblem:
 
     def project(self, x: Array) -> FreeProjection:
         """Best residues for these poles."""
-        n = len(x) // 2
-        return FreeProjection(self.experiments, x[n:] + 1j * x[:n])
+        w, real = np.split(x, 2)
+        return FreeProjection(self.experiments, real + 1j * w)
 
     def inside(self, x: Array) -> Array:
         """Poles brought to where they are allowed."""
-        n = len(x) // 2
-        p = self.region.inside(x[n:] + 1j * x[:n])
-        return np.concatenate([p.imag, p.real])
+        return self.region.inside(x)
 
     def reach(self, at: FreeProjection) -> Array:
         """Widths of the basins: a bin, and the half-width of a peak."""
@@ -318,12 +317,13 @@ def refine_free(make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1
 
 
 def _first_decay(make: Make, p: ComplexArray, k: int, region: PoleRegion) -> complex:
+    """Pole k with the decay rate, of some, that leaves least beside the others."""
     known = np.where(np.isnan(p.real), -region.bin, p.real) + 1j * p.imag
-    widest = max(width for width in TUNING.decay_rates if width * region.bin <= 0.3 * max(p[k].imag, 4 * region.bin))
-    known[k] = -widest * region.bin + 1j * p[k].imag
-    rows = make(known)
-    losses = []
-    for width in TUNING.decay_rates[: TUNING.decay_rates.index(widest) + 1]:
-        known[k] = -width * region.bin + 1j * p[k].imag
-        losses.append(FreeProjection(rows, known).loss)
-    return complex(-TUNING.decay_rates[int(np.argmin(losses))] * region.bin, p[k].imag)
+    widest = 0.3 * max(p[k].imag, 4 * region.bin)
+    rates = [width * region.bin for width in TUNING.decay_rates if width * region.bin <= widest]
+
+    def decaying(rate: float) -> ComplexArray:
+        return np.where(np.arange(len(p)) == k, -rate + 1j * p.imag, known)
+
+    rows = make(decaying(max(rates)))
+    return complex(-min(rates, key=lambda rate: FreeProjection(rows, decaying(rate)).loss), p[k].imag)
