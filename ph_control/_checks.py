@@ -199,6 +199,17 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
     return array
 
 
+def skew_matrix(name: str, array: Array) -> Array:
+    """Skew part of a square matrix that has hardly any other."""
+    size, symmetric, allowed = _largest(array), _largest(array + array.T), 1000 * len(array) * EPS
+    if symmetric > allowed * size:
+        raise StructureError(
+            f"{name} is not skew-symmetric: max |{name} + {name}.T| / max |{name}| = {symmetric / size:.1e}, allowed "
+            f"{allowed:.1e}; pass ({name} - {name}.T)/2 if that is meant; a symmetric part is dissipation"
+        )
+    return 0.5 * array - 0.5 * array.T
+
+
 def _largest(array: Array) -> float:
     """Largest absolute value, without an array of them: memory that is new costs more than what is done in it."""
     return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))

@@ -217,14 +217,7 @@ def _structure_matrix(J: ArrayLike) -> Array:
     if rows != columns:
         raise StructureError(f"J is not square: its shape is {array.shape}; it must be (N, N), of the size of Q")
     _checks.in_range("J", array)
-    size, symmetric = (float(np.max(np.abs(M), initial=0.0)) for M in (array, array + array.T))
-    allowed = 1000 * rows * _checks.EPS
-    if symmetric > allowed * size:
-        raise StructureError(
-            f"J is not skew-symmetric: max |J + J.T| / max |J| = {symmetric / size:.1e}, allowed {allowed:.1e}; "
-            "pass (J - J.T)/2 if that is meant; a symmetric part is dissipation, which has no place in J"
-        )
-    return 0.5 * (array - array.T)
+    return _checks.skew_matrix("J", array)
 
 
 def _energy_and_ports(Q: ArrayLike, B: ArrayLike, size: int) -> tuple[Array, Array]:

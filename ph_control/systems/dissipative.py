@@ -101,9 +101,9 @@ class DissipativePortHamiltonian(PortHamiltonian):
         m = B.shape[1]
         parts = {
             "Q": Q, "G": B,
-            "J": symplectic_form(n // 2) if J is None else _skew("J", J, n),
+            "J": symplectic_form(n // 2) if J is None else _checks.skew_matrix("J", _shaped("J", J, (n, n))),
             "R": _symmetric("R", R, n), "P": _shaped("P", P, (n, m)), "S": _symmetric("S", S, m),
-            "N": _skew("N", N, m),
+            "N": _checks.skew_matrix("N", _shaped("N", N, (m, m))),
         }  # fmt: skip
         W = np.block([[parts["R"], parts["P"]], [parts["P"].T, parts["S"]]])
         refuse_negative("W = [[R, P], [P^T, S]]", W, {"R": slice(0, n), "S": slice(n, n + m)})
@@ -393,17 +393,6 @@ def checked_rows(name: str, value: ArrayLike | None, columns: int) -> Array:
 def _symmetric(name: str, value: ArrayLike | None, size: int) -> Array:
     array = _shaped(name, value, (size, size))
     return array if value is None else 0.5 * array + 0.5 * _checks.symmetric_matrix(array, name=name, even=False).T
-
-
-def _skew(name: str, value: ArrayLike | None, size: int) -> Array:
-    array = _shaped(name, value, (size, size))
-    largest, even = float(np.abs(array).max(initial=0.0)), float(np.abs(array + array.T).max(initial=0.0))
-    if even > 1000 * size * EPS * largest:
-        raise StructureError(
-            f"{name} is not skew: max |{name} + {name}.T| / max |{name}| = {even / largest:.1e}, allowed "
-            f"{1000 * size * EPS:.1e}; pass ({name} - {name}.T)/2 if that is meant"
-        )
-    return 0.5 * array - 0.5 * array.T
 
 
 def refuse_negative(name: str, matrix: Array, blocks: dict[str, slice]) -> None:
