@@ -108,6 +108,17 @@ def test_the_hold_is_the_one_that_the_data_prefer(intersample, order, samples):
     assert result.verdict == phc.pem((u, y), order, dt=1.0, intersample=intersample).verdict
 
 
+def test_two_modes_three_bins_apart_do_not_hide_the_hold():
+    samples = 1000
+    rng = np.random.default_rng(1)
+    place = rng.uniform(150, 450)
+    plant = phc.ph(phc.modes(2 * np.pi / samples * np.array([0.5 * place, place, place + 3]), [0.5, 0.2, 0.2]))
+    u, start = rng.standard_normal(samples), rng.standard_normal(6)
+    y = phc.forced_response(plant, np.arange(float(samples)), u, start, intersample="foh").outputs
+    result = phc.pem((u, y + 0.1 * np.std(y) * rng.standard_normal(samples)), dt=1.0)
+    assert result.intersample == "foh" and found_all(result, plant, samples)
+
+
 def test_where_the_data_cannot_tell_the_input_counts_as_held():
     plant = phc.ph(phc.modes(0.02, 1.0))
     rng = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from ..regression.prediction import FittedExperiment
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Projection
-from ..search.circumstances import Cause, Finding, autoregression, input_noise, input_size
+from ..search.circumstances import Cause, Finding, autoregression, correlations, input_noise, input_size
 from ..uncertainty.residual_tests import ljung_box
 
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
@@ -42,7 +42,7 @@ def _noise(at: Projection, experiments: Sequence[FittedExperiment]) -> list[Find
         return []
     left = [one.residuals for one in experiments]
     lengths, transforms = [len(one) for one in left], [np.fft.rfft(one) for one in left]
-    models, variances = autoregression(transforms, lengths)
+    models, variances = autoregression(correlations(transforms, lengths), min(lengths))
     gains = -0.5 * sum(lengths) * np.log(variances)
     order = int(np.argmax(gains - 0.5 * np.log(sum(lengths)) * np.arange(len(gains))))
     coloured, (deviation, beside, of_input) = float(gains[order]), input_noise(records, at.d)

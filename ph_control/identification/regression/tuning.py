@@ -21,6 +21,7 @@ class Tuning:
     past_of_noise: int = (
         4  # samples of it that coloured noise depends on, at most: few, so that no mode passes for noise
     )
+    broad_noise: float = 8.0  # bins: half-width of a peak of it, at least; what is narrower is a mode
     tails: float = 10.0  # degrees of freedom of the t distribution that a law of noise is fitted with
     fewest_points: int = 20  # to spare: with fewer no law of noise is estimated
     much: float = 0.1  # of the squares of a response: with more left, modes are missing, and it is no noise

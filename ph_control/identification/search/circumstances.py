@@ -96,29 +96,42 @@ def delayed(problem: Problem, samples: int) -> Problem:
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def autoregression(residuals: Sequence[ComplexArray], lengths: Sequence[int]) -> tuple[list[Array], Array]:
-    """Autoregressions of order 0, 1, ... that foretell residuals, given by their transforms, and what these leave.
-
-    The coefficients of each order, and its variance relative to that of the residuals (Levinson and Durbin).
-    """
+def correlations(residuals: Sequence[ComplexArray], lengths: Sequence[int]) -> Array:
+    """Sums of products of residuals, given by their transforms, with those 0, 1, ... samples before."""
     most = max(0, min(TUNING.past_of_noise, min(lengths) // 4))
     products = np.zeros(most + 1)
     for residual, length in zip(residuals, lengths, strict=True):
         products += np.fft.irfft(np.abs(residual) ** 2, length)[: most + 1]
+    return products
+
+
+def autoregression(products: Array, shortest: int) -> tuple[list[Array], Array]:
+    """Autoregressions of order 0, 1, ... that foretell residuals with these correlations, and what they leave.
+
+    The coefficients of each order, and its variance relative to that of the residuals (Levinson and Durbin).  One that
+    oscillates nearly as long as the `shortest` record is no noise but a mode that is missing, and foretells nothing.
+    """
     phi, left = np.zeros(0), 1.0
     models, variances = [phi], [left]
     if products[0] <= 0:
         return models, np.ones(1)
     r = products / products[0]
-    for order in range(1, most + 1):
+    for order in range(1, len(r)):
         reflection = (r[order] - phi @ r[order - 1 : 0 : -1]) / left
         phi = np.append(phi - reflection * phi[::-1], reflection)
         left *= 1 - reflection**2
         if not left > 0:
             break
         models.append(phi)
-        variances.append(left)
+        variances.append(variances[-1] if _oscillates(phi, shortest) else left)
     return models, np.array(variances)
+
+
+def _oscillates(phi: Array, samples: int) -> bool:
+    """Whether an autoregression has a peak as narrow as that of a mode in so many samples."""
+    poles = np.roots(np.concatenate([[1.0], -phi]))
+    radius = np.abs(poles[poles.imag > 0])
+    return bool(np.any(radius > np.exp(-2 * np.pi / samples * TUNING.broad_noise)))
 
 
 def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, float]:

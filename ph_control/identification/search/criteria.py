@@ -13,7 +13,7 @@ from ..regression.elimination import column_lengths
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection, Refinement
-from .circumstances import autoregression
+from .circumstances import autoregression, correlations
 from .free_path import FreeStep, free_unknowns
 from .steps import Step
 
@@ -66,7 +66,7 @@ def free_preference(problem: Problem, step: FreeStep) -> float:
     """BIC of damped modes, with noise as coloured as it prefers."""
     samples, n = problem.samples, len(step.at.p)
     lengths = [len(one.u) for one in problem.experiments if isinstance(one, RecordRows)]
-    foretold = autoregression(step.left, lengths)[1] if n and lengths else np.ones(1)
+    foretold = autoregression(correlations(step.left, lengths), min(lengths))[1] if n and lengths else np.ones(1)
     found = criteria_of(samples, step.loss, free_unknowns(problem, n)).bic
     return found + past_of_noise(samples, foretold, float(np.log(samples)))
 

@@ -162,7 +162,7 @@ class Formulation:
                 other = self._with_background(search, steps[-1])
                 if other is not None:
                     return other.path(guess, largest, **how)
-                others = self._arrivals(search, steps) if arrival and self._doubts(search, steps[-1]) else []
+                others = self._arrivals(search, steps, True) if arrival and self._doubts(search, steps[-1]) else []
                 if others:
                     damped = stop.decided(steps) if stop else None
                     own = Path(self, steps, damped) if damped else None
@@ -204,7 +204,7 @@ class Formulation:
             path = one.path(guess, most, **asked)
             if not one.is_late or path.explains:
                 paths.append(path)
-        if not paths:
+        if own is None and not any(path.explains for path in paths):
             paths.append(replace(self, open=self.open - {"arrival"}).path(guess, most, **asked))
         found = min(paths, key=lambda path: path.value)
         if own is None or found is own:
@@ -278,8 +278,12 @@ class Formulation:
     def _other(self) -> str:
         return "foh" if self.intersample == "zoh" else "zoh"
 
-    def _arrivals(self, search: TimeSearch, steps: list[Step]) -> list[Formulation]:
-        """With an input that arrives otherwise, by what single modes at the peaks say of it, the likeliest first."""
+    def _arrivals(self, search: TimeSearch, steps: list[Step], midway: bool = False) -> list[Formulation]:
+        """With an input that arrives otherwise, by what single modes at the peaks say of it, the likeliest first.
+
+        Single modes say little where two peaks are one: the commonest delay is tried in any case, and midway, where
+        modes that a wrong hold misled cannot be asked, the other hold.
+        """
         if not len(steps[-1].d):
             return []
         pairs = [(self.intersample, delay) for delay in TUNING.delays]
@@ -288,10 +292,9 @@ class Formulation:
         # the longer a delay, the less likely before any data
         gains = [(search.arrival(steps[0], *pair) - base - TUNING.delay_prior * abs(pair[1]), pair) for pair in pairs]
         gains.sort(key=lambda one: -one[0])
-        # single modes say little where two peaks are one; the commonest delay is tried in any case
-        usual = (self.intersample, 1)
-        chosen = [one for one in gains[: TUNING.followed] if one[0] > TUNING.likely or one[1] == usual]
-        chosen += [one for one in gains[TUNING.followed :] if one[1] == usual]
+        usual = [(self.intersample, 1)] + [(self._other, 0)] * (midway and "hold" in self.open)
+        chosen = [one for one in gains[: TUNING.followed] if one[0] > TUNING.likely or one[1] in usual]
+        chosen += [one for one in gains[TUNING.followed :] if one[1] in usual]
         return [self._arriving(*pair, gain) for gain, pair in chosen]
 
     def _held_otherwise(self, search: TimeSearch, step: Step) -> list[Formulation]:

@@ -19,7 +19,7 @@ from ..regression.spectral_rows import Spectrum, Window
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, refine
-from .circumstances import autoregression, input_noise, meeting
+from .circumstances import autoregression, correlations, input_noise, meeting
 from .screening import Screen
 
 Report = Callable[[int, float], None]  # iteration, loss
@@ -34,7 +34,7 @@ class Step:
     `candidates` are natural frequencies by how much a mode there would explain, the most first, and `gains` how much;
     `held` tells which residues are held at 0, and `weights` how much each mode contributes, in order to compare them;
     `coloured`, that what is left is no noise, and of a response so much that no criterion can judge the order yet;
-    `foretold` is the variance of what is left that its own past does not foretell, by the length of that past;
+    `correlations` are the sums of products of what is left with its past, of so many `samples` at least;
     `crowding` the records in which one more mode would only stand beside another.
     """
 
@@ -47,12 +47,18 @@ class Step:
     held: Mask
     weights: Array
     coloured: bool = False
-    foretold: Array = field(default_factory=lambda: np.ones(1))
+    correlations: Array = field(default_factory=lambda: np.zeros(1))
+    samples: int = 0
     crowding: tuple[RecordRows, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """The records stay where they are."""
         return {**self.__dict__, "crowding": ()}
+
+    @cached_property
+    def foretold(self) -> Array:
+        """Variance of what is left that its own past does not foretell, by the length of that past."""
+        return autoregression(self.correlations, self.samples)[1]
 
     @cached_property
     def noisy(self) -> float:
@@ -125,10 +131,10 @@ class TimeSearch(Search):
                 left = [one.at(at.d).left(at.kappa, own) for one, own in zip(windows, at.own, strict=True)]
             left = [one.beside_offset(residual) for one, residual in zip(self._spectra, left, strict=True)]
             loss = sum(one.energy(residual) for one, residual in zip(self._spectra, left, strict=True))
-        foretold = autoregression(left, [len(one.u) for one in self._experiments])[1]
+        lengths = [len(one.u) for one in self._experiments]
         step = Step(
             at.d, loss, end.iterations, end.converged, *self._screen.ranked(left),
-            ~at.free, at.energies, foretold=foretold,
+            ~at.free, at.energies, correlations=correlations(left, lengths), samples=min(lengths),
         )  # fmt: skip
         crowding = loss > self.problem.rounding and crowds(step, self.problem)
         return replace(step, crowding=tuple(self._experiments)) if crowding else step
