@@ -315,6 +315,8 @@ def test_a_rigid_body_with_dampers_has_poles_at_0_exactly_and_none_to_the_right(
     poles = floating.poles()
     assert poles.real.max() == 0 and np.sum(poles == 0) == 1 + free
     assert floating.damping_ratios.min() >= 0
+    # far below the elastic mode the rigid body alone: `1 / (4 s)`, without a real part
+    assert not free or abs(floating(1e-9j) - 0.25 / 1e-9j) < 1e-10 * 0.25e9
     M, K, C = np.diag([1.0, 3.0]), np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array(damping)
     for s in (1e-3j, 0.4j, 1.0 + 1.0j):
         truth = s * np.linalg.inv(s**2 * M + s * C + K)[0, 0]

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
-from scipy.linalg import block_diag, matrix_balance, schur
+from scipy.linalg import block_diag, matrix_balance, schur, solve_sylvester
 from slycot import mb03rd
 
 from .. import _checks
@@ -361,34 +361,63 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     return GeneralModalForm(poles, c / lead, b * lead, D, clusters)
 
 
-def refined(form: GeneralModalForm, A: Pair) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
-    """Poles, right eigenvectors (N, n) and left ones (n, N), corrected to first order by residuals of twice the digits.
+def refined(form: GeneralModalForm, A: Pair, B: Array, C: Array, D: Array) -> GeneralModalForm:
+    """The form with modes corrected to first order by residuals of twice the digits, where they are not too many.
 
-    `form` is that of `A` with all states for its last inputs and outputs.  The poles are then right to their own
-    rounding, as far as their conditions allow to see it.  None where they are not parted, or too many.
+    `form` is that of `A`, with all states for its last inputs and outputs.  Single poles are then right to their own
+    rounding as far as their condition allows, and clusters to that of their blocks.  `B`, `C` and `D` are those of all
+    inputs and outputs.
     """
     size = len(A[0])
     poles, shapes, weights = form._both_halves
-    if not 0 < size <= _REFINED or len(poles) != size:
-        return None
+    blocks, n = [one.A for one in form.clusters], len(poles)
+    ends = np.cumsum([n, *map(len, blocks)])
+    if not 0 < size <= _REFINED or ends[-1] != size:
+        return form
+    parts = [slice(a, b) for a, b in pairwise(ends)]
     _, (scale, _) = matrix_balance(A[0], permute=False, separate=True)
-    X, W = shapes[:, -size:].T / scale[:, None], weights[:, -size:] * scale
+    X = np.hstack([shapes[:, -size:].T, *(one.C[-size:] for one in form.clusters)]) / scale[:, None]
+    W = np.vstack([weights[:, -size:], *(one.B[:, -size:] for one in form.clusters)]) * scale
+    middle = np.diag(poles.astype(complex))
+    middle = block_diag(middle, *blocks) if n else block_diag(*blocks).astype(complex)
     right, left = exactly(np.hstack([X.real, X.imag])), exactly(np.vstack([W.real, W.imag]))
     high, low = (part * scale / scale[:, None] for part in A)
     unit = _complex(product(left, right, 2), np.eye(size, dtype=complex))
-    rest = _complex(product(left, product((high, low), right, 2), 2), np.diag(poles)) - unit * poles
-    gap = poles - poles[:, None]
+    rest = _complex(product(left, product((high, low), right, 2), 2), middle) - unit @ middle
+    try:
+        turn = _turn(rest, poles, list(zip(parts, blocks, strict=True)))
+    except np.linalg.LinAlgError:
+        return form
+    if not np.abs(unit).max() < _SLIGHT:
+        return form
+    X, W = (X + X @ turn) * scale[:, None], (W - unit @ W - turn @ W) / scale
+    moved = np.where(poles == 0, 0.0, poles + np.diag(rest)[:n])
+    kept, real = np.flatnonzero(poles.imag >= 0), poles.imag[poles.imag >= 0] == 0
+    moved, columns, rows = moved[kept], X[:, kept], W[kept]
+    moved, columns = np.where(real, moved.real, moved), np.where(real, columns.real, columns)
+    rows = np.where(real[:, None], rows.real, rows)
+    clusters = []
+    for part, block in zip(parts, blocks, strict=True):
+        T, U = schur(block + rest[part, part].real)
+        T = _without_noise(T, 8 * len(T) * _checks.EPS * float(np.linalg.norm(T)))
+        clusters.append(Cluster(T, U.T @ W[part].real @ B, C @ X[:, part].real @ U))
+    return GeneralModalForm(moved, (C @ columns).T.copy(), rows @ B, D, clusters)
+
+
+def _turn(rest: ComplexArray, poles: ComplexArray, blocks: list[tuple[slice, Array]]) -> ComplexArray:
+    """Solution of `Z M - M Z = rest` off the blocks of `M`, those of poles and these; 0 where it is not small."""
+    turn, n = np.zeros_like(rest), len(poles)
     with np.errstate(all="ignore"):
-        turn = np.where(np.abs(rest) < _SLIGHT * np.abs(gap), rest / gap, 0.0)
+        turn[:n, :n] = rest[:n, :n] / (poles - poles[:, None])
     np.fill_diagonal(turn, 0.0)
-    if not max(np.abs(unit).max(), np.abs(turn).max()) < _SLIGHT:
-        return None
-    single = poles.imag >= 0
-    moved = np.where(poles == 0, 0.0, poles + np.diag(rest))
-    real = poles.imag == 0
-    moved, X, W = np.where(real, moved.real, moved), X + X @ turn, W - unit @ W - turn @ W
-    X, W = np.where(real, X.real, X) * scale[:, None], np.where(real[:, None], W.real, W) / scale
-    return moved[single], X[:, single], W[single]
+    for part, T in blocks:
+        away = poles[:, None, None] * np.eye(len(T)) - T
+        turn[part, :n] = np.linalg.solve(away, rest[part, :n].T[:, :, None])[:, :, 0].T
+        turn[:n, part] = -np.linalg.solve(away.transpose(0, 2, 1), rest[:n, part][:, :, None])[:, :, 0]
+        for other, T2 in blocks:
+            if other != part:
+                turn[part, other] = solve_sylvester(-T, T2, rest[part, other])
+    return np.where(np.abs(turn) < _SLIGHT, turn, 0.0)
 
 
 def _complex(pair: Pair, less: ComplexArray) -> ComplexArray:

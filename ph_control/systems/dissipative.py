@@ -170,11 +170,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
         rows, columns = np.vstack([self.C, np.eye(n)]), np.hstack([self.B, np.eye(n)])
         none = np.zeros((len(rows), n + self.ninputs))
         form = from_state_space(ct.ss(self.A, columns, rows, none))
-        better = refined(form, product(two_sum(self.J, -self.R), exactly(self.Q)))
-        if better is None:
-            return form
-        poles, right, left = better
-        return GeneralModalForm(poles, (rows @ right).T.copy(), left @ columns, none)
+        return refined(form, product(two_sum(self.J, -self.R), exactly(self.Q)), columns, rows, none)
 
     @property
     def modes(self) -> ModalForm:
