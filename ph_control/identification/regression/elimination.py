@@ -85,14 +85,13 @@ def inverse_gram(columns: Array) -> Array:
 
 
 class LinearProjection:
-    """The best linear unknowns at some poles, given by real numbers `x`, and what is left of the data."""
+    """The best linear unknowns at some poles, given by real numbers `x`, and what is left of the data.
+
+    A change of each number is compared with its size, of `sizes`.
+    """
 
     x: Array
-
-    @property
-    def sizes(self) -> Array:
-        """What a change of each number of `x` is compared with."""
-        raise NotImplementedError
+    sizes: Array
 
     @property
     def loss(self) -> float:

@@ -62,35 +62,17 @@ class _Together:
 
 
 class FreeProjection(LinearProjection):
-    """Best residues, and what belongs to each experiment, for modes with poles `p` (n,) of positive imaginary part."""
+    """Best residues, and what belongs to each experiment, for modes with poles `p` (n,) of positive imaginary part.
+
+    Their natural frequencies are `d`, their decay rates `sigma`; `rows` is the number of real equations, and `inputs`
+    that of inputs, 0 for a free motion.
+    """
 
     def __init__(self, experiments: Sequence[FreeRows], p: ComplexArray) -> None:
-        self.p, self.x, self.experiments = p, np.concatenate([p.imag, p.real]), experiments
-
-    @property
-    def d(self) -> Array:
-        """Natural frequencies."""
-        return np.abs(self.p)
-
-    @property
-    def sigma(self) -> Array:
-        """Decay rates."""
-        return -self.p.real
-
-    @property
-    def sizes(self) -> Array:
-        """Natural frequencies, for both parts of the poles."""
-        return np.concatenate([self.d, self.d])
-
-    @cached_property
-    def rows(self) -> int:
-        """Number of real equations."""
-        return sum(one.samples * len(one.outputs) for one in self.experiments)
-
-    @cached_property
-    def inputs(self) -> int:
-        """Number of inputs; 0 for a free motion."""
-        return max(one.inputs for one in self.experiments)
+        self.p, self.x, self.d, self.sigma = p, np.concatenate([p.imag, p.real]), np.abs(p), -p.real
+        self.sizes, self.experiments = np.tile(self.d, 2), experiments
+        self.rows = sum(one.samples * len(one.outputs) for one in experiments)
+        self.inputs = max(one.inputs for one in experiments)
 
     @property
     def has_feedthrough(self) -> bool:

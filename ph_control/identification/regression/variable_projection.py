@@ -104,13 +104,8 @@ class Projection(LinearProjection):
     """The linear problem of lossless modes at one set of frequencies (n,), solved."""
 
     def __init__(self, problem: Problem, d: Array) -> None:
-        self.problem, self.d, self.x = problem, d, d
+        self.problem, self.d, self.x, self.sizes = problem, d, d, d
         self._evaluations = [one.at(d) for one in problem.experiments]
-
-    @property
-    def sizes(self) -> Array:
-        """The frequencies."""
-        return self.d
 
     # --- first pass: residues, initial states, loss ---------------------------------------------------------------
 
