@@ -170,7 +170,8 @@ def _examined(
 
     From elsewhere lossless modes do not come there: they mimic its damping, or flee from a residue whose sign they
     cannot have.  Where another arrival of the input explains the record, it is a fit with this one that is tested.
-    Samples far out of the noise do not speak against it where errors in them explain more than damped modes do.
+    Samples far out of the noise do not speak against it where errors in them explain more than damped modes do, nor do
+    fewer damped modes that leave more.
     """
     posed, followed, problem = fit.found.posed, fit.found.followed, fit.problem
     tested = at if posed.searched is None else fit.found.explained
@@ -187,12 +188,15 @@ def _examined(
     if found is None:
         return fit
     chosen, gain, model = found
+    # a mode with damping may show at a single point: what it has more than one without is not charged for
+    damped = criteria(problem, model.loss * problem.samples, model.order).bic
     if refused and followed is None and posed.searched is None and any(far):
         spared, bic = _beside_errors(at, far)
-        # a mode with damping may show at a single point: what it has more than one without is not charged for
-        damped = criteria(problem, model.loss * problem.samples, model.order).bic
         if spared is not None and spared.p >= REFUSED and damped - bic > 2 * _EVIDENT:
             return replace(fit, tests=(spared,))
+    fewer = order is None and followed is None and model.order < len(at.d)
+    if fewer and damped > criteria(problem, at.loss, len(at.d)).bic:
+        return fit
     fit = replace(fit, damped=model)
     if held:
         known = tuple(one for one in posed.findings if one.cause is not Cause.HOLD)
