@@ -135,6 +135,24 @@ def test_matrices_of_mass_damping_and_stiffness_keep_their_energy(coordinates, s
     assert form.hamiltonian(x) == pytest.approx(0.5 * x @ energy @ x, rel=1e-8)
 
 
+@pytest.mark.parametrize("free", [False, True])
+def test_a_long_chain_keeps_its_masses_and_springs(free):
+    """Sixty masses, driven at the end: only the first few can be told from the port alone."""
+    rng = np.random.default_rng(0)
+    n = 60
+    mass, spring = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n)
+    bonds = np.eye(n) - np.eye(n, k=-1)
+    if free:
+        bonds, spring = bonds[1:], spring[1:]
+    K, C = bonds.T @ np.diag(spring) @ bonds, bonds.T @ np.diag(0.1 * rng.uniform(size=len(bonds))) @ bonds
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K / mass[:, None], -C / mass[:, None]]])
+    port = np.eye(2 * n)[:, [-1]]
+    form = phc.ph(ct.ss(A, port / mass[-1], port.T, 0))
+    assert form.conversion.energy == "given" and form.conversion.hidden == 0
+    np.testing.assert_allclose(form.Q, block_diag(K, np.diag(mass)), atol=1e-12)
+    np.testing.assert_allclose(form.R[n:, n:], C / np.outer(mass, mass), atol=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_classical_damping_is_given_by_modes(seed):
     M, C, K, F = structure(seed, damping="classical")

@@ -404,11 +404,25 @@ def _energy(E: Array, F: Array, damping: Array, b: Array, c: Array) -> tuple[Arr
 
 
 def _masses(E: Array, F: Array, damping: Array, b: Array, c: Array) -> list[Array | None]:
-    """Candidates of the mass matrix: that of momenta, of unit mass, and that which the ports determine."""
+    """Candidates of the mass matrix: that of momenta, of unit mass, lumped, and that which the ports determine."""
     momenta = 0.5 * (E + E.T) if np.linalg.norm(E - E.T) <= _FITS * np.linalg.norm(E) else None
     if momenta is not None and np.linalg.norm(momenta - np.eye(len(E))) == 0:
         momenta = None
-    return [momenta, np.eye(len(E)), _determined(F @ E, damping, b, c)]
+    return [momenta, np.eye(len(E)), _lumped(F @ E, b, c), _determined(F @ E, damping, b, c)]
+
+
+def _lumped(stiffness: Array, b: Array, c: Array) -> Array | None:
+    """The diagonal `M` with `M b = c^T` and `M stiffness` symmetric, followed from mass to mass."""
+    mass = np.zeros(len(b))
+    driven = np.abs(b).max(axis=1) > 0
+    mass[driven] = np.sum(c.T * b, axis=1)[driven] / np.sum(b * b, axis=1)[driven]
+    front = list(np.flatnonzero(driven))
+    while front:
+        k = front.pop()
+        new = np.flatnonzero((mass == 0) & (stiffness[k] != 0) & (stiffness[:, k] != 0))
+        mass[new] = mass[k] * stiffness[k, new] / stiffness[new, k]
+        front += list(new)
+    return np.diag(mass) if np.isfinite(mass).all() and mass.all() else None
 
 
 def _determined(stiffness: Array, damping: Array, b: Array, c: Array) -> Array | None:
