@@ -288,6 +288,13 @@ def test_ports_in_another_order_and_sensors_of_lossless_modes():
     form = phc.ph(swapped, ports=[(1, 0), (0, 1)])
     s = 1j * np.geomspace(0.1, 10, 7)
     np.testing.assert_allclose(form(s), system(s), rtol=1e-9)
+    lossless = ct.ss(phc.from_second_order(np.eye(2), [[2.0, -1.0], [-1.0, 3.0]], np.eye(2)))
+    again = phc.ph(lossless[::-1, :], ports=[(1, 0), (0, 1)], lossless=True)
+    assert type(again) is phc.PortHamiltonian
+    np.testing.assert_allclose(again(s), lossless(s), rtol=1e-9)
+    for lossy in (swapped, swapped[:, 0]):
+        with pytest.raises(phc.NotLosslessError):
+            phc.ph(lossy, ports=[(1, 0), (0, 1)][: lossy.ninputs], lossless=True)
     watched = ct.ss(system.A, system.B[:, :1], system.C, 0)
     form = phc.ph(watched, ports=[(0, 0)])
     np.testing.assert_allclose(form(s), watched(s), rtol=1e-9)

@@ -19,7 +19,7 @@ from ..modal.modal_form import Cluster, ModalForm
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import symplectic_form
 from .base import LosslessSystem, View, refuse_losses
-from .passive_form import Conversion, PortRows, passive_parts, port_order
+from .passive_form import Conversion, PortRows, passive_parts
 from .port_hamiltonian import PortHamiltonian
 
 Array = NDArray[np.float64]
@@ -347,19 +347,14 @@ def restored(
 
 
 def of_passive(
-    sys: ct.StateSpace, storage: str, pairs: Any, refusal: NotLosslessError | None, names: dict[str, Any]
+    sys: ct.StateSpace, storage: str, refusal: NotLosslessError | None, names: dict[str, Any]
 ) -> DissipativePortHamiltonian:
-    """Port-Hamiltonian form of a passive system, whose ports are pairs of an output and an input."""
-    outputs, inputs = port_order(sys, pairs)
-    A, B, C, D = (np.array(getattr(sys, name), float) for name in "ABCD")
-    for name, matrix in zip("ABCD", (A, B, C, D), strict=True):
-        _checks.finite(name, matrix)
-    given = PortRows(A, B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)])
+    """Port-Hamiltonian form of a passive system, whose first outputs are those of its ports."""
+    given = PortRows(*(np.array(getattr(sys, name), float) for name in "ABCD"))
+    for name in "ABCD":
+        _checks.finite(name, getattr(given, name))
     parts, conversion = passive_parts(given, storage, refusal)
-    labels = {} if sys._generic_name_check() else {"name": sys.name}
-    labels |= {"inputs": [sys.input_labels[k] for k in inputs], "outputs": [sys.output_labels[k] for k in outputs]}
-    given_names = {key if key == "name" or key.endswith("s") else key + "s": value for key, value in names.items()}
-    return restored(parts, labels | {k: v for k, v in given_names.items() if v is not None}, None, conversion)
+    return restored(parts, names, None, conversion)
 
 
 # --- checks ------------------------------------------------------------------------------------------------------

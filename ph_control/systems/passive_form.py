@@ -84,16 +84,9 @@ class PortRows:
         return self.A, self.B, self.C[:m], self.D[:m]
 
 
-def port_order(sys: ct.StateSpace, pairs: Any) -> tuple[list[int], list[int]]:
-    """Outputs and inputs in the order of the ports, and after them the outputs that are sensors."""
+def in_port_order(sys: ct.StateSpace, pairs: Any) -> ct.StateSpace:
+    """The system with the outputs of its ports first, each in the place of its input; the others follow as sensors."""
     p, m = sys.noutputs, sys.ninputs
-    if pairs is None:
-        if p != m or not m:
-            raise StructureError(
-                f"the system has {m} inputs and {p} outputs; each input needs the output at its port: say which with "
-                "ports=[(output, input), ..], the others become sensors"
-            )
-        return list(range(p)), list(range(m))
     try:
         listed = [(one, other) for one, other in pairs]
     except (TypeError, ValueError):
@@ -111,7 +104,13 @@ def port_order(sys: ct.StateSpace, pairs: Any) -> tuple[list[int], list[int]]:
             f"ports={_checks.shown(pairs)} has no output for input {missing[0]} ({sys.input_labels[missing[0]]!r}); "
             "each input needs the output at its port, or leave the input out with sys[:, inputs]"
         )
-    return outputs + [k for k in range(p) if k not in outputs], inputs
+    outputs += [k for k in range(p) if k not in outputs]
+    A, B, C, D = (np.array(getattr(sys, name), float) for name in "ABCD")
+    names = {} if sys._generic_name_check() else {"name": sys.name}
+    return ct.ss(
+        A, B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)], **names,
+        inputs=[sys.input_labels[k] for k in inputs], outputs=[sys.output_labels[k] for k in outputs],
+    )  # fmt: skip
 
 
 def _signal(kind: str, which: Any, labels: list[str]) -> int:

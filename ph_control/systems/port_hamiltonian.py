@@ -23,6 +23,7 @@ from ..numerics import definiteness as _definite
 from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import apply_form, energy_coordinates, port_spectrum, williamson
 from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
+from .passive_form import in_port_order
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
@@ -621,24 +622,40 @@ def ph(
         return twin
     if isinstance(source, LosslessSystem) and not convert:
         return source._converted(**names)
-    if ports is None:
-        plain = isinstance(source, ct.StateSpace) and source.isctime() and not isinstance(source, LosslessSystem)
-        if plain and (found := foster_test.hamiltonian_form(source)):
-            return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
-        named = isinstance(source, ct.InputOutputSystem)
-        kept = inherited_names(source, names, "inputs", "outputs") if named else names
-        try:
-            judged = foster_test.lossless_modes_with_errors(source, method, intersample)
+    sensors_last = False
+    if ports is not None:
+        source = in_port_order(_state_space(source, None), ports)
+        sensors_last = source.noutputs > source.ninputs
+    tested = _of_ports(source) if sensors_last else source
+    plain = isinstance(tested, ct.StateSpace) and tested.isctime() and not isinstance(tested, LosslessSystem)
+    if plain and not sensors_last and (found := foster_test.hamiltonian_form(tested)):
+        return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
+    named = isinstance(source, ct.InputOutputSystem)
+    kept = inherited_names(source, names, "inputs", "outputs") if named else names
+    refusal: NotLosslessError | None = None
+    try:
+        judged = foster_test.lossless_modes_with_errors(tested, method, intersample)
+        if not sensors_last:
             return PortHamiltonian._from_modes(judged.modes, **kept)
-        except NotLosslessError as refused:
-            if lossless or sampled or isinstance(source, scipy.signal.dlti):
-                raise
-            refusal: NotLosslessError | None = refused
-    else:
-        refusal = None
+    except NotLosslessError as refused:
+        if lossless or sampled or isinstance(source, scipy.signal.dlti):
+            raise
+        refusal = refused
     from .dissipative import of_passive
 
-    return of_passive(_state_space(source, refusal), storage, ports, refusal, names)
+    system = _state_space(source, refusal)
+    if not sensors_last and (system.ninputs != system.noutputs or not system.ninputs):
+        raise StructureError(
+            f"the system has {system.ninputs} inputs and {system.noutputs} outputs; each input needs the output at its "
+            "port: say which with ports=[(output, input), ..], the others become sensors"
+        )
+    return of_passive(system, storage, refusal, kept)
+
+
+def _of_ports(sys: ct.StateSpace) -> ct.StateSpace:
+    """The system without its sensors."""
+    m = sys.ninputs
+    return ct.ss(sys.A, sys.B, sys.C[:m], sys.D[:m])
 
 
 def _state_space(source: Any, refusal: NotLosslessError | None) -> ct.StateSpace:
