@@ -237,14 +237,16 @@ def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
     return array
 
 
-def natural_frequencies(d: ArrayLike) -> Array:
+def natural_frequencies(d: ArrayLike, *, name: str = "d") -> Array:
     """Check a vector of natural frequencies: positive and finite."""
-    array = np.atleast_1d(real_array("d", d))
+    array = np.atleast_1d(real_array(name, d))
     if array.ndim != 1:
-        raise StructureError(f"d has shape {array.shape}; it must be a vector of n natural frequencies")
+        raise StructureError(f"{name} has shape {array.shape}; it must be a vector of n natural frequencies")
     if np.count_nonzero(array > 0) < array.size:
         worst = int(array.argmin())
-        raise StructureError(f"d is not positive: d[{worst}] = {array[worst]:.6g}; natural frequencies are > 0")
+        raise StructureError(
+            f"{name} is not positive: {name}[{worst}] = {array[worst]:.6g}; natural frequencies are > 0"
+        )
     return array
 
 

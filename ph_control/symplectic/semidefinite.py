@@ -122,9 +122,7 @@ def semidefinite_coefficients(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]
     with localcontext(WIDE):
         x, weight = decimals(energies).reshape(2, n), decimals(weights).reshape(2, n)
         denominator, numerator = transfer_coefficients(x[0] * x[1], (x * weight**2).sum(axis=0))
-    if not (denominator.fit_doubles and numerator.fit_doubles):
-        raise StructureError(
-            f"the coefficients of these {n} degrees of freedom leave the range of doubles (1e-308 to 1e308); choose "
-            "other units of time or amplitude"
-        )
+    for part in (denominator, numerator):
+        what = f"the coefficients of these {n} degrees of freedom"
+        _checks.representable(what, part.to_doubles(), nonzero=part.mantissa > 0)
     return denominator.to_doubles(), numerator.to_doubles()

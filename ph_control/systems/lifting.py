@@ -118,15 +118,10 @@ def _padding(d: Array, count: int, padding: ArrayLike | str | None) -> Array:
     if isinstance(padding, str):
         _checks.choice("padding", padding, ("ones",))
         return np.ones(count)
-    added = np.atleast_1d(_checks.real_array("padding", padding))
+    added = _checks.natural_frequencies(padding, name="padding")
     if added.shape != (count,):
         raise StructureError(
             f"padding has shape {added.shape}; m - n = {count} frequencies are to be added: ({count},)"
-        )
-    if count and added.min() <= 0:
-        worst = int(added.argmin())
-        raise StructureError(
-            f"padding is not positive: padding[{worst}] = {added[worst]:.6g}; natural frequencies are > 0"
         )
     return added
 
