@@ -12,11 +12,12 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from scipy.linalg import null_space
 from scipy.linalg.lapack import dgebal
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array, ArrayLike, ComplexArray
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..numerics.polynomials import cofactors
 from ..symplectic.forms_and_williamson import symplectic_inverse
@@ -266,9 +267,9 @@ def expressive_power(
     groups = resonances(frequencies, rtol)
     columns = [np.zeros((n, 0), complex)]
     for group in groups:
-        block = np.zeros((n, len(group)), complex)
-        block[group] = _complement_of_vector(nu[group])
-        columns.append(block[:, 1:] if nu[group].any() else block)
+        unreached = null_space(nu[group].conj()[None]) if nu[group].any() else np.eye(len(group))
+        columns.append(np.zeros((n, unreached.shape[1]), complex))
+        columns[-1][group] = unreached
     W = np.concatenate(columns, axis=1)
     # a complex direction is two real ones, w and i w
     missing = np.concatenate([np.block([[W.real], [W.imag]]), np.block([[-W.imag], [W.real]])], axis=1)
@@ -280,14 +281,6 @@ def expressive_power(
         tuple(tuple(int(l) for l in group) for group in groups if len(group) > 1),
         missing,
     )
-
-
-def _complement_of_vector(nu: ComplexArray) -> ComplexArray:
-    """Unitary matrix, its first column along `nu` if that is not 0."""
-    if not nu.any():
-        return np.eye(len(nu), dtype=complex)
-    basis, _ = np.linalg.qr(np.column_stack([nu, np.eye(len(nu))]))
-    return basis
 
 
 # --- what is a morphism ------------------------------------------------------------------------------------------
@@ -434,8 +427,7 @@ def _scaled_rank(L: Array) -> int:
         return 0
     for axis in (1, 0, 1, 0):
         L = L / np.abs(L).max(axis=axis, keepdims=True)
-    sigma = np.linalg.svd(L, compute_uv=False)
-    return int(np.sum(sigma > max(L.shape) * _checks.EPS * sigma[0]))
+    return int(np.linalg.matrix_rank(L))
 
 
 # --- arguments ---------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.linalg import null_space
 from scipy.linalg.lapack import dlasd4
 
 from .. import _checks
@@ -95,17 +96,10 @@ def many_port_zeros(d: Array, nu: ComplexArray, rigid: Array) -> Array:
     eta = np.sqrt(d)[:, None] * nu
     B = np.concatenate([eta.real, eta.imag, rigid])
     n = len(d)
-    V = _complement(B)
+    V = null_space(B.T) if len(B) else np.zeros((0, 0))
     rotated = np.concatenate([d[:, None] * V[n : 2 * n], -d[:, None] * V[:n], 0 * V[2 * n :]])
     K = V.T @ rotated
     w, _, _ = skew_normal_form(0.5 * (K - K.T))
     # K is right to rounding of d: what is left of a zero at 0 is no frequency
     w[w <= len(B) * _checks.EPS * np.max(d, initial=0.0)] = 0.0
     return np.sort(np.concatenate([-w, w, np.zeros(len(K) - 2 * len(w))]))
-
-
-def _complement(B: Array) -> Array:
-    """Orthonormal basis of the complement of the columns of `B`."""
-    U, sigma, _ = np.linalg.svd(B)
-    rank = int(np.sum(sigma > max(B.shape) * _checks.EPS * sigma.max(initial=0.0)))
-    return U[:, rank:]
