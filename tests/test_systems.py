@@ -272,6 +272,20 @@ def test_each_change_of_one_system_gives_the_documented_type_and_transfer_functi
         assert np.max(np.abs(value_at(result, s) - truth)) < 1000 * EPS * max(1.0, np.max(np.abs(truth)))
 
 
+@pytest.mark.parametrize("operand", ["lossy", "lossy two"])
+@pytest.mark.parametrize(
+    ("what", "change", "expected", "values"),
+    [row for row in UNARY if row[0] != "power -1"],  # with feedthrough there is an inverse
+    ids=[row[0] for row in UNARY if row[0] != "power -1"],
+)
+def test_each_change_of_a_system_with_losses_gives_one_with_losses_where_it_gives_a_port_hamiltonian_one(
+    operand, what, change, expected, values
+):
+    test_each_change_of_one_system_gives_the_documented_type_and_transfer_function(
+        operand, what, change, LOSSY if expected is PH else expected, values
+    )
+
+
 @pytest.mark.parametrize("sample", [lambda sys, h: sys.sample(h), ct.sample_system, ct.c2d])
 @pytest.mark.parametrize("operand", ["ph", "modal", "floating", "two", "nothing"])
 def test_a_sampled_system_is_a_discrete_state_space_with_the_exact_step(operand, sample):

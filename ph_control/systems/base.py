@@ -97,7 +97,7 @@ class LosslessSystem(ct.StateSpace):
 
     def outfcn(self, t: float, x: Any, u: Any, params: Any) -> Array:
         """Output, as python-control asks for it."""
-        return np.asarray(self.C @ np.atleast_1d(x))
+        return np.asarray(self.C @ np.atleast_1d(x) + self.D @ np.atleast_1d(u))
 
     @View
     def D(self) -> Array:
