@@ -24,8 +24,8 @@ from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import Finding, noise_size
-from ..search.criteria import criteria, free_preference, preference
-from ..search.free_path import FreeStep, evidence, finished, free_path, free_unknowns
+from ..search.criteria import criteria, preference
+from ..search.free_path import FreeStep, evidence, finished, free_path, free_preference, free_unknowns
 from ..search.free_search import Channels, FreeSearch, Records, free_search
 from ..search.steps import Step, crowds, more_than_noise
 from ..uncertainty.fisher import listed, named_modes

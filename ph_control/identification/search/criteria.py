@@ -10,11 +10,8 @@ from scipy.stats import chi2
 
 from ..._types import Array
 from ..regression.elimination import column_lengths
-from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection, Refinement
-from .circumstances import autoregression, correlations
-from .free_path import FreeStep, free_unknowns
 from .steps import Step
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
@@ -60,15 +57,6 @@ def preference(problem: Problem, step: Step, name: str) -> float:
         return found
     each = 2.0 if name in ("aic", "aicc") else float(np.log(problem.samples))
     return found + min(past_of_noise(problem.samples, step.foretold, each), each - 2 * step.noisy)
-
-
-def free_preference(problem: Problem, step: FreeStep) -> float:
-    """BIC of damped modes, with noise as coloured as it prefers."""
-    samples, n = problem.samples, len(step.at.p)
-    lengths = [len(one.u) for one in problem.experiments if isinstance(one, RecordRows)]
-    foretold = autoregression(correlations(step.left, lengths), min(lengths))[1] if n and lengths else np.ones(1)
-    found = criteria_of(samples, step.loss, free_unknowns(problem, n)).bic
-    return found + past_of_noise(samples, foretold, float(np.log(samples)))
 
 
 def past_of_noise(samples: int, foretold: Array, each: float) -> float:

@@ -25,8 +25,8 @@ from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, Cause, Finding, beside, delayed, meeting
-from .criteria import criteria, crowded, free_preference, preference
-from .free_path import FreeStep
+from .criteria import criteria, crowded, preference
+from .free_path import FreeStep, free_preference
 from .path import grow
 from .response_search import ResponseSearch
 from .steps import Report, Search, Step, TimeSearch

@@ -8,8 +8,11 @@ import numpy as np
 
 from ..._types import Array, ComplexArray
 from ..regression.free import FreeProjection, refine_free
+from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
+from .circumstances import autoregression, correlations
+from .criteria import criteria_of, past_of_noise
 from .free_search import FreeSearch
 from .steps import stands_out
 
@@ -30,15 +33,18 @@ def free_unknowns(problem: Problem, n: int) -> int:
     return problem.unknowns(n) + n + (n + 1) * problem.driven
 
 
-def criterion(problem: Problem, loss: float, unknowns: int) -> float:
-    """BIC, but for what is the same for all models."""
-    loss = max(loss, problem.rounding, np.finfo(float).tiny) / problem.samples
-    return float(problem.samples * np.log(loss) + unknowns * np.log(problem.samples))
-
-
 def free_criterion(problem: Problem, step: FreeStep) -> float:
-    """BIC of a damped model."""
-    return criterion(problem, step.loss, free_unknowns(problem, len(step.at.p)))
+    """BIC of a damped model; of a loss that is rounding, that of the rounding."""
+    return criteria_of(problem.samples, max(step.loss, problem.rounding), free_unknowns(problem, len(step.at.p))).bic
+
+
+def free_preference(problem: Problem, step: FreeStep) -> float:
+    """BIC of damped modes, with noise as coloured as it prefers."""
+    samples, n = problem.samples, len(step.at.p)
+    lengths = [len(one.u) for one in problem.experiments if isinstance(one, RecordRows)]
+    foretold = autoregression(correlations(step.left, lengths), min(lengths))[1] if n and lengths else np.ones(1)
+    found = criteria_of(samples, step.loss, free_unknowns(problem, n)).bic
+    return found + past_of_noise(samples, foretold, float(np.log(samples)))
 
 
 def free_step(search: FreeSearch, p: ComplexArray) -> FreeStep:

@@ -21,8 +21,9 @@ from ..data.frequency_record import FrequencyRecord
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
+from .criteria import criteria
 from .formulation import Formulation
-from .free_path import criterion, free_criterion
+from .free_path import free_criterion
 from .response_search import ResponseSearch
 
 _ROUNDS = 8  # of fit and law in turn
@@ -111,7 +112,7 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
     search = ResponseSearch(problem)
     step = search.damped(d)
     lossless = refine(problem, step.at.d, rtol=TUNING.rough).projection
-    simpler = criterion(problem, lossless.loss, problem.unknowns(len(d))) <= free_criterion(problem, step)
+    simpler = criteria(problem, max(lossless.loss, problem.rounding), len(d)).bic <= free_criterion(problem, step)
     squares, shares, gains = [], [], []
     for rows, left, predicted in zip(search.data.all_rows(True), step.left, lossless.predicted(), strict=True):
         columns = next(rows.at(step.at.p).blocks())
