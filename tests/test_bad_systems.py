@@ -471,8 +471,18 @@ LOSSY = phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 0.1]))
         (lambda: ct.feedback(LOSSY, np.array([[1e300]])), "the gain is out of range"),
         (lambda: phc.passivity(ct.tf([1.0, 0.0, 0.0], [1.0, 1.0])), "non-proper"),
         (lambda: phc.passivity(ct.ss(np.full((2, 2), 1e200), [[1.0], [1.0]], [[1.0, 1.0]], 0.0)), "A is out of range"),
+        (lambda: phc.ch([1e6, 5e-324, 1e6, 3e6], [0.4, 0.3, -0.3, -0.5]).modes, "leave the range of doubles"),
+        (lambda: phc.spring_chain([1.0, 2.0], port=[[1.0], [1.0, 2.0]]), "port is"),
+        (lambda: phc.ph(np.eye(2), [0.0, 1.0], sensors=(0.6, 2.1, 0.5)), "the sensors"),
         (lambda: phc.gradient_descent((np.ones(9), np.ones(9)), 1, dt=1.0, learning_rate=10**400), "learning_rate is"),
     ],
 )
 def test_what_is_no_number_of_a_double_is_refused_before_it_is_used(call, message):
     assert message in refusal(call)
+
+
+def test_states_of_very_different_units_are_balanced_without_a_warning():
+    # a mode of 1 rad/s with a second state in a unit of 1e-25
+    Q, J, R = np.diag([1.0, 1e50]), np.array([[0.0, 1e-25], [-1e-25, 0.0]]), np.diag([0.1, 1e-51])
+    sys = phc.ph(Q, [1.0, 0.0], J=J, R=R)
+    assert sys.natural_frequencies == pytest.approx([np.sqrt(1.01)])

@@ -7,7 +7,8 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import expm, matrix_balance
+from scipy.linalg import expm
+from scipy.linalg.lapack import dgebal
 
 from .. import _checks
 from .._display import Report
@@ -174,7 +175,7 @@ def _flows(sys: PortHamiltonian, z: Array, u: Array, h: float, method: str, inte
 def _integral_along(M: Array, form: Array, h: float) -> Array:
     """`integral_0^h exp(M^T t) form exp(M t) dt`, of a short step by Van Loan's block exponential, then doubled."""
     # in units of one size, by powers of 2: the norm is then that of the fastest mode
-    M, (scale, _) = matrix_balance(M, permute=False, separate=True)
+    M, _, _, scale, _ = dgebal(M, scale=1)
     form = form * scale * scale[:, None]
     doublings = max(0, int(np.ceil(np.log2(max(2.0 * h * float(np.linalg.norm(M, 1)), 1.0)))))
     k, step = len(M), h / 2**doublings

@@ -16,7 +16,8 @@ from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
-from scipy.linalg import block_diag, matrix_balance, schur, solve_sylvester
+from scipy.linalg import block_diag, schur, solve_sylvester
+from scipy.linalg.lapack import dgebal
 from slycot import mb03rd
 
 from .. import _checks
@@ -24,6 +25,7 @@ from .._display import html_table, literal
 from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.double_double import Pair, add, exactly, product
+from ..numerics.invariant_subspaces import equilibrated
 from ..numerics.pole_residue import PoleResidueForm
 from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
@@ -328,9 +330,7 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     if not len(A):
         none, shapes, participation = (np.zeros(size, complex) for size in (0, (0, len(D)), (0, len(D.T))))
         return GeneralModalForm(none, shapes, participation, D)
-    # by powers of 2, which round nothing
-    A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    B, C = B / scale[:, None], C * scale
+    A, B, C = equilibrated(A, B, C)
     T, X, sizes, _ = mb03rd(len(A), *schur(A), sort="B", pmax=_CONDITION)
     W = np.linalg.inv(X)
     inputs, outputs = W @ B, C @ X
@@ -375,7 +375,7 @@ def refined(form: GeneralModalForm, A: Pair, B: Array, C: Array, D: Array) -> Ge
     if not 0 < size <= _REFINED or ends[-1] != size:
         return form
     parts = [slice(a, b) for a, b in pairwise(ends)]
-    _, (scale, _) = matrix_balance(A[0], permute=False, separate=True)
+    scale = dgebal(A[0], scale=1)[3]
     X = np.hstack([shapes[:, -size:].T, *(one.C[-size:] for one in form.clusters)]) / scale[:, None]
     W = np.vstack([weights[:, -size:], *(one.B[:, -size:] for one in form.clusters)]) * scale
     middle = np.diag(poles.astype(complex))

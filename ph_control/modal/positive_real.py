@@ -14,13 +14,13 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import eigvals, matrix_balance, rsf2csf, schur, solve_sylvester
+from scipy.linalg import eigvals, rsf2csf, schur, solve_sylvester
 from scipy.linalg.lapack import dtrsen
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
 from .._types import Array, ComplexArray
-from ..numerics.invariant_subspaces import clusters, eigenvalues_of, invariant_block
+from ..numerics.invariant_subspaces import clusters, eigenvalues_of, equilibrated, invariant_block
 from .general_form import from_matrices
 
 Matrices = tuple[Array, Array, Array, Array]
@@ -252,8 +252,7 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     """
     if not len(A):
         return Split([], (A, B, C), np.zeros(0, complex))
-    balance = matrix_balance(A, separate=True, permute=False)[1][0]
-    A, B, C = A * balance / balance[:, None], B / balance[:, None], C * balance
+    A, B, C = equilibrated(A, B, C)
     # what is left out moves poles by rounding of all that was given
     rounding = _AXIS * len(A) * EPS * float(np.linalg.norm(A, 2))
     unseen = _HIDDEN * len(A) * EPS * float(np.linalg.norm(B) * np.linalg.norm(C))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eig, schur
-from scipy.linalg.lapack import ztrsen, ztrsyl
+from scipy.linalg.lapack import dgebal, ztrsen, ztrsyl
 
 from .._checks import EPS
 from .._types import Array, ComplexArray, Indices
@@ -14,6 +14,14 @@ from ..exceptions import StructureError
 from .graphs import components
 
 SAFETY = 32.0  # between a first-order error bound and what is called an error
+
+
+def equilibrated(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    """A system in units of its states in which rows and columns of `A` are alike in size: powers of 2 round nothing."""
+    if not len(A):
+        return A, B, C
+    A, _, _, scale, _ = dgebal(A, scale=1)
+    return A, B / scale[:, None], C * scale
 
 
 class Eigenvalues(NamedTuple):

@@ -92,7 +92,8 @@ class Look:
 
     def context(self) -> AbstractContextManager[None]:
         """Settings of matplotlib while the picture is drawn: those of python-control, then those given."""
-        settings: Any = dict(ct.config.defaults["ctrlplot.rcParams"]) | (self.rcParams or {})
+        given = {} if self.rcParams is None else self.rcParams
+        settings: Any = dict(ct.config.defaults["ctrlplot.rcParams"]) | dict(given)
         return plt.rc_context(settings)
 
     def curve(self, k: int) -> dict[str, Any]:

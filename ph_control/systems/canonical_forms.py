@@ -45,6 +45,7 @@ class _CanonicalForm(LosslessSystem):
         return self._v
 
     @View
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what overflows is refused below
     def modes(self) -> ModalForm:
         """Modal form: frequencies ascending, with their weights."""
         n = self.n
@@ -59,9 +60,8 @@ class _CanonicalForm(LosslessSystem):
         order = np.argsort(d, kind="stable")
         modes = ModalForm._of(d[order], (q + 1j * p)[order, None], still[:, None], (q * q + p * p)[order])
         what = "the modal weights of this d and v"
-        with np.errstate(over="ignore"):
-            _checks.representable(what, modes.r, modes.kappa, nonzero=modes.nu[:, 0] != 0)
-            _checks.representable(what, modes.rigid**2, nonzero=modes.rigid != 0)
+        _checks.representable(what, modes.r, modes.kappa, nonzero=modes.nu[:, 0] != 0)
+        _checks.representable(what, modes.rigid**2, nonzero=modes.rigid != 0)
         return modes
 
     @View

@@ -107,7 +107,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
         }  # fmt: skip
         W = np.block([[parts["R"], parts["P"]], [parts["P"].T, parts["S"]]])
         refuse_negative("W = [[R, P], [P^T, S]]", W, {"R": slice(0, n), "S": slice(n, n + m)})
-        rows, through = sensors if isinstance(sensors, tuple) else (sensors, None)
+        rows, through = sensors if isinstance(sensors, tuple) and len(sensors) == 2 else (sensors, None)
         parts["sensor_rows"] = checked_rows("the sensors", rows, n)
         parts["sensor_feedthrough"] = _shaped("the feedthrough of the sensors", through, (len(parts["sensor_rows"]), m))
         self._take(parts, names)

@@ -353,7 +353,8 @@ def _count(name: str, value: Any, what: str, most: int) -> int:
 
 
 def _port_indices(port: Any, n: int) -> list[int]:
-    ports = list(port) if isinstance(port, list | tuple | range | np.ndarray) and np.ndim(port) == 1 else [port]
+    several = isinstance(port, list | tuple | range) or (isinstance(port, np.ndarray) and port.ndim == 1)
+    ports = list(port) if several else [port]
     if not ports:
         raise StructureError("port is empty; name at least one mass")
     for index in ports:

@@ -9,7 +9,6 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance
 
 from ... import _checks
 from ..._types import Array, ComplexArray
@@ -17,6 +16,7 @@ from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...modal.propagation import step_through
+from ...numerics.invariant_subspaces import equilibrated
 from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
@@ -264,10 +264,7 @@ def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motio
     A, B, C, D = (np.asarray(matrix, float) for matrix in (system.A, system.B, system.C, system.D))
     for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
         _checks.finite(f"{name} of model {label!r}", matrix)
-    if len(A):
-        # scaled by powers of 2, so that states of very different size are told apart
-        A, (scale, _) = matrix_balance(A, permute=False, separate=True)
-        B, C = B / scale[:, None], C * scale
+    A, B, C = equilibrated(A, B, C)
     now, then = B, 0 * B
     if system.isctime():
         try:
