@@ -486,3 +486,9 @@ def test_states_of_very_different_units_are_balanced_without_a_warning():
     Q, J, R = np.diag([1.0, 1e50]), np.array([[0.0, 1e-25], [-1e-25, 0.0]]), np.diag([0.1, 1e-51])
     sys = phc.ph(Q, [1.0, 0.0], J=J, R=R)
     assert sys.natural_frequencies == pytest.approx([np.sqrt(1.01)])
+
+
+def test_a_sensor_away_from_its_force_is_refused_where_masses_are_sought():
+    A = [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-2.0, 1.0, -0.1, 0.0], [1.0, -2.0, 0.0, -0.1]]
+    sys = ct.ss(A, [[0.0], [0.0], [1.0], [0.0]], [[0.0, 0.0, 0.0, 1.0]], 0.0)
+    assert "not passive" in refusal(lambda: phc.ph(sys), phc.NotPassiveError)

@@ -413,12 +413,13 @@ def _masses(E: Array, F: Array, damping: Array, b: Array, c: Array) -> list[Arra
 def _lumped(stiffness: Array, b: Array, c: Array) -> Array | None:
     """The diagonal `M` with `M b = c^T` and `M stiffness` symmetric, followed from mass to mass."""
     mass = np.zeros(len(b))
-    driven = np.abs(b).max(axis=1) > 0
-    mass[driven] = np.sum(c.T * b, axis=1)[driven] / np.sum(b * b, axis=1)[driven]
-    front = list(np.flatnonzero(driven))
+    known = np.abs(b).max(axis=1) > 0
+    mass[known] = np.sum(c.T * b, axis=1)[known] / np.sum(b * b, axis=1)[known]
+    front = list(np.flatnonzero(known))
     while front:
         k = front.pop()
-        new = np.flatnonzero((mass == 0) & (stiffness[k] != 0) & (stiffness[:, k] != 0))
+        new = np.flatnonzero(~known & (stiffness[k] != 0) & (stiffness[:, k] != 0))
+        known[new] = True
         mass[new] = mass[k] * stiffness[k, new] / stiffness[new, k]
         front += list(new)
     return np.diag(mass) if np.isfinite(mass).all() and mass.all() else None
