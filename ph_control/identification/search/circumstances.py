@@ -139,64 +139,111 @@ def input_noise(experiments: Sequence[Rows], d: Array) -> tuple[float, float, fl
 
     Such noise comes out of the plant: its power in each bin goes with the squared gain of the model there (Whittle).
     Under it the modes have other residues, ends and frequencies than under white noise, which follow the bins next to
-    them: these move by one linear step.
+    them: these move by a linear step, and where noise on the input is likely by one more from there.
     """
     records = [one for one in experiments if isinstance(one, RecordRows) and one.driven and one.complete]
-    spectra, n = [Spectrum.of(one) for one in records], len(d)
-    windows = [Window.about(one, d) for one in spectra]
+    if not records:
+        return 0.0, 0.0, 0.0
+    windows = [Window.about(Spectrum.of(one), d) for one in records]
     at = Problem(tuple(windows)).project(d)
-    power: list[Array] = []
-    gain: list[Array] = []
-    moved, target, near = [], [], []
-    for k, (one, spectrum, window) in enumerate(zip(records, spectra, windows, strict=True)):
-        bins, size = np.arange(1, spectrum.last + 1), float(np.sqrt(spectrum.length))
-        here = window.at(d)
-        left = here.left(at.kappa, at.own[k]) / size
-        (block,) = here.sensitive_blocks(at.kappa, at.own[k])
-        columns = np.zeros((2 * n * (len(records) + 1), block.shape[1]))
-        columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
-        moved.append(columns)
-        target.append(np.concatenate([left[window.bins].real, left[window.bins].imag]))
-        near.append(np.tile(sum(map(len, gain)) + window.bins - 1, 2))
-        power.append(np.abs(left[bins]) ** 2)
-        gain.append(np.abs(_response(one, d, at.kappa, 2 * np.pi * bins / spectrum.length)) ** 2)
-    every = (power, gain, target, near)
-    if not power:
+    near = _NearModes.of(windows, d, at.kappa, at.own)
+    if near is None:
         return 0.0, 0.0, 0.0
-    powers, gains, rhs, places = (np.concatenate(parts) for parts in every)
-    if len(powers) <= 2 * n * (len(records) + 1):
-        return 0.0, 0.0, 0.0
-    C = np.concatenate(moved, axis=1)
-    lengths = np.linalg.norm(C, axis=1)
-    C = C / np.where(lengths > 0, lengths, 1.0)[:, None]
-    middle = float(np.median(gains))
-    if not (middle > 0 and powers.any()):
-        return 0.0, 0.0, 0.0
+    none = near.unlikely(0.0)
+    ratio, least = near.likeliest()
+    if least < none - TUNING.sure:
+        moved = _NearModes.of(windows, *near.moved(ratio))
+        further = (0.0, np.inf) if moved is None else moved.likeliest()
+        if moved is not None and further[1] < least:
+            near, (ratio, least) = moved, further
+    of_output = float(np.sqrt(near.level(ratio)[0]))
+    return float(np.sqrt(ratio)) * of_output, of_output, none - least
 
-    spare = len(powers) - 0.5 * len(C)
 
-    def level(ratio: float) -> tuple[float, float]:
+@dataclass(frozen=True)
+class _NearModes:
+    """What modes leave of records, `powers` and squared `gains` in all bins, and how it follows them next to them.
+
+    `columns` belong to what moves, the motions of each record, residues, and frequencies, in units of `lengths`; of the
+    `target` they explain a part, at `places` among all bins.
+    """
+
+    modes: tuple[Array, Array, list[Array]]
+    powers: Array
+    gains: Array
+    columns: Array
+    lengths: Array
+    target: Array
+    places: Indices
+
+    @classmethod
+    def of(cls, windows: Sequence[Window], d: Array, kappa: Array, own: Sequence[Array]) -> _NearModes | None:
+        """At modes with these residues and motions; None where the records say too little."""
+        n, found, seen = len(d), [], 0
+        for k, window in enumerate(windows):
+            spectrum, here = window.spectrum, window.at(d)
+            bins, size = np.arange(1, spectrum.last + 1), float(np.sqrt(spectrum.length))
+            left = here.left(kappa, own[k]) / size
+            (block,) = here.sensitive_blocks(kappa, own[k])
+            columns = np.zeros((2 * n * (len(windows) + 1), block.shape[1]))
+            columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
+            response = _response(spectrum.experiment, d, kappa, 2 * np.pi * bins / spectrum.length)
+            target = np.concatenate([left[window.bins].real, left[window.bins].imag])
+            places = np.tile(seen + window.bins - 1, 2)
+            found.append((np.abs(left[bins]) ** 2, np.abs(response) ** 2, columns, target, places))
+            seen += len(bins)
+        if seen <= 2 * n * (len(windows) + 1):
+            return None
+        powers, gains, every, target, places = (np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
+        lengths = np.linalg.norm(every, axis=1)
+        lengths = np.where(lengths > 0, lengths, 1.0)
+        if not (np.median(gains) > 0 and powers.any()):
+            return None
+        return cls((d, kappa, list(own)), powers, gains, every / lengths[:, None], lengths, target, places)
+
+    @property
+    def _spare(self) -> float:
+        return len(self.powers) - 0.5 * len(self.columns)
+
+    def _weighted(self, ratio: float) -> tuple[Array, Array, Array]:
+        """Weights of all bins, what pulls at the columns, and their Gram matrix."""
+        weights = 1 / (1 + ratio * self.gains)
+        weighted = self.columns * weights[self.places]
+        return weights, weighted @ self.target, weighted @ self.columns.T + _RIDGE * np.eye(len(self.columns))
+
+    def level(self, ratio: float) -> tuple[float, float]:
         """Variance of the output noise, and the logarithm of the determinant of the weighted columns."""
-        weights = 1 / (1 + ratio * gains)
-        weighted = C * weights[places]
-        pull, gram = weighted @ rhs, weighted @ C.T + _RIDGE * np.eye(len(C))
-        left = weights @ powers - pull @ np.linalg.solve(gram, pull)
-        return float(max(left, np.finfo(float).tiny)) / spare, float(np.linalg.slogdet(gram)[1])
+        weights, pull, gram = self._weighted(ratio)
+        left = weights @ self.powers - pull @ np.linalg.solve(gram, pull)
+        return max(float(left), float(np.finfo(float).tiny)) / self._spare, float(np.linalg.slogdet(gram)[1])
 
-    def unlikely(ratio: float) -> float:
+    def unlikely(self, ratio: float) -> float:
+        """Negative log-likelihood, but for a constant, of a variance of input noise over that of output noise."""
         # restricted to what the modes leave, or the bins next to them would speak against noise that they took up
-        variance, determinant = level(ratio)
-        return float(np.sum(np.log1p(ratio * gains)) + spare * np.log(variance) + 0.5 * determinant)
+        variance, determinant = self.level(ratio)
+        return float(np.sum(np.log1p(ratio * self.gains)) + self._spare * np.log(variance) + 0.5 * determinant)
 
-    none, tried = unlikely(0.0), np.array([unlikely(ratio / middle) for ratio in _RATIOS])
-    best = int(np.argmin(tried))
-    if tried[best] >= none:
-        return 0.0, float(np.sqrt(level(0.0)[0])), 0.0
-    ends = np.log(_RATIOS[[max(0, best - 1), min(len(_RATIOS) - 1, best + 1)]] / middle)
-    found = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
-    ratio = float(np.exp(found.x))
-    of_output = float(np.sqrt(level(ratio)[0]))
-    return float(np.sqrt(ratio)) * of_output, of_output, none - float(found.fun)
+    def likeliest(self) -> tuple[float, float]:
+        """The likeliest ratio, 0 where none is likelier, and its negative log-likelihood."""
+        ratios = _RATIOS / float(np.median(self.gains))
+        none, tried = self.unlikely(0.0), [self.unlikely(ratio) for ratio in ratios]
+        best = int(np.argmin(tried))
+        if tried[best] >= none:
+            return 0.0, none
+        ends = np.log(ratios[[max(0, best - 1), min(len(ratios) - 1, best + 1)]])
+        found = minimize_scalar(
+            lambda x: self.unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05}
+        )
+        return float(np.exp(found.x)), float(found.fun)
+
+    def moved(self, ratio: float) -> tuple[Array, Array, list[Array]]:
+        """Frequencies, residues and motions after one linear step under such noise."""
+        _, pull, gram = self._weighted(ratio)
+        step = np.linalg.solve(gram, pull) / self.lengths
+        d, kappa, own = self.modes
+        n = len(d)
+        motions = [part[: 2 * n] + step[2 * n * k : 2 * n * (k + 1)] for k, part in enumerate(own)]
+        return d + step[-n:], kappa + step[-2 * n : -n], motions
 
 
 def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: Indices) -> Array:
