@@ -183,6 +183,17 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
         return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
     plain = _state_space(sys)
     A, B, C, D = (np.array(getattr(plain, name), float) for name in "ABCD")
+    try:
+        with np.errstate(all="ignore"):
+            return _judged(A, B, C, D, kind)
+    except np.linalg.LinAlgError:
+        raise StructureError(
+            "the system is too ill-conditioned to judge: its eigenvalue problems have no answer; give it in better "
+            "scaled states, or in other units"
+        ) from None
+
+
+def _judged(A: Array, B: Array, C: Array, D: Array, kind: str) -> PassivityReport:
     split = split_axis(A, B, C)
     scattering = kind == "scattering"
     whole = Passivity(*split.rest, D, scattering=scattering, condition=split.condition)

@@ -31,8 +31,9 @@ _NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative betwe
 _PIECES = 8  # of the way between two of these: for the worst frequency of a band, which has several minima
 _FINE = 1e-7  # of it: to what the least value is sought
 _LEVELS = 20  # steps down to it, at most; three are usual
-_AXIS = 64  # times the rounding of an eigenvalue: a real part that is taken for 0
-_HIDDEN = 64  # times the number of states, roundings of `|B| |C|`: a residue that is none
+_AXIS = 256  # times the rounding of an eigenvalue: a real part that is taken for 0
+_CLEAR = 16  # times that: a real part that needs no second look
+_HIDDEN = 256  # times the number of states, roundings of `|B| |C|`: a residue that is none
 _RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermitian positive semidefinite matrix
 _WIDTHS = (0.25, 1.0, 4.0)  # of a resonance, beside it: points looked at
 
@@ -252,10 +253,11 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     """
     if not len(A):
         return Split([], (A, B, C), np.zeros(0, complex))
+    given = float(np.linalg.norm(B) * np.linalg.norm(C))
     A, B, C = equilibrated(A, B, C)
     # what is left out moves poles by rounding of all that was given
     rounding = _AXIS * len(A) * EPS * float(np.linalg.norm(A, 2))
-    unseen = _HIDDEN * len(A) * EPS * float(np.linalg.norm(B) * np.linalg.norm(C))
+    unseen = _HIDDEN * len(A) * EPS * max(given, float(np.linalg.norm(B) * np.linalg.norm(C)))
     A, B, C = _staircase(A, B, C)
     n = len(A)
     if not n:
@@ -265,7 +267,11 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     found = eigenvalues_of(U)
     axis: list[tuple[float, ComplexArray]] = []
     off = np.ones(n, bool)
-    for group in clusters(found.values, rounding / found.separation):
+    radius = rounding / found.separation
+    for group in clusters(found.values, radius):
+        real = found.values.real[group]
+        if (np.abs(real) > _CLEAR * radius[group]).all() and len(np.unique(np.sign(real))) == 1:
+            continue
         block = invariant_block(U, group)
         center, error = complex(np.mean(np.diag(block.T))), rounding / block.separation
         if abs(center.real) > error:
@@ -278,7 +284,7 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
         if not np.linalg.norm(K) <= unseen:
             still = center.imag <= error
             axis.append((0.0, np.asarray(K.real, complex)) if still else (center.imag, K))
-    unstable = found.values[off & (found.values.real > rounding / found.separation)]
+    unstable = found.values[off & (found.values.real > radius)]
     count = n - int(off.sum())
     if not count:
         return Split([], (A, B, C), unstable)
