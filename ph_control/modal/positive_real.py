@@ -32,6 +32,7 @@ _PIECES = 8  # of the way between two of these: for the worst frequency of a ban
 _FINE = 1e-7  # of it: to what the least value is sought
 _LEVELS = 20  # steps down to it, at most; three are usual
 _AXIS = 256  # times the rounding of an eigenvalue: a real part that is taken for 0
+_DOUBLE = 8.0  # times the root of that: how far the two of a double pole may lie from it
 _CLEAR = 16  # times that: a real part that needs no second look
 _HIDDEN = 256  # times the number of states, roundings of `|B| |C|`: a residue that is none
 _RESIDUE = 1e-8  # of its size: what a residue on the axis may miss of a Hermitian positive semidefinite matrix
@@ -256,7 +257,8 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     given = float(np.linalg.norm(B) * np.linalg.norm(C))
     A, B, C = equilibrated(A, B, C)
     # what is left out moves poles by rounding of all that was given
-    rounding = _AXIS * len(A) * EPS * float(np.linalg.norm(A, 2))
+    size = float(np.linalg.norm(A, 2))
+    rounding = _AXIS * len(A) * EPS * size
     unseen = _HIDDEN * len(A) * EPS * max(given, float(np.linalg.norm(B) * np.linalg.norm(C)))
     A, B, C = _staircase(A, B, C)
     n = len(A)
@@ -267,7 +269,8 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     found = eigenvalues_of(U)
     axis: list[tuple[float, ComplexArray]] = []
     off = np.ones(n, bool)
-    radius = rounding / found.separation
+    # the bound of first order is too large for double poles, which rounding moves by its root
+    radius = np.minimum(rounding / found.separation, _DOUBLE * np.sqrt(rounding * size))
     for group in clusters(found.values, radius):
         real = found.values.real[group]
         if (np.abs(real) > _CLEAR * radius[group]).all() and len(np.unique(np.sign(real))) == 1:
