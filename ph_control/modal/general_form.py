@@ -227,9 +227,10 @@ class GeneralModalForm(ModalForm):
         """Bound of the sizes of what `evaluate` adds up at points, shape (N,)."""
         poles, c, b = self._both_halves
         weights = np.linalg.norm(c, axis=1) * np.linalg.norm(b, axis=1)
-        size = (1 / np.abs(s[:, None] - poles)) @ weights + np.linalg.norm(self.feedthrough)
-        for block in self.clusters:
-            size += np.linalg.norm(block.states(s), axis=(0, 1)) * np.linalg.norm(block.C)
+        with np.errstate(all="ignore"):
+            size = (1 / np.abs(s[:, None] - poles)) @ weights + np.linalg.norm(self.feedthrough)
+            for block in self.clusters:
+                size += np.linalg.norm(block.states(s), axis=(0, 1)) * np.linalg.norm(block.C)
         return np.asarray(size, float)
 
     def __repr__(self) -> str:
