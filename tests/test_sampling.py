@@ -269,9 +269,23 @@ def test_euler_makes_energy_from_nothing():
     assert np.allclose(balance.defect, balance.stored - 1.0, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("simulate", [phc.initial_response, ct.initial_response])
+def test_a_free_motion_dissipates_what_it_loses(simulate):
+    sys = phc.spring_chain([3.0, 2.0], 40.0, ground=[60.0, 0.0], c=0.3)
+    t = np.linspace(0.0, 20.0, 401)
+    balance = phc.energy_balance(simulate(sys, t, [0.1, 0.0, 0.0, 0.0]), sys)
+    assert not balance.supplied.any() and balance.stored[-1] < 0.5 * balance.stored[0]
+    assert np.all(np.diff(balance.dissipated) > 0)
+    assert np.max(np.abs(balance.defect)) < 1e-12 * balance.stored[0]
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (
+            lambda s, t: (phc.step_response(phc.ph(np.eye(2), np.eye(2)), t, input=0), phc.ph(np.eye(2), np.eye(2))),
+            "one trace of 2 rows: of a system with several ports, forced_response",
+        ),
         (lambda s, t: (phc.forced_response(s, t, 1.0, return_states=False), s), "the response has no states"),
         (lambda s, t: (phc.forced_response(s, t, 1.0), phc.ch(s)), "this is a ControllableHamiltonian"),
         (lambda s, t: (phc.forced_response(s, t, 1.0), s + s), r"states of the response have shape \(2, 5\)"),

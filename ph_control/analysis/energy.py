@@ -96,7 +96,8 @@ def energy_balance(
     Parameters
     ----------
     response : control.TimeResponseData
-        Response with inputs and states, of one trace: what `forced_response` of this package gives.
+        Response with states, of one trace: what `forced_response` and `initial_response` of this package give, or
+        `step_response` of a system with one port.  Without inputs it is a free motion.
     sys : PortHamiltonian
         The system that responded.
     method, intersample : str, optional
@@ -139,7 +140,8 @@ def energy_balance(
     intersample = rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERSAMPLE)
     t, h = _checks.time_vector(response.time)
     z = _trace(response.x, "states", sys.nstates, len(t))
-    u = _trace(response.u, "inputs", sys.ninputs, len(t))
+    # a free motion has none
+    u = np.zeros((sys.ninputs, len(t))) if response.u is None else _trace(response.u, "inputs", sys.ninputs, len(t))
     stored = np.asarray(sys.hamiltonian(z))
     with np.errstate(over="ignore", invalid="ignore"):
         steps = _flows(sys, z, u, h, method, intersample)
@@ -195,7 +197,10 @@ def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
     if array.ndim == 3 and array.shape[1] == 1:
         array = array[:, 0]
     if array.ndim != 2 or array.shape[0] != rows:
-        raise StructureError(f"the {what} of the response have shape {array.shape}; needed one trace of {rows} rows")
+        raise StructureError(
+            f"the {what} of the response have shape {array.shape}; needed one trace of {rows} rows: of a system with "
+            "several ports, forced_response with all inputs gives it"
+        )
     if array.shape[1] != samples:
         raise StructureError(f"the response has {array.shape[1]} samples of {what} at {samples} instants")
     return array
