@@ -338,3 +338,105 @@ def test_python_control_and_the_pictures_take_it():
     response = ct.step_response(system)
     np.testing.assert_allclose(response.outputs, phc.step_response(system, response.time).outputs, atol=1e-10)
     assert "plant" in str(system) and "plant" in system._repr_html_()
+
+
+def with_hidden(seed):
+    """Random system with losses of which ports reach and see `order` of its states, mixed by a rotation."""
+    rng = np.random.default_rng(seed)
+    seen, hidden = int(rng.integers(1, 8)), int(rng.integers(1, 5))
+    m, n = int(rng.integers(1, 3)), seen + hidden
+    Q, J, R, B = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, m))
+    for part in (slice(0, seen), slice(seen, n)):
+        size = part.stop - part.start
+        root, skew, loss = (rng.normal(size=(size, size)) for _ in range(3))
+        Q[part, part], J[part, part] = root @ root.T / size + np.eye(size), skew - skew.T
+        R[part, part] = 0.1 * loss @ loss.T
+    B[:seen] = rng.normal(size=(seen, m))
+    U = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    loss = rng.normal(size=(m, m))
+    parts = {"R": U @ R @ U.T, "S": loss @ loss.T, "J": U @ (J - J.T) @ U.T / 2}
+    # a sensor of what ports see
+    rows = np.concatenate([rng.normal(size=(1, seen)), np.zeros((1, hidden))], axis=1) @ U.T
+    return phc.ph(U @ Q @ U.T, U @ B, **parts, sensors=rows if rng.integers(2) else None, inputs=m), seen
+
+
+@settings(max_examples=40, deadline=None)
+@SEEDS
+def test_minreal_leaves_out_hidden_states_and_keeps_the_transfer_function(seed):
+    system, seen = with_hidden(seed)
+    small = phc.minreal(system)
+    assert type(small) is phc.DissipativePortHamiltonian
+    assert (small.nstates, small.conversion.hidden) == (seen, system.nstates - seen)
+    assert small.input_labels == system.input_labels and small.output_labels == system.output_labels
+    s = 1j * np.geomspace(1e-2, 1e2, 40)
+    wanted = system(s, squeeze=False)
+    np.testing.assert_allclose(small(s, squeeze=False), wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
+    assert np.linalg.eigvalsh(small.Q)[0] > 0
+    again = phc.minreal(small)
+    assert again.conversion.hidden == 0
+    np.testing.assert_array_equal(again.Q, small.Q)
+
+
+def test_minreal_keeps_modes_that_are_not_damped_and_takes_what_ph_takes():
+    system = phc.ph(np.diag([1.0, 4.0, 9.0, 1.0, 1.0, 1.0]), [0, 0, 0, 1, 1, 0], R=np.diag([0, 0, 0, 0.1, 0, 0]))
+    small = phc.minreal(system)
+    assert (small.nstates, small.conversion.hidden, small.conversion.energy) == (4, 2, "modal")
+    np.testing.assert_allclose(small.damping_ratios, [0.05, 0.0], atol=1e-14)
+    equal = phc.minreal(phc.modes([1.0, 2.0, 2.0], [1.0, 1.0, 1.0], damping=0.02))
+    assert (equal.nstates, equal.conversion.hidden) == (4, 2)
+    given = phc.minreal(ct.ss(np.diag([-1.0, -2.0]), [[1.0], [0.0]], [[1.0, 1.0]], [[0.5]]))
+    assert (given.nstates, given.conversion.hidden) == (1, 1)
+    with pytest.raises(phc.NotPassiveError):
+        phc.minreal(ct.tf([1, -3], [1, 1]))
+
+
+def test_minreal_of_a_minimal_system_keeps_its_coordinates_and_energy():
+    damped = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.4]))
+    small = phc.minreal(damped)
+    assert small.conversion.hidden == 0 and small.conversion.energy == "given"
+    np.testing.assert_array_equal(small.Q, damped.Q)
+
+
+@pytest.mark.parametrize("R", [np.diag([0.0, 0.0, 0.1, 0.2]), np.diag([0.0, 0.0, 0.0, 0.2])])
+def test_minreal_refuses_sensors_of_what_ports_do_not_see(R):
+    # the position of a free mass
+    free = phc.ph(np.diag([0.0, 4.0, 1.0, 1.0]), [0, 0, 1.0, 1.0], R=R, sensors=[[1.0, 0, 0, 0]])
+    with pytest.raises(phc.StructureError, match=r"sees .*what ports do not|sees states that ports do not .*leave"):
+        phc.minreal(free)
+    assert phc.minreal(phc.ph(free.Q, free.G, R=R)).nstates == 3
+
+
+def test_modes_plot_draws_weights_and_damping_ratios():
+    classical = phc.modes([1.0, 2.0, 3.0], [1.0, 2.0, 0.5], damping=[0.1, 0.9, 0.02])
+    for quantity, weights in (("kappa", [1.0, 4.0, 1.5]), ("r", [1.0, 2.0, 0.5])):
+        plot = phc.modes_plot(phc.ph(classical), quantity=quantity, Hz=True, time_unit="s")
+        assert plot.lines.shape == (2, 1)
+        heads, ratios = plot.lines[0, 0][0], plot.lines[1, 0][0]
+        np.testing.assert_allclose(2 * np.pi * heads.get_xdata(), [1.0, 2.0, 3.0])
+        np.testing.assert_allclose(heads.get_ydata(), weights)
+        np.testing.assert_allclose(ratios.get_xydata(), np.transpose([heads.get_xdata(), [0.1, 0.9, 0.02]]))
+        assert plot.axes[1, 0].get_xlabel() == "Natural frequency [Hz]"
+        assert plot.axes[1, 0].get_ylabel() == "Damping ratio ζ"
+    # beside a lossless one, on axes of one's own
+    _, axes = plt.subplots(2, 1)
+    both = phc.modes_plot([phc.ph(classical), phc.modes([1.0, 2.0], [1.0, 1.0])], ax=axes)
+    np.testing.assert_array_equal(both.lines[1, 0][1].get_ydata(), [0.0, 0.0])
+    assert both.axes[0, 0].get_xlim() == both.axes[1, 0].get_xlim()
+    plt.close("all")
+
+
+def test_modes_plot_marks_modes_without_a_weight_of_their_own():
+    critical = phc.ph(np.diag([1.0, 9.0, 1.0, 1.0]), [0, 0, 1.0, 1.0], R=np.diag([0, 0, 2.0, 0.1]), sensors=np.eye(4))
+    plot = phc.modes_plot(critical)
+    assert plot.lines.shape == (2, 1)  # no row for the sensors
+    np.testing.assert_allclose(plot.lines[1, 0][0].get_ydata()[1:], 1.0)
+    assert [text.get_text() for text in plot.legend.get_texts()][-1] == "poles not parted: no weight of their own"
+    # not reached, and a free mass
+    free = phc.ph(np.diag([0.0, 9.0, 4.0, 1.0, 1.0, 1.0]), [0, 0, 0, 1.0, 1.0, 0], R=np.diag([0, 0, 0, 0, 0.1, 0.1]))
+    axis = phc.modes_plot(free).axes[0, 0]
+    heads = {line.get_label(): line.get_xydata() for line in axis.lines}
+    np.testing.assert_allclose(heads["not reached, or not shown by the data"], [[2.0, 0.0]])
+    assert any(np.allclose(line.get_xydata(), [[0.0, 1.0]]) for line in axis.lines)
+    alone = phc.modes_plot(phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 2.0])))
+    assert np.isnan(alone.lines[0, 0][0].get_ydata()).all()
+    plt.close("all")

@@ -23,13 +23,12 @@ REFUSED = {
     "rigid_modes": lambda s: s.rigid_modes, "controllable_form": lambda s: s.controllable_form(),
     "observable_form": lambda s: s.observable_form(), "ch": phc.ch, "oh": phc.oh,
     "affine": lambda s: phc.affine(s if s.name == "plant" else phc.affine(s.Q, s.B)),
-    "lift": lambda s: phc.lift(s, 3), "minreal": phc.minreal, "minreal with rtol": lambda s: phc.minreal(s, rtol=1e-9),
+    "lift": lambda s: phc.lift(s, 3), "minreal with rtol": lambda s: phc.minreal(s, rtol=1e-9),
     "kalman_decomposition": phc.kalman_decomposition, "canonical_margins": phc.canonical_margins,
     "same_filter": lambda s: phc.same_filter(s, s),
     "same_filter, right": lambda s: phc.same_filter(phc.frenkel_kontorova(1), s),
     "groupoid": lambda s: phc.PortHamiltonianGroupoid(np.eye(2), s), "identity": phc.PortHamiltonianGroupoid.identity,
     "observable_morphism": phc.observable_morphism, "lift_morphism": lambda s: phc.lift_morphism(s, 3),
-    "modes_plot": phc.modes_plot,
 }  # fmt: skip
 
 

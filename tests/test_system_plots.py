@@ -480,10 +480,11 @@ def test_intervals_that_the_data_do_not_give_are_left_out_and_ends_are_not_negat
     assert (low, high) == (0.0, pytest.approx(4.12))
 
 
-def test_only_lossless_systems_have_modes():
+def test_modes_are_those_of_continuous_time():
     np.testing.assert_allclose(modes_plot(ct.tf([2, 0], [1, 0, 4])).lines[0, 0][0].get_xdata(), [2.0])
-    with pytest.raises(NotLosslessError):
-        modes_plot(ct.tf([1], [1, 1]))
+    np.testing.assert_allclose(modes_plot(ct.tf([3], [1, 2])).lines[0, 0][0].get_xydata(), [[2.0, 3.0]])
+    with pytest.raises(NotLosslessError, match="discrete-time"):
+        modes_plot(ct.tf([1], [1, 0.5], 0.1))
     with pytest.raises(StructureError, match="quantity is 'v'"):
         modes_plot(phc.modes(1.0, 1.0), quantity="v")
 

@@ -16,8 +16,7 @@ from .._display import counted
 from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
-from ..systems.base import refuse_losses
-from ..systems.port_hamiltonian import ph
+from ..systems.port_hamiltonian import modes as modes_of
 from .inputs import FitResult, Subject, subjects_of, title_of
 from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
 
@@ -28,6 +27,10 @@ _WIDE = 1e3  # ratio of weights beyond which they are drawn to a logarithmic sca
 _DECADES = 100.0  # ratio of frequencies beyond which they are
 _MANY_STEMS = 40
 _MARKERS = ("o", "s", "^", "D", "v")
+
+_UNREACHED = 1e-13  # of the largest weight: that of a mode that is not reached, but for rounding
+_STILL = 1e-12  # of the largest frequency: that of a pole at 0, but for rounding
+_TINY = float(np.finfo(float).tiny)
 
 _ON_AXIS = 1e-7  # relative real part of a pole or zero that is on the axis but for the rounding of an eigenvalue
 _POLES_IN_STRIP = 24  # that are told apart
@@ -53,13 +56,13 @@ def modes_plot(
     ax: Any = None,
     **style: Unpack[LineStyle],
 ) -> ct.ControlPlot:
-    """Modes of lossless systems: a stem at each natural frequency, as high as its weight.
+    """Modes: a stem at each natural frequency, as high as its weight; with losses also the damping ratios.
 
     Parameters
     ----------
     sysdata : system, or list of systems
-        `PortHamiltonian`, `ModalForm`, any other lossless system of python-control, or a `PEMResult`, which is drawn
-        with its confidence intervals.
+        `PortHamiltonian`, `ModalForm`, any other continuous-time system of python-control, or a `PEMResult`, which is
+        drawn with its confidence intervals.
     quantity : {'kappa', 'r'}
         Weight to draw: the residue `kappa = r d` of the pole, or `r`.
     level : float
@@ -73,7 +76,7 @@ def modes_plot(
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
     ax : array of matplotlib.axes.Axes, shape (m, 1), optional
-        Axes to draw on, one for each port.  By default a new figure.
+        Axes to draw on, one for each port, and with losses one more for the damping ratios.  By default a new figure.
     **style
         `title`, `grid`, `show_legend`, `legend_loc`, `rcParams` and, for the stems, `color`, `linestyle`, `linewidth`,
         as in `control.bode_plot`.
@@ -81,12 +84,13 @@ def modes_plot(
     Returns
     -------
     control.ControlPlot
-        `lines`, of shape (m, 1), holds the heads of the stems of each system; `axes`, `figure`, `legend`.
+        `lines`, of shape (m, 1), holds the heads of the stems of each system, with losses in a last row those of the
+        damping ratios; `axes`, `figure`, `legend`.
 
     Raises
     ------
     NotLosslessError
-        If a system has no modes of this kind.
+        If a system is in discrete time.
     StructureError
         If the systems differ in their ports or the arguments are not of this form.
 
@@ -96,6 +100,11 @@ def modes_plot(
     heads are modes that no input reaches, and, of a fit, weights that the data do not show.  A pole at 0 has the weight
     `kappa_0` and stands at 0, or, where the scale is logarithmic, in the legend.
 
+    With losses, `kappa` is that of the terms `kappa s / (s^2 + 2 zeta d s + d^2)` and `kappa / (s + d)` where these
+    describe the mode, and its size where the residue `K` of the pole `p` has another phase: `|K (p - conj(p)) / p|`,
+    of a real pole `|K|`.  Sensors have no part in it.  Poles that are not parted, as at critical damping, have a
+    damping ratio but no weight of their own, and crosses in place of heads.
+
     Examples
     --------
     >>> import ph_control as phc
@@ -104,13 +113,20 @@ def modes_plot(
     >>> plot.lines[0, 0][0].get_ydata()
     array([1. , 0.5])
     >>> plt.close(plot.figure)
+    >>> plot = phc.modes_plot(phc.modes([1.0, 2.0], [1.0, 0.25], damping=[0.01, 0.02]))
+    >>> plot.lines[0, 0][0].get_ydata().round(12), plot.lines[1, 0][0].get_ydata().round(12)
+    (array([1. , 0.5]), array([0.01, 0.02]))
+    >>> plt.close(plot.figure)
     """
     time_unit = unit_for(time_unit, sysdata)
     unit, unit_name = frequency_axis(Hz, time_unit)
     _checks.choice("quantity", quantity, ("kappa", "r"))
     subjects = subjects_of(sysdata, label)
     tables = [mode_table(one, quantity, level) for one in subjects]
-    ports = subjects[0].system.output_labels
+    system = subjects[0].system
+    ports = system.output_labels[: system.ninputs]
+    lossy = any(table.damping is not None for table in tables)
+    rows = len(ports) + lossy
     if quantity == "r":
         weight = labelled("Weight r", gain_unit)
     else:
@@ -118,9 +134,13 @@ def modes_plot(
         weight = labelled("Residue κ = r d", slope)
     look = Look.of(style)
     with look.context():
-        size = (6.4, 3.4 if len(ports) == 1 else 2.2 * len(ports))
-        drawn = picture(look, ax, (len(ports), 1), size, sharex=True)
-        for port, axis in enumerate(drawn.axes[:, 0]):
+        size = (6.4, 3.4 if rows == 1 else 2.2 * rows)
+        drawn = picture(look, ax, (rows, 1), size, sharex=True)
+        if lossy:
+            # first, as axes share their limits, which those of the weights set
+            drawn.lines[-1, 0] = _draw_damping(drawn.axes[-1, 0], tables, unit, look)
+            look.lattice(drawn.axes[-1, 0])
+        for port, axis in enumerate(drawn.axes[: len(ports), 0]):
             drawn.lines[port, 0] = _draw_modes(axis, tables, port, unit, look)
             look.lattice(axis)
             axis.set_ylabel(weight)
@@ -134,6 +154,7 @@ def modes_plot(
 class ModeTable:
     """Modes of one system: weights `size`, shape (n, m), at `d`, shape (n,), and that of a pole at 0, shape (m,).
 
+    Weights are NaN where poles are not parted.  `damping` has the ratios, shape (n,), of a system with losses.
     `d_range` and `size_range`, shape (n, 2), are confidence intervals: NaN where there is none, and infinite for what
     the data do not show.
     """
@@ -145,12 +166,14 @@ class ModeTable:
     d_range: Array
     size_range: Array
     level: float | None
+    damping: Array | None = None
 
 
 def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
     """Modes of a system; of a fit, with intervals at a level."""
-    refuse_losses(subject.system, "pictures of frequencies and weights are")
-    modes = (subject.system if subject.lossless else ph(subject.system, lossless=True)).modes
+    modes = modes_of(subject.system)
+    if not modes.is_lossless:
+        return _damped_table(subject.label, modes, quantity)
     size = (modes.kappa if quantity == "kappa" else modes.r).reshape(len(modes.d), modes.nports)
     at_zero = np.atleast_2d(modes.kappa_0).diagonal() if quantity == "kappa" else np.zeros(modes.nports)
     if not isinstance(subject.given, FitResult):
@@ -161,6 +184,29 @@ def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
     if quantity == "kappa":
         sizes = kappa_intervals(modes.d, modes.r, subject.given.covariance, sizes)
     return ModeTable(subject.label, modes.d, size, at_zero, np.asarray(intervals["d"]), sizes, level)
+
+
+def _damped_table(label: str, modes: Any, quantity: str) -> ModeTable:
+    """Modes of a system with losses; poles that are 0 to rounding count as one at 0."""
+    m, single = modes.nports, modes.single
+    p = modes.mode_poles
+    d, zeta = modes.natural_frequencies, modes.damping_ratios
+    size = np.full((len(p), m), np.nan)
+    parted = single.mode_poles
+    pairs = np.where(parted.imag == 0, 1.0, 2.0 * np.abs(parted.imag) / np.maximum(np.abs(parted), _TINY))
+    size[: len(parted)] = pairs[:, None] * np.abs(single.shapes[:, :m] * single.participation[:, :m])
+    size[size <= _UNREACHED * np.nanmax(size, initial=0.0)] = 0.0
+    still = d <= _STILL * d.max(initial=0.0)
+    at_zero = np.nansum(size[still], axis=0)
+    for block in modes.clusters:
+        if (np.abs(block.poles) <= _STILL * d.max()).all():  # a free mass, whose position is not seen
+            at_zero = at_zero + np.abs(np.diagonal((block.C @ block.B)[:m, :m]))
+    at_zero = at_zero if quantity == "kappa" else np.zeros(m)
+    d, zeta, size = d[~still], zeta[~still], size[~still]
+    if quantity == "r":
+        size = size / d[:, None]
+    unknown = np.full((len(d), 2), np.nan)
+    return ModeTable(label, d, size, at_zero, unknown, unknown, None, zeta)
 
 
 def kappa_intervals(d: Array, r: Array, covariance: Array, r_intervals: Array) -> Array:
@@ -183,7 +229,7 @@ def _draw_modes(axis: Axes, tables: list[ModeTable], port: int, unit: float, loo
     bottom = float(10.0 ** np.floor(np.log10(shown.min()) - 0.3)) if logarithmic else 0.0
     lines = [_draw_stems(axis, k, table, port, unit, bottom, look) for k, table in enumerate(tables)]
     # above all weights, and above their intervals where these are not far longer
-    largest = max(float(size.max(initial=0.0)), at_zero) or 1.0
+    largest = max(float(np.nanmax(size, initial=0.0)), at_zero) or 1.0
     ends = np.concatenate([table.size_range[:, 1] for table in tables])
     top = max(largest, min(float(ends[np.isfinite(ends)].max(initial=0.0)), 3.0 * largest))
     limits = (bottom, 2.0 * top) if logarithmic else (-0.03 * top, 1.08 * top)
@@ -218,6 +264,10 @@ def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bo
         axis.vlines([0.0], bottom, [on_zero], zorder=2, **stem)
         axis.plot([0.0], [on_zero], markersize=5.0, **mark)
     heads = axis.plot(d, height, label=plain(label), **head)[0]
+    if np.isnan(size).any():
+        cross = {**head, "marker": "x", "clip_on": False}
+        together = d[np.isnan(size)]
+        axis.plot(together, np.full(len(together), bottom), label="poles not parted: no weight of their own", **cross)
     hidden = (size == 0) | np.isinf(table.size_range[:, 1])
     if hidden.any():
         hollow = {**head, "markerfacecolor": "white", "zorder": 4, "clip_on": False}
@@ -231,6 +281,28 @@ def _draw_stems(axis: Axes, k: int, table: ModeTable, port: int, unit: float, bo
             capsize=3.0, alpha=0.45, zorder=2.5, label=f"{100 * table.level:g} % intervals",
         )  # fmt: skip
     return heads
+
+
+def _draw_damping(axis: Axes, tables: list[ModeTable], unit: float, look: Look) -> list[Any]:
+    """Damping ratios of all systems over frequency; those of lossless ones are 0."""
+    from_zero = any((table.at_zero > 0).any() for table in tables)
+    _frequency_scale(axis, np.concatenate([table.d for table in tables]) / unit, from_zero)
+    lines, ratios = [], [np.zeros(len(one.d)) if one.damping is None else one.damping for one in tables]
+    for k, (table, zeta) in enumerate(zip(tables, ratios, strict=True)):
+        style = {"color": f"C{k}", **look.line}
+        axis.vlines(table.d / unit, 0.0, zeta, zorder=2, linewidth=1.2, color=style["color"])
+        head: dict[str, Any] = {"marker": _MARKERS[k % 5], "markersize": 5.0 if len(zeta) <= _MANY_STEMS else 3.0}
+        lines += axis.plot(table.d / unit, zeta, linestyle="none", color=style["color"], zorder=3, label="_", **head)
+    every = np.concatenate(ratios)
+    shown = every[every > 0]
+    if len(shown) == len(every) > 0 and shown.max() > _WIDE * shown.min():
+        axis.set(yscale="log", ylim=(shown.min() / 2.0, 2.0 * shown.max()))
+    else:
+        low, high = min(float(every.min(initial=0.0)), 0.0), float(every.max(initial=0.0))
+        span = high - low or 1.0
+        axis.set_ylim(low - 0.03 * span, high + 0.08 * span)
+    axis.set_ylabel("Damping ratio ζ")
+    return lines
 
 
 # --- poles and zeros -------------------------------------------------------------------------------------------------

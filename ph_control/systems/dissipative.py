@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from .. import _checks
 from .._checks import EPS
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal
-from ..exceptions import NotLosslessError, StructureError
+from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
 from ..numerics.double_double import exactly, product, two_sum
@@ -253,9 +253,9 @@ class DissipativePortHamiltonian(PortHamiltonian):
     v = property(_lossless_only("v", "Williamson coordinates are"))
     is_canonical = property(_lossless_only("is_canonical", "canonical systems are"))
     _energy = property(_lossless_only("_energy", "Williamson coordinates are"))
-    _reduction = property(_lossless_only("_reduction", "minimal realisations are"))
+    _reduction = property(_lossless_only("_reduction", "the canonical part and its margins are"))
     rigid_modes = property(_lossless_only("rigid_modes", "rigid-body modes are"))
-    _separation = _lossless_only("_separation", "minimal realisations are")
+    _separation = _lossless_only("_separation", "the canonical part and its margins are")
 
     def _named(self, names: dict[str, Any]) -> DissipativePortHamiltonian:
         """Return the same system with other names."""
@@ -355,6 +355,24 @@ def of_passive(
         _checks.finite(name, getattr(given, name))
     parts, conversion = passive_parts(given, storage, refusal)
     return restored(parts, names, None, conversion)
+
+
+def minimal_of(system: DissipativePortHamiltonian) -> DissipativePortHamiltonian:
+    """System of the same transfer function with the states that ports reach and see; as it is if these are all."""
+    given = PortRows(system.A, system.B, system.C, system.D)
+    try:
+        parts, conversion = passive_parts(given, "auto", None, minimal=True)
+    except NotPassiveError as error:  # it is passive, by its matrices
+        cause = (
+            "a sensor sees what ports do not, such as the position of a free mass; leave it out"
+            if len(system.sensors[0])
+            else "its matrices are ill-conditioned; give it in better scaled states"
+        )
+        raise StructureError(f"no minimal form of {system.name!r} is known to be passive: {cause}") from error
+    if not conversion.hidden:
+        parts, conversion = system._parts, Conversion("given", 0, 0.0)
+    names = {"inputs": system.input_labels, "outputs": system.output_labels}
+    return restored(parts, names, system.time_unit, conversion)
 
 
 # --- checks ------------------------------------------------------------------------------------------------------

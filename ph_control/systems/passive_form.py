@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import control as ct
@@ -29,6 +29,7 @@ from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.positive_real import Matrices, Passivity, Split, split_axis, violations
 from ..modal.storage import NoStorageError, dissipation, semidefinite, storage_coordinates
+from ..numerics.invariant_subspaces import equilibrated
 
 Parts = dict[str, Array]
 
@@ -123,8 +124,12 @@ def _signal(kind: str, which: Any, labels: list[str]) -> int:
     )
 
 
-def passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | None) -> tuple[Parts, Conversion]:
+def passive_parts(
+    given: PortRows, storage: str, refusal: NotLosslessError | None, *, minimal: bool = False
+) -> tuple[Parts, Conversion]:
     """Parts of a `DissipativePortHamiltonian` with the transfer function of a passive system.
+
+    If `minimal`, without the states that ports do not reach or do not see, even where the matrices show a mass.
 
     Raises
     ------
@@ -136,7 +141,7 @@ def passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | Non
     _checks.in_range("the matrices", np.concatenate([M.ravel() for M in (given.A, given.B, given.C, given.D)]))
     try:
         with np.errstate(all="ignore"):
-            return _passive_parts(given, storage, refusal)
+            return _passive_parts(given, storage, refusal, minimal)
     except (LinAlgError, ArithmeticError):
         raise StructureError(
             "the system is too ill-conditioned to convert: its eigenvalue problems have no answer; give it "
@@ -144,14 +149,18 @@ def passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | Non
         ) from None
 
 
-def _passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | None) -> tuple[Parts, Conversion]:
+def _passive_parts(
+    given: PortRows, storage: str, refusal: NotLosslessError | None, minimal: bool
+) -> tuple[Parts, Conversion]:
     m = given.ports
     split, D = split_axis(given.A, given.B, given.C), given.D
     omega = _band(split)
     _refuse_active(split, D, m, refusal)
+    if minimal:
+        split = replace(split, axis=_met_by_ports(split.axis, given), rest=_minimal(*split.rest, m))
     parts, energy = None, storage
     if storage == "auto":
-        parts, energy = physical_parts(given.A, given.B, given.C, given.D), "given"
+        parts, energy = None if minimal else physical_parts(given.A, given.B, given.C, given.D), "given"
         if parts is None and len(D) == m:
             parts, energy = classical_parts(*split.rest, D, split.axis), "modal"
         if parts is not None and not _difference(parts, given, omega) <= _EXACT:
@@ -159,6 +168,8 @@ def _passive_parts(given: PortRows, storage: str, refusal: NotLosslessError | No
     if parts is None:
         energy = "mean" if storage == "auto" else storage
         parts = _joined([_stored(PortRows(*split.rest, D), energy), *_lossless(split.axis, m)], D[m:])
+    if minimal:
+        _refuse_lost_sensors(parts, given, omega)
     error = _difference(parts, given, omega)
     if not error <= _LOST:
         raise StructureError(
@@ -238,6 +249,22 @@ def _stored(system: PortRows, storage: str) -> Parts:
     }  # fmt: skip
 
 
+def _met_by_ports(axis: list[tuple[float, ComplexArray]], given: PortRows) -> list[tuple[float, ComplexArray]]:
+    """Poles on the axis whose residue at the ports is more than rounding."""
+    m = given.ports
+    _, B, C = equilibrated(given.A, given.B, given.C)
+    unseen = _UNSEEN * float(np.linalg.norm(B) * np.linalg.norm(C[:m]))
+    return [(w, K) for w, K in axis if not np.linalg.norm(K[:m]) <= unseen]
+
+
+def _minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
+    """Balanced coordinates of what the ports of a stable system reach and see."""
+    rate = float(np.linalg.norm(A)) or 1.0
+    root = np.sqrt(rate)
+    A, B, C = _balanced_minimal(A / rate, B / root, C / root, m)
+    return rate * A, root * B, root * C
+
+
 def _balanced_minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
     """Balanced coordinates of what ports reach and see, by the Hankel singular values of the first m outputs."""
     if not len(A):
@@ -311,11 +338,30 @@ def _joined(found: Sequence[Parts], through: Array) -> Parts:
 # --- held against what was given ----------------------------------------------------------------------------------
 
 
-def _difference(parts: Parts, given: PortRows, omega: Array) -> float:
+def _refuse_lost_sensors(parts: Parts, given: PortRows, omega: Array) -> None:
+    """Refuse to leave out states that a sensor sees."""
+    m = given.ports
+    for k in range(len(given.D) - m):
+        row = slice(m + k, m + k + 1)
+        off = _difference(
+            parts | {name: parts[name][k : k + 1] for name in ("sensor_rows", "sensor_feedthrough")},
+            PortRows(given.A, given.B, given.C[row], given.D[row]), omega, sensors_only=True,
+        )  # fmt: skip
+        if not off <= _LOST:
+            raise StructureError(
+                f"sensor {k} (output {m + k}) sees states that ports do not reach or do not see: without them its "
+                f"response differs by {off:.2g} of its largest value, allowed {_LOST:.0e}; leave the sensor out, or "
+                "keep all states"
+            )
+
+
+def _difference(parts: Parts, given: PortRows, omega: Array, *, sensors_only: bool = False) -> float:
     """Largest difference of the responses beyond the rounding of the given matrices, over the largest response."""
     K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
     C = np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
     D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
+    if sensors_only:
+        C, D = parts["sensor_rows"], parts["sensor_feedthrough"]
     with np.errstate(invalid="ignore", over="ignore"):
         wanted, moved = _response(given.A, given.B, given.C, given.D, omega)
         got, _ = _response(K @ parts["Q"], G - P, C, D, omega)

@@ -8,7 +8,7 @@ nobody sees.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,8 +21,9 @@ from ..exceptions import StructureError
 from ..modal.error_bounds import Group, Separation, as_decided
 from ..modal.minimal import minimal_of_exact
 from ..modal.modal_form import ModalForm
-from .base import in_normal_form
-from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian
+from .base import LosslessSystem, in_normal_form, refuse_losses
+from .dissipative import DissipativePortHamiltonian, minimal_of
+from .port_hamiltonian import PortHamiltonian, full_port_hamiltonian, ph
 
 _NEAR = 1e-9  # relative distance of frequencies that a symmetric structure may mean to be one
 _SURE_GAP = 2e-6  # relative gap of frequencies beyond which weights, however computed, agree to 1e-10
@@ -145,22 +146,29 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     Parameters
     ----------
     sys : PortHamiltonian, or anything that `ph` takes
-        System with any number of ports; its `Q` may be semidefinite.
+        System with any number of ports, with losses or without; its `Q` may be semidefinite.
     rtol : float, optional
         Relative tolerance, instead of bounds of the rounding errors: frequencies closer than `rtol * d` are one, and
-        a residue of at most `rtol` times the largest is 0.
+        a residue of at most `rtol` times the largest is 0.  Of lossless systems only.
 
     Returns
     -------
     PortHamiltonian
-        In Williamson coordinates.  Inputs and outputs keep their names.
+        In Williamson coordinates; inputs and outputs keep their names.  With losses, feedthrough or sensors a
+        `DissipativePortHamiltonian` whose `conversion` has the number of states left out, `hidden`.
 
     Raises
     ------
-    NotLosslessError
-        If the system has no port-Hamiltonian form.
+    NotPassiveError, NotLosslessError
+        If the system has no port-Hamiltonian form, or has losses and `rtol` is given.
     StructureError
-        If it is of no kind that `ph` takes, or `rtol` is no number from 0 to 1.
+        If it is of no kind that `ph` takes, a sensor sees states that would be left out, or `rtol` is no number from
+        0 to 1.
+
+    Warns
+    -----
+    ConditioningWarning
+        If with losses the transfer functions differ by more than 1e-10 of the largest value.
 
     See Also
     --------
@@ -177,6 +185,11 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     Symmetric structures have pairs of modes that rounding of `Q`, more than that of doubles, has taken apart:
     `canonical_margins` says how many lie within 1e-9, and `rtol=1e-9` merges them.
 
+    With losses, states are left out whose Hankel singular values are 0 to 1e-13 of the largest, and undamped modes
+    without a residue.  What is left has the energy of its modes where damping is classical, else the mean storage of
+    its ports, as from `ph`.  A system without hidden states is returned in its own coordinates, with its own energy.
+    O(n^3).
+
     Modes that are known are merged in O(n).  Of a matrix it is O(n^3), and for one port mostly without mode shapes:
     each bound of an error lies between two that need none, and where both lead to the same decision it is made.  `d`
     and `r` are then as accurate as those of a system that has not been asked for its `modes`.
@@ -188,10 +201,21 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     >>> small = phc.minreal(equal_branches)
     >>> small.d, small.r
     (array([0.5, 1. ]), array([2., 2.]))
+    >>> damped = phc.minreal(phc.lc_circuit([1.0, 1.0, 4.0], 1.0, R=0.1))
+    >>> damped.nstates, damped.conversion.hidden
+    (4, 2)
     """
-    if rtol is None and isinstance(sys, ModalForm) and (known := minimal_of_exact(sys)) is not None:
+    if rtol is None and isinstance(sys, ModalForm) and sys.is_lossless and (known := minimal_of_exact(sys)) is not None:
         return PortHamiltonian._from_modes(known)
-    system = full_port_hamiltonian(sys)
+    system = full_port_hamiltonian(sys) if isinstance(sys, LosslessSystem) else ph(sys)
+    if isinstance(system, DissipativePortHamiltonian):
+        if rtol is not None:
+            refuse_losses(system, "tolerances of frequencies are")
+        small = minimal_of(system)
+        if system is not sys and system.conversion is not None and small.conversion is not None:
+            hidden = system.conversion.hidden + small.conversion.hidden
+            small.conversion = replace(small.conversion, hidden=hidden)
+        return small
     return _named_like(system, system._minimal if rtol is None else system._separation(rtol).minimal())
 
 
