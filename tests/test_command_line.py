@@ -128,10 +128,11 @@ def test_the_page_tells_the_keys_of_every_answer(workshop):
         "plot": "ph-control plot poles plant.mat --out keys.png --json --overwrite",
         "demo": "ph-control demo --folder keys --json",
     }
+    lossy = {"natural_frequencies", "damping_ratios", "sensors"}  # of a system with losses, which plant.mat is not
     for name, line in lines.items():
         answer = json.loads(workshop.line(line).out)
         told = set(re.findall(r"`(\w+)`", rows[name]))
         inner = {"models", "plants"}
         nested = {key for part in inner & set(answer) for one in answer[part] if isinstance(one, dict) for key in one}
-        assert told - {"models", "fit"} <= set(answer) | nested, name
+        assert told - {"models", "fit"} <= set(answer) | nested | (lossy if name == "info" else set()), name
         assert answer["command"] == name

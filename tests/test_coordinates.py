@@ -241,7 +241,7 @@ def test_with_the_controllable_representation_all_forms_have_the_state():
     u, y = sensor_away()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", phc.IdentifiabilityWarning)
-        result = phc.pem((u, y), 2, dt=STEP, representation="controllable")
+        result = phc.pem((u, y), 2, dt=STEP, representation="controllable", intersample="zoh")
     assert result.active == (1,)
     for form in ("ph", "ch", "oh"):
         found = outputs(form, result.system, result.initial_state_in(form), u[:80])

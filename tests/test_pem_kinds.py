@@ -467,7 +467,7 @@ def test_modes_without_weight_rest_in_the_controllable_representation():
     # a motion at 3.3, at which the record asks for a residue below 0
     hidden = output(np.array([3.3]), np.array([-0.02]), np.array([1.0 + 1j]), u, 0.1)
     moving = phc.pem((u, y + hidden), 3, dt=0.1)
-    resting = phc.pem((u, y + hidden), 3, dt=0.1, representation="controllable")
+    resting = phc.pem((u, y + hidden), 3, dt=0.1, representation="controllable", intersample="zoh")
     assert moving.active == (2,) and abs(moving.free_amplitudes[2]) > 1
     assert moving.representation == "observable" and resting.representation == "controllable"
     assert resting.loss > 2 * moving.loss

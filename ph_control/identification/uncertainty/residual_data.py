@@ -197,7 +197,7 @@ def factor_of(columns: Array) -> Array:
     width = max(1024, _CACHED // max(1, count))
     if not columns.size:
         return np.zeros((count, count))
-    return triangle(lambda: (columns[:, first : first + width] for first in range(0, samples, width)), samples)
+    return triangle(lambda: iter([columns[:, first : first + width] for first in range(0, samples, width)]), samples)
 
 
 def without_peaks(residuals: Array) -> Array:
