@@ -197,15 +197,27 @@ def test_a_model_is_read_in_every_form_in_which_one_is_handed_over(content):
 
 
 @pytest.mark.parametrize("content", [matlab(**LOSSY), json.dumps(LOSSY), "1 0\n1 0.1 1\n"])
-def test_a_lossy_system_is_status_1_with_each_violation(content):
+def test_a_system_with_losses_is_shown_and_converted(content):
+    answer = shown(content)
+    assert answer["status"] == 0 and answer["lossless"] is False and answer["violations"] == []
+    assert np.allclose(answer["damping_ratios"], 0.05, rtol=1e-12)
+    done = run("info", "-", stdin=content)
+    assert done.status == 0 and "1 output, with losses" in done.out
+    made = run("convert", "-", "-", stdin=content)
+    assert made.status == 0 and json.loads(made.out)["kind"] == "DissipativePortHamiltonian"
+    assert np.allclose(shown(made.out)["damping_ratios"], 0.05, rtol=1e-12)
+
+
+def test_a_system_that_is_not_passive_is_status_1_with_its_bands():
+    content = "1 -3\n1 3 5\n"
     answer = shown(content)
     assert answer["status"] == 1 and answer["lossless"] is False
-    assert "off the imaginary axis: real part -0.05" in answer["violations"][0]
+    assert "from 0 to 1.58114 rad per unit time it gives energy" in answer["violations"][0]
     done = run("info", "-", stdin=content)
-    assert done.status == 1 and "NOT lossless" in done.out and "  - pole -0.05" in done.out
+    assert done.status == 1 and "NOT passive" in done.out and "  - from 0 to 1.58114" in done.out
     refused = run("convert", "-", "-", stdin=content)
     assert (refused.status, refused.out) == (1, "") and refused.error.count("\n") == 1
-    assert "standard input is not lossless, so it has no port-Hamiltonian form: pole -0.05" in refused.error
+    assert "standard input is not passive, so it has no port-Hamiltonian form: from 0 to 1.58114" in refused.error
 
 
 def test_the_exact_name_comes_before_the_same_in_another_case():
@@ -217,7 +229,8 @@ def test_the_exact_name_comes_before_the_same_in_another_case():
 
 def test_a_feedthrough_is_not_lost_for_the_case_of_its_name():
     for content in (matlab(a=0.0, b=1.0, c=1.0, d=2.0), '{"A": 0, "B": 1, "C": 1, "d": 2, "r": 1}'):
-        assert "feedthrough D = 2" in shown(content)["violations"][0]
+        made = phc.load(BytesIO(run("convert", "-", "-", stdin=content).out.encode()))
+        assert made.D.item() == 2.0
 
 
 def test_coefficients_may_be_given_on_the_line():

@@ -223,9 +223,13 @@ def test_mistakes_end_in_one_line_with_a_remedy_and_draw_nothing(here, arguments
     assert not list(here.iterdir())
 
 
-@pytest.mark.parametrize("kind", ["modes", "energy"])
-def test_what_only_lossless_systems_have_is_not_drawn_of_others(here, kind):
-    done = run("plot", kind, "lossy.txt", "--out", here / "p.png")
+def test_the_energy_of_a_passive_system_is_drawn(here):
+    assert run("plot", "energy", "lossy.txt", "--out", here / "p.png").status == 0
+    assert (here / "p.png").stat().st_size > 0
+
+
+def test_what_only_lossless_systems_have_is_not_drawn_of_others(here):
+    done = run("plot", "modes", "lossy.txt", "--out", here / "p.png")
     assert done.status == 1 and "lossy.txt is not lossless" in done.error and not list(here.iterdir())
 
 

@@ -102,7 +102,7 @@ def _converted(model: Model, form: str | None, name: str | None) -> Any:
     if isinstance(model.content, phc.AffineHamiltonian) and form in (None, "ss"):
         found: Any = model.content
     else:
-        found = model.lossless()
+        found = model.port_hamiltonian()
     if isinstance(found, phc.ModalForm) and (form not in (None, "modes") or name is not None):
         # modes have no name, and no matrices
         found = phc.ph(found, name=system_name_of(model.label))

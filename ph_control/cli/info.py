@@ -1,8 +1,8 @@
-"""Show what a model is: its modes, and whether it is lossless.
+"""Show what a model is: its modes, and whether it is lossless, or has losses.
 
 Models are JSON files written by this package or with fields such as A, B, C, D, .mat files with such variables, and
-texts with the numerator and the denominator of a transfer function. Exit status 1 if a model is neither
-lossless nor a port-Hamiltonian system with losses.
+texts with the numerator and the denominator of a transfer function. Exit status 1 if a model has no
+port-Hamiltonian form, because it is not passive.
 
 Examples
 --------
@@ -56,9 +56,9 @@ def _answer(model: Model) -> tuple[dict[str, Any], str]:
     given = _foreign(model)
     try:
         # an affine system is what it is
-        found = model.content if isinstance(model.content, phc.AffineHamiltonian) else model.lossless()
+        found = model.content if isinstance(model.content, phc.AffineHamiltonian) else model.port_hamiltonian()
     except NoError as error:
-        text = "\n".join([f"{given}, NOT lossless", *(f"  - {line}" for line in error.violations)])
+        text = "\n".join([f"{given}, NOT {error.missing}", *(f"  - {line}" for line in error.violations)])
         return {**known, "lossless": False, "violations": error.violations}, text
     known["lossless"] = bool(found.is_lossless)
     lines = [f"{given}, {'lossless' if known['lossless'] else 'with losses'}"] if given else []

@@ -135,7 +135,14 @@ class Model:
         return isinstance(self.content, phc.PEMResult)
 
     def lossless(self) -> Any:
-        """Object of this package that has the same transfer function; `NoError` if none has."""
+        """As `port_hamiltonian`; `NoError` if what other programs wrote has losses."""
+        return self._of_this_package(lossless=True)
+
+    def port_hamiltonian(self) -> Any:
+        """Object of this package that has the same transfer function, with losses or without; `NoError` if none has."""
+        return self._of_this_package(lossless=False)
+
+    def _of_this_package(self, *, lossless: bool) -> Any:
         from ..systems.base import LosslessSystem
 
         if self.is_result:
@@ -148,9 +155,9 @@ class Model:
         if isinstance(self.content, LosslessSystem | phc.ModalForm):
             return self.content
         try:
-            return phc.ph(self.content, lossless=True)
+            return phc.ph(self.content, lossless=lossless)
         except NotLosslessError as error:
-            raise NoError(self.source, error.violations) from None
+            raise NoError(self.source, error.violations, "lossless" if lossless else "passive") from None
 
 
 def system_name_of(text: str) -> str:

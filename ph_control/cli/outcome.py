@@ -36,13 +36,14 @@ _KEYWORD = re.compile(rf"\b({'|'.join(_KEYWORDS)})=(?:'([^']*)'|([\w.+-]*\w)?)")
 
 
 class NoError(PHControlError):
-    """The answer is no: a model is not lossless, for the reasons given."""
+    """The answer is no: a model is not lossless, or not passive, for the reasons given."""
 
-    def __init__(self, source: str, violations: Sequence[str]) -> None:
-        self.violations = tuple(violations)
+    def __init__(self, source: str, violations: Sequence[str], missing: str = "lossless") -> None:
+        self.violations, self.missing = tuple(violations), missing
         more = len(violations) - 1
         rest = f" (and {more} more; ph-control info lists them)" if more else ""
-        super().__init__(f"{source} is not lossless, so it has no port-Hamiltonian form: {violations[0]}{rest}")
+        so = "" if missing == "lossless" else ", so it has no port-Hamiltonian form"
+        super().__init__(f"{source} is not {missing}{so}: {violations[0]}{rest}")
 
 
 def in_shell_terms(text: str) -> str:

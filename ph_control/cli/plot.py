@@ -139,7 +139,7 @@ def _poles(models: list[Model], labels: list[str], options: Namespace) -> Any:
 def _energy(models: list[Model], labels: list[str], options: Namespace) -> Any:
     from ..systems.port_hamiltonian import full_port_hamiltonian
 
-    systems = [full_port_hamiltonian(model.lossless()) for model in models]
+    systems = [full_port_hamiltonian(model.port_hamiltonian()) for model in models]
     for model, system in zip(models, systems, strict=True):
         if not system.nstates:
             raise StructureError(f"{model.source} has no modes, so it stores no energy; there is nothing to draw")
