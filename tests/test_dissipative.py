@@ -440,3 +440,27 @@ def test_modes_plot_marks_modes_without_a_weight_of_their_own():
     alone = phc.modes_plot(phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 2.0])))
     assert np.isnan(alone.lines[0, 0][0].get_ydata()).all()
     plt.close("all")
+
+
+@pytest.mark.parametrize(
+    "method, intersample",
+    [("exact", "zoh"), ("exact", "foh"), ("midpoint", "zoh"), ("midpoint", "foh"), ("euler", "zoh")],
+)
+def test_a_sampled_system_with_losses_comes_back(method, intersample):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        d, zeta = np.cumsum(rng.uniform(0.3, 1.0, 3)), np.array([0.003, 0.1, 1.6])
+        system = phc.ph(phc.modes(d, rng.uniform(0.5, 1.0, 3), damping=zeta))
+        sampled = phc.sample(system, 0.2, method=method, intersample=intersample)
+        back = phc.ph(sampled, method=method, intersample=intersample)
+        s = 1j * np.geomspace(0.01, 100, 50)
+        np.testing.assert_allclose(
+            back.horner(s), system.horner(s), rtol=0, atol=1e-10 * np.abs(system.horner(s)).max()
+        )
+        assert np.linalg.eigvalsh(back.R)[0] >= -1e-12 * np.linalg.norm(back.R)
+
+
+def test_a_sampled_system_with_repeated_poles_and_losses_is_refused_by_name():
+    system = phc.ph(phc.modes(1.0, 1.0, damping=1.0))
+    with pytest.raises(phc.StructureError, match="repeated poles"):
+        phc.ph(phc.sample(system, 0.2), method="exact")

@@ -147,9 +147,12 @@ def test_a_wrong_method_is_refused_or_gives_another_system_never_silently_the_sa
     euler = phc.sample(sys, 0.3, "euler")
     for method in ("exact", "midpoint"):
         with pytest.raises(phc.NotLosslessError, match="off the imaginary axis"):
+            phc.ph(euler, method=method, lossless=True)
+        with pytest.raises(phc.NotPassiveError):
             phc.ph(euler, method=method)
     with pytest.raises(phc.NotLosslessError, match="off the imaginary axis"):
-        phc.ph(phc.sample(sys, 0.3), method="euler")
+        phc.ph(phc.sample(sys, 0.3), method="euler", lossless=True)
+    assert phc.ph(phc.sample(sys, 0.3), method="euler").damping_ratios.min() > 0.1
     warped = phc.ph(phc.sample(sys, 0.3, "midpoint"), method="exact")
     assert np.max(np.abs(warped.d - 2 / 0.3 * np.arctan(0.15 * sys.d))) < 1e-12
 
@@ -168,7 +171,7 @@ def sampled_at(pole):
 BAD = {
     "nyquist": (lambda: phc.ph(sampled_at(-1.0), method="exact"), "comes from no frequency below that of Nyquist"),
     "nyquist, midpoint": (lambda: phc.ph(sampled_at(-1.0), method="midpoint"), "comes from no frequency below"),
-    "damped": (lambda: phc.ph(sampled_at(0.5), method="exact"), "off the imaginary axis"),
+    "damped": (lambda: phc.ph(sampled_at(0.5), method="exact", lossless=True), "off the imaginary axis"),
     "no step": (
         lambda: phc.ph(ct.ss([[1.0]], [[1.0]], [[1.0]], 0, True), method="exact"),
         "dt of the system is True; a sampling step",

@@ -64,6 +64,11 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
     return _confirmed(_poles_and_residues(sys, 0.0 if rule is None else 1.0), rule)
 
 
+def of_sampled(sys: Any, method: str | None, intersample: str) -> PoleResidueForm:
+    """Poles and residues in continuous time of any system that was sampled."""
+    return continuous(_poles_and_residues(sys, 1.0), sampling_rule(sys, method, intersample))
+
+
 def _confirmed(form: PoleResidueForm, rule: Hold | None) -> Judged:
     """Decide, and hold what was found against the matrices that it was found in."""
     judged = decide(form if rule is None else continuous(form, rule))

@@ -26,7 +26,7 @@ from .._types import Array, ArrayLike, ComplexArray, NDArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics.double_double import Pair, add, exactly, product
 from ..numerics.invariant_subspaces import equilibrated
-from ..numerics.pole_residue import PoleResidueForm
+from ..numerics.pole_residue import SAFETY, PoleResidueForm
 from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
 
@@ -360,6 +360,29 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     lead = c[np.arange(len(c)), np.abs(c).argmax(axis=1)] if c.size else np.ones(len(c))
     lead = np.where(lead == 0, 1.0, lead)[:, None]
     return GeneralModalForm(poles, c / lead, b * lead, D, clusters)
+
+
+def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
+    """Modes of poles with residues that stand out of their errors, each with the singular vectors of its residue."""
+    if np.any(form.growth > SAFETY * form.growth_error):
+        raise StructureError(
+            "the system has repeated poles, which rounding of a sampled system scatters; give it in continuous time"
+        )
+    found = []
+    for pole, residue, error, reach in zip(
+        form.poles, form.residues, SAFETY * form.residue_error, form.pole_error, strict=True
+    ):
+        if pole.imag < -reach:
+            continue
+        real = abs(pole.imag) <= reach
+        U, s, Vh = np.linalg.svd(residue.real if real else residue)
+        found += [(pole.real if real else pole, U[:, k] * s[k], Vh[k]) for k in np.flatnonzero(s > error)]
+    poles, shapes, participation = (list(part) for part in zip(*found, strict=True)) if found else ([], [], [])
+    outputs, inputs = form.feedthrough.shape
+    c = np.array(shapes, complex).reshape(len(found), outputs)
+    return GeneralModalForm(
+        np.array(poles, complex), c, np.array(participation, complex).reshape(len(found), inputs), form.feedthrough
+    )
 
 
 def refined(form: GeneralModalForm, A: Pair, B: Array, C: Array, D: Array) -> GeneralModalForm:

@@ -16,7 +16,7 @@ from ..exceptions import NotLosslessError, StructureError
 from ..modal import foster_test
 from ..modal import minimal as reachability
 from ..modal.error_bounds import Separation, separate
-from ..modal.general_form import GeneralModalForm, from_state_space, from_vectors, with_damping
+from ..modal.general_form import GeneralModalForm, from_pole_residues, from_state_space, from_vectors, with_damping
 from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
@@ -532,7 +532,7 @@ def ph(
         Numbers or names of the output at the port of each input; the other outputs become sensors. Default: output k
         belongs to input k.
     method : {'exact', 'midpoint', 'euler'}, optional
-        How a discrete-time system was sampled, which must be lossless; needed for such a system, and for no other.
+        How a discrete-time system was sampled; needed for such a system, and for no other.
     intersample : {'zoh', 'foh'}
         What its input did between samples; 'midpoint' with 'foh' is the bilinear (Tustin) transformation.
     **names
@@ -552,10 +552,10 @@ def ph(
     NotPassiveError
         If the system has no PH form, with the bands in which it gives energy.
     NotLosslessError
-        If it has losses and `lossless` is asked for, or it is in discrete time; it names each offending pole and
-        residue with its size and the tolerance.
+        If it has losses and `lossless` is asked for, or a pole of a sampled system comes from no frequency below that
+        of Nyquist; it names each offending pole and residue with its size and the tolerance.
     StructureError
-        If the arguments are not of one of these kinds.
+        If the arguments are not of one of these kinds, or a sampled system has repeated poles and losses.
 
     Warns
     -----
@@ -638,11 +638,13 @@ def ph(
         if not sensors_last:
             return PortHamiltonian._from_modes(judged.modes, **kept)
     except NotLosslessError as refused:
-        if lossless or sampled or isinstance(source, scipy.signal.dlti):
+        if lossless or isinstance(source, scipy.signal.dlti):
             raise
         refusal = refused
     from .dissipative import of_passive
 
+    if sampled:
+        source = from_pole_residues(foster_test.of_sampled(source, method, intersample)).state_space()
     system = _state_space(source, refusal)
     if not sensors_last and (system.ninputs != system.noutputs or not system.ninputs):
         raise StructureError(
