@@ -108,6 +108,8 @@ def finite(name: str, array: NDArray[Any]) -> None:
     good = np.isfinite(array)
     # counting takes a quarter of the time of `all` where there are few
     if np.count_nonzero(good) < good.size:
+        if not np.ndim(array):
+            raise StructureError(f"{name} is not finite: it is {float(array)}; give a finite number")
         bad = ~good
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         place = where[0] if len(where) == 1 else where
@@ -187,6 +189,7 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
     if even and rows % 2:
         raise StructureError(
             f"{name} has odd size {rows}; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)"
+            "; with losses R, a structure matrix J of any size can be given, such as J=[[0]] for a coil or a mass alone"
         )
     in_range(name, array)
     size, asymmetry = _largest(array), _largest(array - array.T)

@@ -31,7 +31,8 @@ def refusal(make, error=phc.StructureError):
         (np.ones((2, 4)), "Q is not square: its shape is (2, 4); it must be (2n, 2n)"),
         (
             np.eye(3),
-            "Q has odd size 3; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n)",
+            "Q has odd size 3; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n); with losses "
+            "R, a structure matrix J of any size can be given, such as J=[[0]] for a coil or a mass alone",
         ),
         (np.ones(4), "Q has 1 dimensions (shape (4,)), needed 2; reshape it so that nothing is guessed"),
         (np.ones((2, 2, 2)), "Q has 3 dimensions (shape (2, 2, 2)), needed 2; reshape it so that nothing is guessed"),
@@ -492,3 +493,7 @@ def test_a_sensor_away_from_its_force_is_refused_where_masses_are_sought():
     A = [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-2.0, 1.0, -0.1, 0.0], [1.0, -2.0, 0.0, -0.1]]
     sys = ct.ss(A, [[0.0], [0.0], [1.0], [0.0]], [[0.0, 0.0, 0.0, 1.0]], 0.0)
     assert "not passive" in refusal(lambda: phc.ph(sys), phc.NotPassiveError)
+
+
+def test_a_number_that_is_not_finite_is_told_as_it_is():
+    assert refusal(lambda: phc.lc_circuit(np.inf, 1.0)) == "C is not finite: it is inf; give a finite number"

@@ -223,7 +223,7 @@ def document_of(obj: Any) -> str:
     if codec is None or type(obj) is not codec.type:
         raise StructureError(
             f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
-            "a lossless system of another type can be converted with ph(sys)"
+            "a passive system of another type can be converted with ph(sys), any other with modes(sys)"
         )
     text = compose(type(obj).__name__, plain(codec.to_dict(obj)))
     try:
