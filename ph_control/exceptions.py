@@ -152,8 +152,9 @@ class NotPassiveError(NotLosslessError):
         if turned:
             return f"with the other sign of output {turned[0]}, counted from 0, it is passive: turn that sensor round"
         return (
-            "each output must be the velocity at the force of its input, or the current at its voltage, with the same "
-            "sign; ports=[(output, input), ..] chooses the outputs that are, and the others become sensors"
+            "each output must be the velocity at the force of its input (s times a displacement, 1/s times an "
+            "acceleration), or the current at its voltage, with the same sign; ports=[(output, input), ..] "
+            "chooses the outputs that are, and the others become sensors"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:

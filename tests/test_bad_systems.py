@@ -497,3 +497,9 @@ def test_a_sensor_away_from_its_force_is_refused_where_masses_are_sought():
 
 def test_a_number_that_is_not_finite_is_told_as_it_is():
     assert refusal(lambda: phc.lc_circuit(np.inf, 1.0)) == "C is not finite: it is inf; give a finite number"
+
+
+def test_a_displacement_is_refused_with_the_way_to_a_velocity():
+    displacement = ct.tf([1], [1, 3, 5])
+    assert "s times a displacement" in refusal(lambda: phc.ph(displacement), phc.NotPassiveError)
+    assert phc.ph(ct.tf([1, 0], [1]) * displacement).damping_ratios.round(4) == [0.6708]
