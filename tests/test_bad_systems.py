@@ -503,3 +503,7 @@ def test_a_displacement_is_refused_with_the_way_to_a_velocity():
     displacement = ct.tf([1], [1, 3, 5])
     assert "s times a displacement" in refusal(lambda: phc.ph(displacement), phc.NotPassiveError)
     assert phc.ph(ct.tf([1, 0], [1]) * displacement).damping_ratios.round(4) == [0.6708]
+
+
+def test_coefficients_that_overflow_over_the_first_are_refused():
+    assert "leave the range of doubles" in refusal(lambda: phc.ph(ct.tf([1.0, 0.0], [1e-320, 0.0, 1.0])))

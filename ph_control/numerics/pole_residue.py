@@ -342,6 +342,8 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         )
     while len(num) and num[-1] == 0 and den[-1] == 0:
         num, den = num[:-1], den[:-1]
+    with np.errstate(over="ignore"):
+        _checks.representable("the coefficients of the transfer function", num / den[0], den / den[0])
     if len(num) and (exact := _on_the_axis(num, den)) is not None:
         return exact
     order = len(den) - 1
