@@ -300,6 +300,7 @@ def with_damping(d: ArrayLike, r: ArrayLike, damping: ArrayLike) -> ModalForm:
     for name, array in (("d", d), ("r", weights), ("damping", zeta)):
         _checks.in_range(name, array)
     kappa = d * weights
+    _checks.in_range("kappa = r d", kappa)
     zeta = np.broadcast_to(zeta, d.shape)
     square = (1.0 - zeta) * (1.0 + zeta)
     critical = np.abs(square) < _CONDITION**-2

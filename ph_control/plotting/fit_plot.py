@@ -91,6 +91,9 @@ def fit_plot(
     >>> plt.close(plot.figure)
     """
     look = Look.of(style, FrameStyle)
+    for name, text in (("output_label", output_label), ("output_unit", output_unit), ("time_unit", time_unit)):
+        if not isinstance(text, str | None):
+            raise StructureError(f"{name} is {_checks.shown(text)}; it must be a text")
     if measured is None and predicted is None and isinstance(time, FitResult):
         options = {"time_unit": time_unit, "output_label": output_label, "output_unit": output_unit, "ax": ax, **style}
         if not isinstance(detail, str):

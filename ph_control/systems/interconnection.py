@@ -556,12 +556,17 @@ def _member(one: Any) -> PortHamiltonian:
 def _gain(value: Any, m: int, spread: Array) -> Array | None:
     """Matrix of a constant gain that makes no energy, of a number times `spread`; None where it is none such."""
     if is_number(value):
-        K = float(value) * spread
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.ndim in (0, 2):
+        value = np.array(float(value))
+    if (
+        isinstance(value, np.ndarray)
+        and value.dtype.kind in "iuf"
+        and value.ndim in (0, 2)
+        and np.isfinite(value).all()
+    ):
         K = np.asarray(value, float) * (spread if value.ndim == 0 else 1.0)
     else:
         return None
-    if K.shape != (m, m) or not np.isfinite(K).all():
+    if K.shape != (m, m):
         return None
     _checks.in_range("the gain", K)
     if np.linalg.eigvalsh(K + K.T).min(initial=0.0) < 0:
