@@ -228,9 +228,12 @@ def test_the_energy_of_a_passive_system_is_drawn(here):
     assert (here / "p.png").stat().st_size > 0
 
 
-def test_what_only_lossless_systems_have_is_not_drawn_of_others(here):
-    done = run("plot", "modes", "lossy.txt", "--out", here / "p.png")
-    assert done.status == 1 and "lossy.txt is not lossless" in done.error and not list(here.iterdir())
+def test_modes_with_losses_are_drawn_and_those_of_an_active_system_are_not(here):
+    assert run("plot", "modes", "lossy.txt", "--out", here / "p.png").status == 0
+    assert (here / "p.png").stat().st_size > 0
+    (here / "active.txt").write_text("1 0\n1 -0.1 1\n")
+    done = run("plot", "modes", here / "active.txt", "--out", here / "q.png")
+    assert done.status == 1 and "not passive" in done.error and not (here / "q.png").exists()
 
 
 def test_existing_pictures_and_inputs_are_kept(here):

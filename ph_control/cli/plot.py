@@ -124,7 +124,7 @@ def _transient(models: list[Model], labels: list[str], options: Namespace) -> An
 
 
 def _modes(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    given = [model.content if model.is_result else model.lossless() for model in models]
+    given = [model.content if model.is_result else model.port_hamiltonian() for model in models]
     return phc.modes_plot(
         given, Hz=options.hz, label=labels, title=options.title, gain_unit=options.unit, time_unit=options.time_unit
     )
