@@ -246,6 +246,14 @@ def _where_reactance_is(loop: ModalForm, level: Array, low: Array, high: Array) 
 
 
 def _reactance(loop: ModalForm, omega: Array) -> Array:
-    """`L(i omega)/i`; infinite at a pole."""
-    value = loop.freqresp(omega)
-    return np.where(np.isfinite(value), value.imag, np.inf)
+    """`L(i omega)/i`; infinite at a pole.
+
+    Terms may cancel, by which a crossing moves no further than by the rounding of its terms: where they are large, the
+    reactance rises as steeply.
+    """
+    w = omega[:, None]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        value = np.sum(loop.kappa * (w / (loop.d + w)) / (loop.d - w), axis=1)
+        if len(loop.rigid):
+            value = value - loop.kappa_0 / omega
+    return np.where(np.isfinite(value), value, np.inf)
