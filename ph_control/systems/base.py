@@ -165,7 +165,8 @@ class LosslessSystem(ct.StateSpace):
         def across(G: ComplexArray) -> Array:
             return -G.imag if self._integrated else G.real
 
-        aside = np.where(np.isfinite(values) & (across(values) == 0), _ASIDE * np.abs(values), 0.0)
+        along = np.abs(values.real if self._integrated else values.imag)
+        aside = np.where((across(values) == 0) & (along < np.inf), _ASIDE * along, 0.0)
         if self.ninputs > 1:
             # entries of residues with either sign go either way
             aside = np.copysign(aside, across(self.horner(response.omega * (1j + _RIGHT))))
