@@ -474,6 +474,7 @@ LOSSY = phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 0.1]))
         (lambda: phc.passivity(ct.ss(np.full((2, 2), 1e200), [[1.0], [1.0]], [[1.0, 1.0]], 0.0)), "A is out of range"),
         (lambda: phc.modes(1e150, 1e12, damping=0.01), "kappa = r d is out of range"),
         (lambda: phc.fit_plot([0.0, 1.0], [1.0, 2.0], [1.0, 2.0], output_label=np.ones(2)), "output_label is"),
+        (lambda: phc.modes_plot(phc.ph(phc.modes(1.0, 1.0)), linewidth=np.array(np.inf)), "linewidth is"),
         (lambda: phc.ch([1e6, 5e-324, 1e6, 3e6], [0.4, 0.3, -0.3, -0.5]).modes, "leave the range of doubles"),
         (lambda: phc.spring_chain([1.0, 2.0], port=[[1.0], [1.0, 2.0]]), "port is"),
         (lambda: phc.ph(np.eye(2), [0.0, 1.0], sensors=(0.6, 2.1, 0.5)), "the sensors"),

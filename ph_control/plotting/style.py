@@ -84,6 +84,9 @@ class Look:
             _checks.choice("legend_loc", place, tuple(Legend.codes))
         # what matplotlib would refuse in the middle of a picture
         try:
+            for name, value in given.items():
+                if isinstance(value, float | np.number | np.ndarray) and not np.isfinite(value).all():
+                    raise ValueError(f"{name} is {_checks.shown(value)}, not finite")
             Line2D([], [], **given)
             RcParams(dict(frame.get("rcParams", {})))
         except (ValueError, TypeError, KeyError, OSError) as error:  # python-control raises the last on being iterated
