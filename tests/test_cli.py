@@ -10,7 +10,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import control as ct
@@ -547,9 +546,10 @@ def test_the_interrupt_key_ends_a_process_with_status_130():
     process = subprocess.Popen(
         [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    # it waits for the recording
     assert process.stdout.readline() == b"here\n"
-    time.sleep(0.2)
+    # more than a pipe holds: when all is written, it has begun to read, and waits for the rest
+    process.stdin.write(b"0,1,2\n" * 40_000)
+    process.stdin.flush()
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130 and error.strip() == b"ph-control: interrupted; no file is written in part"
