@@ -20,6 +20,7 @@ from .._display import ShownModes
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import polynomials
+from ..numerics.mode_shapes import mac
 from ..numerics.polynomials import COEFFICIENT_LIMIT, WIDE, ScaledCoefficients, decimals
 from .reactance import Reactance
 from .zeros import many_port_zeros, one_port_zeros
@@ -249,12 +250,7 @@ class ModalForm(ShownModes):
         """
         if not isinstance(other, ModalForm):
             raise StructureError(f"other is a {type(other).__name__}; it must be a ModalForm, as modes(sys) gives")
-        mine, its = (
-            one.shapes / np.maximum(np.linalg.norm(one.shapes, axis=1), _checks.TINY)[:, None] for one in (self, other)
-        )
-        if mine.shape[1] != its.shape[1]:
-            raise StructureError(f"shapes of {mine.shape[1]} and of {its.shape[1]} outputs; they must be the same ones")
-        return np.abs(mine.conj() @ its.T) ** 2
+        return mac(self.shapes, other.shapes)
 
     @cached_property
     def kappa(self) -> Array:
