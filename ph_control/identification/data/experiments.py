@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from .data_frames import is_data_frame, record_of_frame
 from .frequency_record import FrequencyRecord, checked_weights, record_of_frequency_response
-from .time_record import Record, record_of_pair, records_of_response, refuse_contradiction
+from .time_record import CheckedData, Record, record_of_pair, records_of_response, refuse_contradiction
 
 _KINDS = (
     "a control.TimeResponseData, a control.FrequencyResponseData, a data frame with columns t, u and y, or a tuple "
@@ -69,8 +70,13 @@ def as_experiments(
     >>> first.dt, second.dt, second.driven, second.observed.tolist()
     (0.1, 0.2, False, [True, False, True, True])
     """
+    return each_experiment(data, dt, weights, partial(_experiment, output_needed=output_needed))
+
+
+def each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., tuple[Any, ...]]) -> tuple[Any, ...]:
+    """What `take(data, dt, weights, first)` makes of one experiment, or of each in a list, of which `first` is one."""
     if not _are_several(data):
-        return _experiment(data, dt, weights, output_needed)
+        return take(data, dt, weights, None)
     if len(data) == 0:
         raise StructureError(f"data is an empty {type(data).__name__}; pass at least one experiment: {_KINDS}")
     if weights is not None and not isinstance(weights, list | tuple):
@@ -82,7 +88,7 @@ def as_experiments(
     found: list[Any] = []
     for k, (one, step, share) in enumerate(zip(data, steps, shares, strict=True), start=1):
         try:
-            found.extend(_experiment(one, step, share, output_needed, first=data[0]))
+            found.extend(take(one, step, share, data[0]))
             common_unit(found)
         except (StructureError, IdentificationError) as error:
             raise type(error)(f"experiment {k}: {error}") from None
@@ -107,8 +113,7 @@ def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, 
 
 def _is_object(data: Any) -> bool:
     """Whether this can be nothing but one experiment."""
-    kinds = Record | FrequencyRecord | TimeResponseData | FrequencyResponseData
-    return isinstance(data, kinds) or is_data_frame(data)
+    return isinstance(data, CheckedData | TimeResponseData | FrequencyResponseData) or is_data_frame(data)
 
 
 def _is_signal(value: Any) -> bool:
@@ -145,23 +150,31 @@ def _refuse_unknown(data: Any, listed: bool) -> None:
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 
-def _experiment(data: Any, dt: Any, weights: Any, output_needed: bool, first: Any = None) -> tuple[Any, ...]:
-    """Records of one experiment; in a list it is of the kind of the `first`."""
+def refuse_mixture(data: Any, dt: Any, weights: Any, first: Any, spectral: Callable[[Any], bool]) -> None:
+    """Refuse what is no experiment, what is of another kind than the `first` of a list, and options of other kinds."""
     _refuse_unknown(data, listed=first is not None)
-    spectral = isinstance(data, FrequencyResponseData | FrequencyRecord)
-    if first is not None and spectral != isinstance(first, FrequencyResponseData | FrequencyRecord):
-        kinds = ["a frequency response", "a record in time"][:: 1 if spectral else -1]
+    if first is not None and spectral(data) != spectral(first):
+        kinds = ["a frequency response", "a record in time"][:: 1 if spectral(data) else -1]
         raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
-    if spectral:
-        if dt is not None:
-            raise StructureError("dt is the step of a record in time, and a frequency response has none; leave dt out")
-        if isinstance(data, FrequencyResponseData):
-            return (record_of_frequency_response(data, weights),)
-        return (data if weights is None else replace(data, weights=checked_weights(weights, data.samples)),)
-    if weights is not None:
+    if spectral(data) and dt is not None:
+        raise StructureError("dt is the step of a record in time, and a frequency response has none; leave dt out")
+    if not spectral(data) and weights is not None:
         raise StructureError(
             "weights belong to frequency responses, and this is a record in time; mark samples to leave out with NaN"
         )
+
+
+def _is_spectral(data: Any) -> bool:
+    return isinstance(data, FrequencyResponseData | FrequencyRecord)
+
+
+def _experiment(data: Any, dt: Any, weights: Any, first: Any, output_needed: bool) -> tuple[Any, ...]:
+    """Records of one experiment; in a list it is of the kind of the `first`."""
+    refuse_mixture(data, dt, weights, first, _is_spectral)
+    if _is_spectral(data):
+        if isinstance(data, FrequencyResponseData):
+            return (record_of_frequency_response(data, weights),)
+        return (data if weights is None else replace(data, weights=checked_weights(weights, data.samples)),)
     if isinstance(data, Record):
         refuse_contradiction(dt, data.dt, "the time of the record")
         return (data,)
@@ -169,6 +182,8 @@ def _experiment(data: Any, dt: Any, weights: Any, output_needed: bool, first: An
         return records_of_response(data, dt)
     if is_data_frame(data):
         return (record_of_frame(data, dt, output_needed=output_needed),)
+    if isinstance(data, CheckedData):
+        raise StructureError(f"this is a {type(data).__name__} of several channels; needed one input and one output")
     u, y = data
     return (record_of_pair(u, y, dt, output_needed=output_needed),)
 

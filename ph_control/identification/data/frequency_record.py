@@ -10,15 +10,14 @@ import numpy as np
 from control import FrequencyResponseData
 
 from ... import _checks
-from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Mask
 from ..._units import checked_unit, with_unit
 from ...exceptions import IdentificationError, StructureError
-from .time_record import refuse_out_of_range
+from .time_record import CheckedData, refuse_out_of_range
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyRecord(Frozen):
+class FrequencyRecord(CheckedData):
     """A frequency response from one input to one output, at any frequencies.
 
     Attributes
@@ -80,13 +79,28 @@ def record_of_frequency_response(data: FrequencyResponseData, weights: Any = Non
             f"the frequency response has {data.ninputs} inputs and {data.noutputs} outputs, and a fit takes one of "
             "each: select them by data[output, input]"
         )
+    omega, response = checked_points(data)
+    order = np.argsort(omega, kind="stable")
+    return FrequencyRecord(
+        omega[order],
+        response[0, 0, order],
+        checked_weights(weights, len(omega))[order],
+        data.input_labels[0],
+        data.output_labels[0],
+        title_of(data),
+        checked_unit(getattr(data, "time_unit", None)),
+    )
+
+
+def checked_points(data: FrequencyResponseData) -> tuple[Array, ComplexArray]:
+    """Frequencies (K,) and response (p, m, K) in the order given, NaN where a point is missing."""
     if data.dt:
         step = "of unknown step" if data.dt is True else f"dt = {data.dt:g}"
         raise StructureError(
-            f"the frequency response is that of a sampled system ({step}), and a lossless model runs in continuous "
+            f"the frequency response is that of a sampled system ({step}), and the model runs in continuous "
             "time; if it was measured on a plant, pass control.frd(response, omega) without dt"
         )
-    omega, response = _checks.real_array("omega", data.omega, 1), np.array(data.frdata[0, 0], dtype=complex)
+    omega, response = _checks.real_array("omega", data.omega, 1), np.array(data.frdata, dtype=complex)
     if len(omega) == 0:
         raise IdentificationError("the frequency response has no frequencies; a fit needs at least 2")
     if omega.min() < 0:
@@ -96,22 +110,18 @@ def record_of_frequency_response(data: FrequencyResponseData, weights: Any = Non
             "other is its conjugate"
         )
     if np.isinf(response).any():
-        k = int(np.argmax(np.isinf(response)))
+        k = int(np.argmax(np.isinf(response).any(axis=(0, 1))))
         raise StructureError(
             f"the response is infinite at point {k} (omega = {omega[k]:.6g}); mark missing points with NaN"
         )
     refuse_out_of_range("omega", omega)
-    refuse_out_of_range("the response", np.abs(response))
-    order = np.argsort(omega, kind="stable")
-    return FrequencyRecord(
-        omega[order],
-        response[order],
-        checked_weights(weights, len(omega))[order],
-        data.input_labels[0],
-        data.output_labels[0],
-        data.title or ("" if data._generic_name_check() else data.name),
-        checked_unit(getattr(data, "time_unit", None)),
-    )
+    refuse_out_of_range("the response", np.abs(response).ravel())
+    return omega, response
+
+
+def title_of(data: FrequencyResponseData) -> str:
+    """Title of a response, or the name that its user gave it; else nothing."""
+    return str(data.title or ("" if data._generic_name_check() else data.name))
 
 
 def checked_weights(weights: Any, count: int) -> Array:

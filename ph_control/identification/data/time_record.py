@@ -25,8 +25,12 @@ _LARGEST = 1e100  # of a signal whose squares are summed
 _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record
 
 
+class CheckedData(Frozen):
+    """Data of any kind that have been checked."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Record(Frozen):
+class Record(CheckedData):
     """One input and one output on a uniform grid.
 
     Attributes
@@ -109,7 +113,7 @@ def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record,
     runs = max(1, data.ntraces)
     inputs = runs * [None] if data.ninputs == 0 else np.reshape(data.u, (runs, len(time)))
     outputs = np.reshape(data.y, (runs, len(time)))
-    titles = data.trace_labels if runs > 1 and data.trace_labels else runs * [data.title or ""]
+    titles = titles_of(data, runs)
     names = {"input_label": data.input_labels, "output_label": data.output_labels}
     labels = {name: given[0] for name, given in names.items() if given}
     found = []
@@ -121,6 +125,11 @@ def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record,
         except StructureError as error:
             raise StructureError(f"trace {k}: {error}" if runs > 1 else str(error)) from None
     return tuple(found)
+
+
+def titles_of(data: TimeResponseData, runs: int) -> list[str]:
+    """Title of each trace."""
+    return list(data.trace_labels) if runs > 1 and data.trace_labels else runs * [data.title or ""]
 
 
 def _listed(labels: list[str] | None) -> str:
