@@ -71,10 +71,10 @@ from .modal.modal_form import ModalForm as ModalForm
 from .numerics.polynomials import ScaledCoefficients as ScaledCoefficients
 from .plotting.bode_plot import bode_plot as bode_plot
 from .plotting.energy_plot import energy_plot as energy_plot
+from .plotting.energy_plot import passivity_plot as passivity_plot
 from .plotting.fit_plot import fit_plot as fit_plot
 from .plotting.mode_plot import modes_plot as modes_plot
 from .plotting.mode_plot import pole_zero_plot as pole_zero_plot
-from .plotting.passivity_plot import passivity_plot as passivity_plot
 from .plotting.time_plot import impulse_plot as impulse_plot
 from .plotting.time_plot import step_plot as step_plot
 from .symplectic.darboux_and_casimirs import CasimirSplit as CasimirSplit

@@ -110,7 +110,7 @@ class PassivityReport(Frozen, Report):
         --------
         See `passivity_plot`.
         """
-        from ..plotting.passivity_plot import passivity_plot
+        from ..plotting.energy_plot import passivity_plot
 
         return passivity_plot(self, **kwargs)
 
