@@ -12,6 +12,7 @@ FOLDERS = {
     "cli": "the command line",
     "identification.validation": "models on new data",
     "identification.fit": "pem and its result",
+    "identification.structure": "fits with a structure",
     "identification.diagnosis": "tests of a fit, verdict",
     "identification.search": "order, initial estimates",
     "identification.excitation": "what an input can show",

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from .elimination import LinearProjection, column_lengths, eliminate, inverse_gram, orthogonal, without
 from .time_rows import FreeRows
 from .triangular import reduced, triangle
@@ -78,6 +78,20 @@ class FreeProjection(LinearProjection):
     def has_feedthrough(self) -> bool:
         """Whether something may be fed through."""
         return any(one.through and one.inputs > 0 for one in self.experiments)
+
+    @property
+    def shown(self) -> Mask:
+        """Which numbers of `shared` leave a trace in any experiment."""
+        found = np.zeros(self.shared.shape, bool)
+        for one in self._groups:
+            found[:, one.outputs] = np.any(one.columns, axis=0, keepdims=True).T
+        return found
+
+    @property
+    def unknowns(self) -> int:
+        """Number of real unknowns: poles, the shared ones that are shown, and those of each experiment and output."""
+        own = sum(one.own_unknowns(len(self.p)) * len(one.outputs) for one in self.experiments)
+        return 2 * len(self.p) + int(self.shown.sum()) + own
 
     @property
     def _shared_unknowns(self) -> int:
@@ -182,6 +196,52 @@ class FreeProjection(LinearProjection):
                 J[:, 2 * n + output * width : 2 * n + (output + 1) * width] = group.columns
                 parts.append(J)
         return variance * inverse_gram(np.concatenate(parts))
+
+
+class GivenResidues(FreeProjection):
+    """The same poles with `shared` unknowns that are given: only what belongs to each experiment is at its best."""
+
+    def __init__(self, at: FreeProjection, shared: Array) -> None:
+        super().__init__(at.experiments, at.p)
+        self._at, self._given = at, shared
+
+    @cached_property
+    def _parts(self) -> list[tuple[Array, _ExperimentColumns, _ExperimentColumns]]:
+        return self._at._parts
+
+    @cached_property
+    def _groups(self) -> list[_Together]:
+        return self._at._groups
+
+    @cached_property
+    def shared(self) -> Array:
+        """The unknowns that were given."""
+        return self._given
+
+    @cached_property
+    def loss(self) -> float:
+        """Sum of squares of what is left."""
+        return float(sum(np.sum(self._left(one) ** 2) for one in self._groups))
+
+    @cached_property
+    def condensed(self) -> tuple[Array, Array]:
+        """Residual and its Jacobian by imaginary and real parts of the poles, the shared unknowns at rest."""
+        rows = [np.column_stack([slopes, left]) for _, left, slopes, _ in self.sensitivities()]
+        R = reduced(np.asfortranarray(np.concatenate(rows)))
+        return R[:, -1], R[:, :-1]
+
+    def sensitivities(self) -> Iterator[tuple[int, Array, Array, Array]]:
+        """Each output with its residual and the Jacobian of it by imaginary and real parts of poles, and by `shared`.
+
+        What belongs to each experiment moves along; the gradient and the information are those of all unknowns.
+        """
+        for group in self._groups:
+            left = self._left(group)
+            for place, output in enumerate(group.outputs):
+                yield output, left[:, place], -self._slopes(group, output), -group.columns
+
+    def _left(self, group: _Together) -> Array:
+        return np.asarray(group.targets - group.columns @ self.shared[:, group.outputs])
 
 
 def _by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexArray) -> Array:

@@ -1,0 +1,1 @@
+"""Structures as constraints on a fit of free residues: their minima, their tests, and the simplest that stands."""

@@ -1,0 +1,207 @@
+"""The minimum of the loss over models with a structure, from the minimum over all models.
+
+What belongs to each experiment is eliminated as for free residues, in factors that hold for any residues at their
+poles: an iteration costs one pass over the data, whatever the structure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..._checks import EPS
+from ..._frozen import Frozen
+from ..._types import Array, ComplexArray, Mask, NDArray
+from ..regression.elimination import LinearProjection
+from ..regression.free import FreeProjection, GivenResidues, PoleRegion
+from ..regression.variable_projection import refine
+from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates
+from .layout import ChannelLayout
+
+STRUCTURES = {
+    "lossless": "lossless", "classical": "classical", "passive": "passive", "rank one": "free", "reciprocal": "free",
+    "free": "free",
+}  # fmt: skip
+_EXACT = 1e-12  # relative decrease of the loss at which a refinement ends
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredFit(Frozen):
+    """Minimum of the loss over the models of a structure.
+
+    Attributes
+    ----------
+    hypothesis, structure : str
+        What was assumed, and which of 'lossless', 'classical', 'passive', 'free' it is.
+    p : ndarray of complex, shape (n,)
+        Poles of positive imaginary part.
+    residues : ndarray of complex, shape (n, p, m)
+        In the units of the data.
+    feedthrough : ndarray, shape (p, m)
+        The same.
+    shapes, participation : ndarray, shape (n, p) and (n, m), or None
+        Factors of residues of rank one, `shapes[l, o] participation[l, i] p_l**k_o / (2j Im p_l)`; real with classical
+        damping, and equal at ports.
+    loss : float
+        Sum of squares in the rows of the projection.
+    parameters : int
+        Unknown numbers in poles, residues and feedthrough.
+    covariance : ndarray
+        In the coordinates and units of `FreeProjection.covariance`.
+    projection : FreeProjection
+        The data at this model.
+    """
+
+    hypothesis: str
+    structure: str
+    p: ComplexArray
+    residues: ComplexArray
+    feedthrough: Array
+    shapes: NDArray[Any] | None
+    participation: NDArray[Any] | None
+    loss: float
+    parameters: int
+    covariance: Array
+    projection: FreeProjection
+
+
+class ConstrainedProjection(LinearProjection):
+    """The data at a model with a structure, what belongs to each experiment at its best."""
+
+    def __init__(self, problem: ConstrainedProblem, x: Array) -> None:
+        self.x, self.sizes, self._problem = x, np.maximum(np.abs(x), EPS), problem
+        self.p, self.residues, self.feedthrough = problem.coordinates.model(x)
+        free = FreeProjection(problem.start.experiments, self.p)
+        shared = problem.coordinates.layout.joined(self.residues, self.feedthrough, free.has_feedthrough)
+        self.data = GivenResidues(free, shared)
+
+    @property
+    def loss(self) -> float:
+        """Sum of squared residuals."""
+        return self.data.loss
+
+    @cached_property
+    def _normal(self) -> tuple[Array, Array]:
+        """Gram matrix of the Jacobian by the coordinates, and half the gradient."""
+        of, size = self._problem.coordinates, len(self.x)
+        gram, gradient, poles = np.zeros((size, size)), np.zeros(size), of.pole_derivatives()
+        for output, left, by_poles, by_shared in self.data.sensitivities():
+            slopes = self.derivatives(output)
+            # each output depends on its own part of the shapes
+            near = np.flatnonzero(slopes.any(axis=0) | poles.any(axis=0))
+            J = by_poles @ poles[:, near] + by_shared @ slopes[:, near]
+            gram[np.ix_(near, near)] += J.T @ J
+            gradient[near] += J.T @ left
+        held = ~self._problem.free
+        gram[held] = gram[:, held] = gradient[held] = 0.0
+        return gram, gradient
+
+    def derivatives(self, output: int) -> Array:
+        """Of what `shared` has of an output, by the coordinates."""
+        of = self._problem.coordinates
+        return of.derivatives(self.x, output, self.data.has_feedthrough) / of.layout.scales[output]
+
+    @cached_property
+    def gram(self) -> Array:
+        """`J^T J` of the residuals by the coordinates."""
+        return self._normal[0]
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Half the gradient of the loss."""
+        return self._normal[1]
+
+    def covariance(self, variance: float) -> Array:
+        """Covariance of the model, in the coordinates of `FreeProjection.covariance`."""
+        lengths = np.sqrt(np.diag(self.gram))
+        lengths[lengths == 0] = 1.0
+        inner = np.linalg.pinv(self.gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
+        inner *= variance / np.outer(lengths, lengths)
+        outputs = range(self.data.shared.shape[1])
+        J = np.concatenate([self._problem.coordinates.pole_derivatives(), *map(self.derivatives, outputs)])
+        return J @ inner @ J.T
+
+
+@dataclass(frozen=True)
+class ConstrainedProblem:
+    """The loss of a free fit over the coordinates of a structure."""
+
+    coordinates: StructureCoordinates
+    start: FreeProjection
+    region: PoleRegion
+    free: Mask
+
+    @property
+    def samples(self) -> int:
+        """Number of real equations."""
+        return self.start.rows
+
+    def project(self, x: Array) -> ConstrainedProjection:
+        """The data at the model with these coordinates."""
+        return ConstrainedProjection(self, x)
+
+    def inside(self, x: Array) -> Array:
+        """Poles brought to where they are allowed."""
+        n, p, found = self.coordinates.n, self.coordinates.poles(x), x.copy()
+        poles = self.region.inside(np.concatenate([p.imag, p.real]))
+        count = n * (1 + self.coordinates.damped)
+        found[:count] = poles[:count]
+        return found
+
+    def reach(self, at: ConstrainedProjection) -> Array:
+        """A bin and the half-width of a peak for poles; any for what is nearly linear."""
+        n, found = self.coordinates.n, np.full(len(at.x), np.inf)
+        width = self.region.bin + np.abs(at.p.real)
+        found[: n * (1 + self.coordinates.damped)] = np.tile(width, 1 + self.coordinates.damped)
+        return found
+
+    def elsewhere(self, at: ConstrainedProjection) -> Iterator[Array]:
+        """No other places are known."""
+        return iter(())
+
+
+def constrained(at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion) -> StructuredFit:
+    """Fit a structure to the data of a free fit.
+
+    Parameters
+    ----------
+    at : FreeProjection
+        Minimum of the free fit over all that was measured.
+    layout : ChannelLayout
+        Inputs and outputs, their units and ports.
+    hypothesis : {'lossless', 'classical', 'rank one', 'reciprocal', 'free'}
+        Poles on the axis and real shapes; real shapes; simple poles; equal responses between ports; nothing.
+    region : PoleRegion
+        Where poles are looked for.
+
+    Returns
+    -------
+    StructuredFit
+        By Levenberg's and Marquardt's method on the loss itself, O(T n^2) an iteration.
+    """
+    variance = at.loss / max(1, at.rows - at.unknowns)
+    coordinates = coordinates_of(at, layout, hypothesis)
+    x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
+    problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
+    end = refine(problem, problem.inside(x), rtol=_EXACT).projection
+    shapes, participation = coordinates.shapes(end.x) if isinstance(coordinates, ShapeCoordinates) else (None, None)
+    return StructuredFit(
+        hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
+        coordinates.dof, end.covariance(variance), end.data,
+    )  # fmt: skip
+
+
+def coordinates_of(at: FreeProjection, layout: ChannelLayout, hypothesis: str) -> StructureCoordinates:
+    """Coordinates of the models of a hypothesis, for what the data show."""
+    n, shown = len(at.p), at.shown
+    residues, through = layout.split(shown.astype(float), n)
+    entries, fed = np.any(residues, axis=0, keepdims=True)[0], through != 0
+    if hypothesis in ("lossless", "classical"):
+        return ShapeCoordinates(layout, n, entries, fed, damped=hypothesis == "classical", real=True, tied=True)
+    if hypothesis == "rank one":
+        return ShapeCoordinates(layout, n, entries, fed)
+    return MatrixCoordinates(layout, n, entries, fed, reciprocal=hypothesis == "reciprocal")
