@@ -15,7 +15,7 @@ from ph_control.identification.data.frequency_record import record_of_frequency_
 from ph_control.identification.diagnosis.damping import contradiction, sentence
 from ph_control.identification.regression.free import FreeProjection
 from ph_control.identification.regression.frequency_rows import FreeResponse, FrequencyRows
-from ph_control.identification.regression.spectral_rows import FreeWindow, Spectrum
+from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
 from ph_control.identification.regression.time_rows import FreeRecord, RecordRows
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.modal.discretization import Hold
@@ -235,7 +235,7 @@ def test_columns_reproduce_a_damped_plant_to_rounding(quantity, intersample, sta
         plant = ct.ss(ct.tf(numerator, [1, 2 * ratio[0] * d[0], d[0] ** 2]))
         y = ct.forced_response(plant, H * np.arange(301), u, 0.0 if state is None else state).outputs
     experiment = RecordRows(u, y, np.ones(301, bool), Hold(H, "exact", intersample), quantity=quantity)
-    spectrum = Spectrum.of(experiment)
+    spectrum = ChannelSpectra.of(FreeRecord.of(experiment))
     p = d * (-ratio + 1j * np.sqrt(1 - ratio**2))
     size = np.linalg.norm(y)
     weight = kappa * p ** {"velocity": 1, "displacement": 0, "acceleration": 2}[quantity] / (2j * p.imag)
@@ -257,12 +257,12 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind, method, inters
     if kind == "response":
         omega = np.linspace(0.1, 3.0, 60)
         data = ct.frd(rng.standard_normal(60) + 1j * rng.standard_normal(60), omega)
-        rows = FreeResponse(FrequencyRows(record_of_frequency_response(data)))
+        rows = FreeResponse.of(FrequencyRows(record_of_frequency_response(data)))
     else:
         u, y = recording((0.01, 0.01, 0.01), POSITIVE)
         seen = rng.random(len(y)) < (1.0 if kind == "bins" else 0.9)
         experiment = RecordRows(u, y, seen, Hold(H, method, intersample), from_rest=kind == "from rest", offset=True)
-        spectrum = Spectrum.of(experiment)
+        spectrum = ChannelSpectra.of(FreeRecord.of(experiment))
         rows = FreeRecord.of(experiment) if kind != "bins" else FreeWindow(spectrum, np.arange(1, spectrum.last + 1))
 
     def loss(x):

@@ -99,7 +99,8 @@ def test_the_transform_of_a_model_is_that_of_its_columns(hold, quantity, driven)
     at, (columns, _) = TransformColumns(spectrum.length, spectrum.lossless(d), bins), parts_of(spectrum, d, bins)
     factors = dict(zip(PARTS, (residues * driven, residues.conj() * driven, motion, motion.conj()), strict=True))
     parts = [factors[name][:, None] * column for name, column in columns.items()]
-    found = at.output(spectrum.U if driven else None, residues, motion, 0.7)
+    U, each = spectrum.U[None][: int(driven)], residues[:, None, None]
+    (found,) = at.output(U, each, motion[:, None], np.array([[0.7]]))
     expected = sum(parts).sum(axis=0) + 0.7 * spectrum.U[bins] * driven
     assert np.abs(found - expected).max() <= 100 * EPS * max(np.abs(one).max() for one in parts)
 

@@ -19,14 +19,14 @@ from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import FreeProjection, first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
-from ..regression.spectral_rows import FreeWindow, Spectrum
+from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import Finding, noise_size
 from ..search.criteria import criteria, preference
-from ..search.free_path import FreeStep, evidence, finished, free_path, free_preference, free_unknowns
-from ..search.free_search import Channels, FreeSearch, Records, free_search
+from ..search.free_path import FreeStep, evidence, finished, free_path, free_preference
+from ..search.free_search import Channels, FreeSearch, Left, Records, free_search, free_unknowns
 from ..search.steps import Step, crowds, more_than_noise
 from ..uncertainty.fisher import listed, named_modes
 from .damped_model import DampedModel, HypothesisTest
@@ -94,12 +94,12 @@ def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None
     rows: list[FreeRows] = []
     for one in problem.experiments:
         if isinstance(one, FrequencyRows):
-            rows.append(FreeResponse(one))
+            rows.append(FreeResponse.of(one))
         if not isinstance(one, RecordRows):
             continue
         if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
-            about = FreeWindow.about(Spectrum.of(one), p.imag)
-            rows.append(replace(about, through=through, counts=noise_size(noise, one, at, about.bins) ** -0.5))
+            about = FreeWindow.about(ChannelSpectra.of(FreeRecord.of(one, through)), p.imag)
+            rows.append(replace(about, counts=noise_size(noise, one, at, about.bins) ** -0.5))
         else:
             rows.append(FreeRecord.of(one, through))
     gain, left, dof, fitted = first_step(rows, p, shared, directions)
@@ -251,11 +251,11 @@ def _covariance(at: FreeProjection, variance: float, rank: Indices) -> Array:
     return full[np.ix_(order, order)]
 
 
-def _errors(search: FreeSearch, left: Sequence[ComplexArray]) -> list[Array] | list[ComplexArray]:
+def _errors(search: FreeSearch, left: Left) -> list[Array] | list[ComplexArray]:
     """What a model leaves of each record in time, or of each response in the scale of its weights."""
     if isinstance(search, Records):
-        return [np.fft.irfft(one, len(record.u)) for one, record in zip(left, search.experiments, strict=True)]
-    return list(left)
+        return [np.fft.irfft(one, record.length) for (one,), record in zip(left, search.records, strict=True)]
+    return [one for (one,) in left]
 
 
 def _fit_percent(problem: Problem, errors: Sequence[Array] | Sequence[ComplexArray]) -> float:
@@ -340,6 +340,6 @@ def _decays(problem: Problem, at: FreeProjection) -> bool:
 
 def _half_width(record: RecordRows, d: float) -> float:
     """Half-width of the peak near a frequency, if one damped mode makes nearly all of it; else 0."""
-    spectrum = Spectrum.of(record)
-    half_width, share = Channels.of(spectrum).peak(spectrum.Y[None], float(spectrum.place(np.array([d]))[0]))
+    spectrum = ChannelSpectra.of(FreeRecord.of(record))
+    half_width, share = Channels.of(spectrum).peak(spectrum.Y, float(spectrum.place(np.array([d]))[0]))
     return half_width if share > _ALONE else 0.0

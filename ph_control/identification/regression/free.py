@@ -60,19 +60,25 @@ class _Together:
     basis: Array
     solve: Array
 
+    def slopes(self, by_poles: Array) -> tuple[Array, Array]:
+        """What of derivatives by the poles the shared unknowns do not take up, and how these move along."""
+        along = self.basis.T @ by_poles
+        return by_poles - self.basis @ along, -self.solve @ along
+
 
 class FreeProjection(LinearProjection):
     """Best residues, and what belongs to each experiment, for modes with poles `p` (n,) of positive imaginary part.
 
-    Their natural frequencies are `d`, their decay rates `sigma`; `rows` is the number of real equations, and `inputs`
-    that of inputs, 0 for a free motion.
+    Natural frequencies are `d`, decay rates `sigma`; `rows` is the number of real equations, `inputs` that of inputs, 0
+    for a free motion.  Of what rows may feed through, only that of entries `fed` (outputs, inputs) is.
     """
 
-    def __init__(self, experiments: Sequence[FreeRows], p: ComplexArray) -> None:
+    def __init__(self, experiments: Sequence[FreeRows], p: ComplexArray, fed: Mask | None = None) -> None:
         self.p, self.x, self.d, self.sigma = p, np.concatenate([p.imag, p.real]), np.abs(p), -p.real
         self.sizes, self.experiments = np.tile(self.d, 2), experiments
         self.rows = sum(one.samples * len(one.outputs) for one in experiments)
         self.inputs = max(one.inputs for one in experiments)
+        self._fed = fed
 
     @property
     def has_feedthrough(self) -> bool:
@@ -111,17 +117,26 @@ class FreeProjection(LinearProjection):
 
     @cached_property
     def _groups(self) -> list[_Together]:
-        shown: dict[tuple[int, ...], list[int]] = {}
+        shown: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
         for output in range(1 + max(int(one.outputs.max()) for one in self.experiments)):
-            shown.setdefault(tuple(k for k, one in enumerate(self.experiments) if output in one.outputs), []).append(
-                output
-            )
+            members = tuple(k for k, one in enumerate(self.experiments) if output in one.outputs)
+            shown.setdefault((members, self._held(output)), []).append(output)
         found = []
-        for members, outputs in shown.items():
+        for (members, held), outputs in shown.items():
             columns = np.concatenate([self._parts[k][2].shared for k in members])
+            columns[:, list(held)] = 0.0
             targets = np.concatenate([self._parts[k][2].outputs[:, self._places(k, outputs)] for k in members])
-            found.append(_Together(outputs, members, columns, targets, *orthogonal(columns)))
+            basis, solve = orthogonal(columns)
+            solve[list(held)] = 0.0
+            found.append(_Together(outputs, members, columns, targets, basis, solve))
         return found
+
+    def _held(self, output: int) -> tuple[int, ...]:
+        """Places of what is not fed through to an output among the shared unknowns."""
+        if self._fed is None or not self.has_feedthrough:
+            return ()
+        width = 2 * len(self.p) + 1
+        return tuple(width * k + width - 1 for k in range(self.inputs) if not self._fed[output, k])
 
     def _places(self, experiment: int, outputs: list[int]) -> Indices:
         """Places of outputs among those of an experiment."""
@@ -163,9 +178,12 @@ class FreeProjection(LinearProjection):
 
     def predicted(self) -> list[NDArray[Any]]:
         """Outputs at all instants or frequencies of each experiment; those of a single one without a dimension."""
+        return [outputs[0] if len(outputs) == 1 else outputs for outputs in self.predictions()]
+
+    def predictions(self) -> list[NDArray[Any]]:
+        """Outputs (q, T) at all instants or frequencies of each experiment."""
         pairs = zip(self.experiments, self.own, strict=True)
-        found = [one.at(self.p).predict(self.shared[:, one.outputs], own) for one, own in pairs]
-        return [outputs[0] if len(outputs) == 1 else outputs for outputs in found]
+        return [one.at(self.p).predict(self.shared[:, one.outputs], own) for one, own in pairs]
 
     def _slopes(self, group: _Together, output: int) -> Array:
         """Derivatives of an output by imaginary and real parts of the poles, in the rows of its group."""
@@ -188,14 +206,21 @@ class FreeProjection(LinearProjection):
 
     def covariance(self, variance: float) -> Array:
         """Covariance of imaginary and real parts of the poles, then `shared` by outputs, for a variance of the rows."""
-        n, width, parts = len(self.p), self._shared_unknowns, []
+        n, width = len(self.p), self._shared_unknowns
+        along = np.zeros((2 * n + self.shared.size, 2 * n))
+        along[: 2 * n] = np.eye(2 * n)
+        left, places = [np.zeros((0, 2 * n))], {}
         for group in self._groups:
             for output in group.outputs:
-                J = np.zeros((len(group.columns), 2 * n + self.shared.size))
-                J[:, : 2 * n] = self._slopes(group, output)
-                J[:, 2 * n + output * width : 2 * n + (output + 1) * width] = group.columns
-                parts.append(J)
-        return variance * inverse_gram(np.concatenate(parts))
+                rest, moved = group.slopes(self._slopes(group, output))
+                places[output] = slice(2 * n + output * width, 2 * n + (output + 1) * width)
+                along[places[output]] = moved
+                left.append(rest)
+        found = along @ inverse_gram(np.concatenate(left)) @ along.T
+        for group in self._groups:
+            for output in group.outputs:
+                found[places[output], places[output]] += group.solve @ group.solve.T
+        return variance * found
 
 
 class GivenResidues(FreeProjection):
@@ -319,6 +344,7 @@ class FreeProblem:
 
     experiments: Sequence[FreeRows]
     region: PoleRegion
+    fed: Mask | None = None
 
     @property
     def samples(self) -> int:
@@ -328,7 +354,7 @@ class FreeProblem:
     def project(self, x: Array) -> FreeProjection:
         """Best residues for these poles."""
         w, real = np.split(x, 2)
-        return FreeProjection(self.experiments, real + 1j * w)
+        return FreeProjection(self.experiments, real + 1j * w, self.fed)
 
     def inside(self, x: Array) -> Array:
         """Poles brought to where they are allowed."""
@@ -344,13 +370,15 @@ class FreeProblem:
         return iter(())
 
 
-def refine_free(make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8) -> FreeProjection:
+def refine_free(
+    make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None
+) -> FreeProjection:
     """Poles refined from a start; of those without a decay rate (NaN) it is looked for first."""
     p = p.copy()
     for k in np.flatnonzero(np.isnan(p.real)):
         p[k] = _first_decay(make, p, int(k), region)
     for _ in range(3):  # peaks turn out wider than their window
-        problem = FreeProblem(make(p), region)
+        problem = FreeProblem(make(p), region, fed)
         end = refine(problem, problem.inside(np.concatenate([p.imag, p.real])), rtol=rtol, max_iterations=_STEPS)
         before, p = p, end.projection.p
         if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..._checks import EPS
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.frequency_record import FrequencyRecord
 from .spectral_rows import Pair, real_rows, stacked
 from .time_rows import Evaluation
@@ -51,8 +51,7 @@ class FrequencyRows:
     @cached_property
     def bin(self) -> float:
         """Typical distance of the frequencies: a mode does not pass from one side of a point to the other."""
-        steps = np.diff(self.omega)
-        return float(np.median(steps[steps > 0])) if (steps > 0).any() else float(self.omega[0])
+        return typical_distance(self.omega)
 
     @property
     def ceiling(self) -> float:
@@ -102,6 +101,12 @@ class FrequencyRows:
         return float(np.max(np.abs(self.target), initial=0.0))
 
 
+def typical_distance(omega: Array) -> float:
+    """Median of the distances of ascending frequencies."""
+    steps = np.diff(omega)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else float(omega[0])
+
+
 class FrequencyEvaluation(Evaluation):
     """The rows of a response at some frequencies; O(K n)."""
 
@@ -143,29 +148,62 @@ def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, 
 # --- with damping ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FreeResponse:
-    """A frequency response for modes with any damping and residues, on a background of what modes outside leave."""
+    """Frequency responses for modes with any damping and residues, on a background of what modes outside leave.
 
-    rows: FrequencyRows
-    moving: bool = False
-    inputs: int = 1
+    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.
+    """
+
+    frequencies: Array
+    response: ComplexArray
+    scale: Array
+    observed: Mask
+    quantity: str = "velocity"
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
+    moving: ClassVar[bool] = False
+    inputs: ClassVar[int] = 1
+
+    @classmethod
+    def of(cls, rows: FrequencyRows) -> FreeResponse:
+        """The response of one input and one output."""
+        one = rows.record
+        return cls(one.omega, one.response[None], np.sqrt(one.weights), one.observed, rows.quantity)
+
+    @cached_property
+    def omega(self) -> Array:
+        """Frequencies that were measured, rad per unit time."""
+        return self.frequencies[self.observed]
 
     @property
     def samples(self) -> int:
         """Real and imaginary parts."""
-        return self.rows.samples
+        return 2 * len(self.omega)
+
+    @cached_property
+    def bin(self) -> float:
+        """Typical distance of the frequencies."""
+        return typical_distance(self.omega)
+
+    @property
+    def ceiling(self) -> float:
+        """Largest frequency that is searched."""
+        return float(self.omega[-1])
 
     @property
     def through(self) -> bool:
         """A force is felt by an accelerometer at once."""
-        return self.rows.quantity == "acceleration"
+        return self.quantity == "acceleration"
 
-    @property
+    @cached_property
+    def weight(self) -> Array:
+        """Factor of errors at the frequencies that were measured."""
+        return self.scale[self.observed]
+
+    @cached_property
     def target(self) -> ComplexArray:
-        """Response in the scale of its weights."""
-        return self.rows.target
+        """Responses (q, K) that were measured, in the scale of their weights."""
+        return np.asarray(self.response[:, self.observed] * self.weight)
 
     def own_unknowns(self, n: int) -> int:
         """The background."""
@@ -173,11 +211,11 @@ class FreeResponse:
 
     def background(self, n: int) -> ComplexArray:
         """Modes far below the band act as a mass, those far above as a spring; only where points abound."""
-        omega, quantity = self.rows.omega, self.rows.quantity
+        omega = self.omega
         lowest = omega[omega > 0].min(initial=np.inf)
         if len(omega) < 10 + 4 * n or not np.isfinite(lowest):
             return np.zeros((0, len(omega)), complex)
-        factor = differentiated(omega, quantity)
+        factor = differentiated(omega, self.quantity)
         # of an accelerometer the mass is what is fed through
         return factor[None] if self.through else np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
 
@@ -187,20 +225,20 @@ class FreeResponse:
 
     def columns(self, p: ComplexArray) -> ComplexArray:
         """Columns of all unknowns, in the scale of the weights."""
-        through = np.ones((int(self.through), len(self.rows.omega)))
+        through = np.ones((int(self.through), len(self.omega)))
         columns = np.concatenate([self.background(len(p)), stacked(self.poles(p)), through])
-        return np.asarray(columns * self.rows.scale)
+        return np.asarray(columns * self.weight)
 
     def poles(self, p: ComplexArray) -> Pair:
         """`1 / (s - p)` and `1 / (s - conj p)`."""
-        s, poles = 1j * self.rows.omega, p[:, None]
+        s, poles = 1j * self.omega, p[:, None]
         gap = s - poles
         gap = np.where(gap == 0, EPS * np.abs(poles), gap)
         return np.asarray(1.0 / gap), np.asarray(1.0 / (s - poles.conj()))
 
 
 class FreeResponseEvaluation(Evaluation):
-    """The rows of a response for modes with any damping and residues."""
+    """The rows of responses for modes with any damping and residues."""
 
     def __init__(self, rows: FreeResponse, p: ComplexArray) -> None:
         self._rows, self._p = rows, p
@@ -208,13 +246,13 @@ class FreeResponseEvaluation(Evaluation):
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
         ahead, behind = self._rows.poles(self._p)
-        slopes = self._rows.rows.scale * stacked((ahead**2, behind**2))
-        yield real_rows([self._rows.columns(self._p), slopes, self._rows.target[None]])
+        slopes = self._rows.weight * stacked((ahead**2, behind**2))
+        yield real_rows([self._rows.columns(self._p), slopes, self._rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
-        """Response of a model at all frequencies of the record; NaN where nothing was measured."""
-        record = self._rows.rows.record
-        everywhere = np.full((shared.shape[1], len(record.omega)), np.nan, complex)
+        """Responses of a model at all frequencies of the record; NaN where nothing was measured."""
+        rows = self._rows
+        everywhere = np.full((shared.shape[1], len(rows.frequencies)), np.nan, complex)
         weights = np.concatenate([own, shared])
-        everywhere[:, record.observed] = weights.T @ self._rows.columns(self._p) / self._rows.rows.scale
+        everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) / rows.weight
         return everywhere

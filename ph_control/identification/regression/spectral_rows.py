@@ -13,24 +13,74 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ComplexArray, Indices, NDArray
+from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
-from .time_rows import Evaluation, RecordRows
+from .time_rows import Evaluation, FreeRecord, RecordRows
 from .tuning import TUNING
 
 Pair = tuple[ComplexArray, ComplexArray]
-Kind = TypeVar("Kind", bound="SpectralRows")
+Kind = TypeVar("Kind", bound="SpectralRows[Any]")
+Transforms = TypeVar("Transforms", bound="Bins")
 
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
 
 
+class Bins:
+    """The bins of the transform of a record of so many samples."""
+
+    @property
+    def hold(self) -> Hold:
+        """How modes meet the samples."""
+        raise NotImplementedError
+
+    @property
+    def length(self) -> int:
+        """Number of samples T."""
+        raise NotImplementedError
+
+    @property
+    def last(self) -> int:
+        """Last bin below the Nyquist frequency."""
+        return (self.length - 1) // 2
+
+    def place(self, d: Array) -> Array:
+        """Frequencies in bins, as the samples show them."""
+        return _place(self.hold.log_multiplier(imaginary(d))[1], self.length)
+
+    def frequency(self, place: Array) -> Array:
+        """Natural frequencies that the samples show at these places."""
+        return self.hold.frequency_of(2 * np.pi * place / self.length)
+
+    def energies(self, transform: ComplexArray) -> Array:
+        """Sums of squares in time of real signals with these transforms (.., K) (Parseval)."""
+        inside = np.sum(np.abs(transform[..., 1 : self.last + 1]) ** 2, axis=-1)
+        last = np.abs(transform[..., -1]) ** 2 if self.length % 2 == 0 else 0.0
+        return np.asarray((2 * inside + np.abs(transform[..., 0]) ** 2 + last) / self.length)
+
+    def left(
+        self, Y: ComplexArray, U: ComplexArray, modes: SampledModes, residues: NDArray[Any], motion: ComplexArray,
+        through: Array,
+    ) -> ComplexArray:  # fmt: skip
+        """Transforms of outputs (q, K) without what modes explain of them; O(T n q) time.
+
+        Modes with `residues` (n, q, m) of inputs (m, K), motions (n, q), and what is fed `through` (q, m).
+        """
+        residual = Y.copy()
+        size = max(1, TUNING.piece // max(1, motion.size))
+        for first in range(0, residual.shape[1], size):
+            bins = np.arange(first, min(first + size, residual.shape[1]))
+            residual[:, bins] -= TransformColumns(self.length, modes, bins).output(U, residues, motion, through)
+        return residual
+
+
 @dataclass(frozen=True)
-class Spectrum:
+class Spectrum(Bins):
     """Transforms of a record of T samples; missing outputs count as 0."""
 
     experiment: RecordRows
@@ -44,49 +94,56 @@ class Spectrum:
         return cls(experiment, np.fft.rfft(experiment.u), np.fft.rfft(y))
 
     @property
+    def hold(self) -> Hold:
+        """How modes meet the samples."""
+        return self.experiment.hold
+
+    @property
     def length(self) -> int:
         """Number of samples T."""
         return len(self.experiment.u)
 
-    @property
-    def last(self) -> int:
-        """Last bin below the Nyquist frequency."""
-        return (self.length - 1) // 2
-
-    def place(self, d: Array) -> Array:
-        """Frequencies in bins, as the samples show them."""
-        return _place(self.experiment.hold.log_multiplier(imaginary(d))[1], self.length)
-
-    def frequency(self, place: Array) -> Array:
-        """Natural frequencies that the samples show at these places."""
-        return self.experiment.hold.frequency_of(2 * np.pi * place / self.length)
-
     def energy(self, transform: ComplexArray) -> float:
         """Sum of squares in time of a real signal with this transform (Parseval)."""
-        inside = np.sum(np.abs(transform[1 : self.last + 1]) ** 2)
-        ends = np.abs(transform[0]) ** 2 + (np.abs(transform[-1]) ** 2 if self.length % 2 == 0 else 0.0)
-        return float((2 * inside + ends) / self.length)
+        return float(self.energies(transform))
 
     def lossless(self, d: Array) -> SampledModes:
         """Modes without losses of unit residue, as `TransformColumns` takes them."""
         half = np.full(len(d), 0.5 + 0j)
         return SampledModes.lossless(self.experiment.hold, d, self.experiment.quantity, 1).weighted(half, 0 * half)
 
-    def left(self, modes: SampledModes, residues: Array | ComplexArray, own: Array, through: float) -> ComplexArray:
-        """Transform of what modes with these residues and motions do not explain, at all bins; O(T n) time."""
-        n = len(residues)
-        residual = self.Y.copy()
-        size = max(1, TUNING.piece // max(1, n))
-        for first in range(0, len(residual), size):
-            bins = np.arange(first, min(first + size, len(residual)))
-            columns = TransformColumns(self.length, modes, bins)
-            inputs = self.U if self.experiment.driven else None
-            residual[bins] -= columns.output(inputs, residues, own[:n] + 1j * own[n : 2 * n], through)
-        return residual
-
     def beside_offset(self, residual: ComplexArray) -> ComplexArray:
         """Transform of a residual without its constant, where an offset explains it: no mode is sought there."""
         return np.concatenate([[0.0], residual[1:]]) if self.experiment.offset else residual
+
+
+@dataclass(frozen=True)
+class ChannelSpectra(Bins):
+    """Transforms of inputs (m, K) and outputs (q, K) of a record; missing outputs count as 0."""
+
+    record: FreeRecord
+    U: ComplexArray
+    Y: ComplexArray
+
+    @classmethod
+    def of(cls, record: FreeRecord) -> ChannelSpectra:
+        """Transform a record."""
+        y = np.where(record.observed, record.y, 0.0)
+        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(y))
+
+    def scaled(self, record: FreeRecord, sizes: Array) -> ChannelSpectra:
+        """Those of the record with outputs (q, T) so many times as large."""
+        return ChannelSpectra(record, self.U, self.Y * sizes[:, None])
+
+    @property
+    def hold(self) -> Hold:
+        """How modes meet the samples."""
+        return self.record.hold
+
+    @property
+    def length(self) -> int:
+        """Number of samples T."""
+        return self.record.length
 
 
 def _place(phase: tuple[Array, Array], length: int) -> Array:
@@ -162,26 +219,28 @@ class TransformColumns:
         ahead_slope, behind_slope = self._numerators(U, self._modes.b0_slope, self._modes.b1_slope)
         return ahead_slope * self._near + ahead * near_slope, behind_slope * self._far + behind * far_slope
 
-    def output(
-        self, U: ComplexArray | None, residues: Array | ComplexArray, motion: ComplexArray, through: float
-    ) -> ComplexArray:
-        """Transform of a model with an input, or none, without the columns.
+    def output(self, U: ComplexArray, residues: NDArray[Any], motion: ComplexArray, through: Array) -> ComplexArray:
+        """Transforms (q, K) of outputs of a model with inputs (m, all bins), without the columns.
 
-        What stands over the poles is a polynomial in `z` and the input, whose coefficients meet the poles in products.
+        What stands over the poles is a polynomial in `z` and the inputs, whose coefficients meet the poles in products.
         """
         b0, b1 = self._modes.b0, self._modes.b1
-        turned = motion * (1 - self._back[:, 0])
-        if U is not None:
-            turned = turned - residues * self._sigma(U, b0, b1)[:, 0]
-        over = np.stack([residues * b0, residues * b1, turned])
-        still, moving, free = over @ self._near + over.conj() @ self._far
-        found = self._z * free
-        if U is not None:
-            found += U[self._bins] * (still + self._z * moving + through)
+        turned = (motion * (1 - self._back)).T
+        for k, one in enumerate(U):
+            turned = turned - residues[:, :, k].T * self._sigma(one, b0, b1)[:, 0]
+        found = self._z * self._over_poles(turned)
+        for k, one in enumerate(U):
+            still = self._over_poles(residues[:, :, k].T * b0) + through[:, k, None]
+            if b1.any():
+                still += self._z * self._over_poles(residues[:, :, k].T * b1)
+            found += one[self._bins] * still
         place = np.searchsorted(self._bins, self._centre)
         (mode,) = np.nonzero(np.append(self._bins, -1)[place] == self._centre)
-        np.add.at(found, place[mode], motion[mode] * self._total[mode, 0])
+        np.add.at(found.T, place[mode], motion[mode] * self._total[mode])
         return np.asarray(found)
+
+    def _over_poles(self, over: ComplexArray) -> ComplexArray:
+        return np.asarray(over @ self._near + over.conj() @ self._far)
 
 
 def _geometric(x: ComplexArray, count: int) -> tuple[ComplexArray, ComplexArray]:
@@ -216,14 +275,14 @@ def real_rows(columns: Sequence[ComplexArray], scale: Array | float = 1.0) -> Ar
 
 
 @dataclass(frozen=True, eq=False)
-class SpectralRows:
+class SpectralRows(Generic[Transforms]):
     """Some bins of the transforms of a record."""
 
-    spectrum: Spectrum
+    spectrum: Transforms
     bins: Indices
 
     @classmethod
-    def about(cls: type[Kind], spectrum: Spectrum, d: Array, half_width: int = TUNING.half_width) -> Kind:
+    def about(cls: type[Kind], spectrum: Transforms, d: Array, half_width: int = TUNING.half_width) -> Kind:
         """Indices within `half_width` of any of some modes; the constant is never among them."""
         centres = np.rint(spectrum.place(d)).astype(int)
         bins = np.unique(centres[:, None] + np.arange(-half_width, half_width + 1))
@@ -234,18 +293,18 @@ class SpectralRows:
         """Real and imaginary part of each bin."""
         return 2 * len(self.bins)
 
-    @property
-    def driven(self) -> bool:
-        """Whether there are columns for the residues."""
-        return self.spectrum.experiment.driven
-
     def own_unknowns(self, n: int) -> int:
         """The motion at the ends of every mode."""
         return 2 * n
 
 
-class Window(SpectralRows):
+class Window(SpectralRows[Spectrum]):
     """The bins of a spectrum about some lossless modes, as rows for the solver."""
+
+    @property
+    def driven(self) -> bool:
+        """Whether there are columns for the residues."""
+        return self.spectrum.experiment.driven
 
     @property
     def bin(self) -> float:
@@ -316,26 +375,24 @@ class WindowEvaluation(Evaluation):
 
     def left(self, kappa: Array, own: Array) -> ComplexArray:
         """Transform of what a model does not explain, at all bins."""
-        return self._window.spectrum.left(self._modes, kappa, own, self._through * float(kappa.sum()))
+        spectrum, n = self._window.spectrum, len(kappa)
+        U = spectrum.U[None][: int(self._window.driven)]
+        motion, through = own[:n, None] + 1j * own[n : 2 * n, None], np.array([[self._through * kappa.sum()]])
+        return spectrum.left(spectrum.Y[None], U, self._modes, kappa[:, None, None], motion, through)[0]
 
 
 @dataclass(frozen=True, eq=False)
-class FreeWindow(SpectralRows):
-    """The bins of a spectrum for modes with any damping and residues; one that stands for several `counts` as the root.
-
-    What is fed `through` may be among the unknowns.
-    """
+class FreeWindow(SpectralRows[ChannelSpectra]):
+    """The bins of spectra for modes with any damping and residues; one that stands for several `counts` as the root."""
 
     counts: Array | float = 1.0
-    through: bool = True
     moving: ClassVar[bool] = True
-    outputs: ClassVar[Indices] = np.zeros(1, int)
 
     @classmethod
-    def thinned(cls, spectrum: Spectrum, p: ComplexArray) -> FreeWindow:
+    def thinned(cls, spectrum: ChannelSpectra, p: ComplexArray) -> FreeWindow:
         """The bins about some modes as far as their peaks reach; of wide ones a part, each counting as many."""
         steps = np.zeros(spectrum.last + 1, int)
-        widths = np.abs(p.real) / spectrum.experiment.bin
+        widths = np.abs(p.real) / spectrum.record.bin
         for k in np.argsort(-widths):
             reach = int(min(TUNING.half_width * (1 + widths[k]), spectrum.last))
             centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
@@ -347,7 +404,17 @@ class FreeWindow(SpectralRows):
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        return int(self.driven)
+        return self.spectrum.record.inputs
+
+    @property
+    def outputs(self) -> Indices:
+        """Which of all outputs these rows show."""
+        return self.spectrum.record.outputs
+
+    @property
+    def through(self) -> bool:
+        """Whether there are columns for what is fed through."""
+        return self.spectrum.record.through
 
     def at(self, p: ComplexArray) -> FreeWindowEvaluation:
         """The rows for modes with these poles."""
@@ -359,17 +426,17 @@ class FreeWindowEvaluation(Evaluation):
 
     def __init__(self, window: FreeWindow, p: ComplexArray) -> None:
         self._window, spectrum = window, window.spectrum
-        modes = SampledModes.of(spectrum.experiment.hold, p)
+        modes = SampledModes.of(spectrum.hold, p)
         self._columns = TransformColumns(spectrum.length, modes, window.bins)
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
-        window, columns, U = self._window, self._columns, self._window.spectrum.U
+        window, columns = self._window, self._columns
         rows, slopes = [stacked(columns.motion)], [stacked(columns.motion_slopes)]
-        if window.driven:
+        for U in window.spectrum.U:
             numerators = columns.numerators(U)
             rows += [stacked(columns.forced(numerators)), *([U[None, window.bins]] * window.through)]
             slopes.append(stacked(columns.forced_slopes(U, numerators)))
-        target = window.spectrum.Y[None, window.bins]
+        targets = window.spectrum.Y[:, window.bins]
         # squares add up to squares in time
-        yield real_rows([*rows, *slopes, target], np.sqrt(2.0 / window.spectrum.length) * window.counts)
+        yield real_rows([*rows, *slopes, targets], np.sqrt(2.0 / window.spectrum.length) * window.counts)

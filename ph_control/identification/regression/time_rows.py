@@ -228,9 +228,29 @@ class FreeRecord:
         return int(self.observed.sum())
 
     @property
+    def length(self) -> int:
+        """Number of all samples T."""
+        return self.u.shape[1]
+
+    @property
     def inputs(self) -> int:
         """Number of inputs."""
         return len(self.u) if self.driven else 0
+
+    @property
+    def bin(self) -> float:
+        """Spacing of the discrete Fourier frequencies, rad per unit time."""
+        return 2 * np.pi / (self.length * self.hold.h)
+
+    @property
+    def ceiling(self) -> float:
+        """Largest frequency that is searched."""
+        return float(self.hold.frequency_of(np.array([self.hold.largest_phase(self.length) * (1 - 1e-9)]))[0])
+
+    @property
+    def whole(self) -> bool:
+        """Whether the bins of its transform have all that it tells of modes."""
+        return bool(self.observed.all()) and self.moving and self.offset < 2
 
     def own_unknowns(self, n: int) -> int:
         """Free motion of every mode, then the drift per sample, and the constant as the last."""

@@ -13,7 +13,7 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
 from .circumstances import autoregression, correlations
 from .criteria import criteria_of, past_of_noise
-from .free_search import FreeSearch
+from .free_search import FreeSearch, Left, free_unknowns
 from .steps import stands_out
 
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
@@ -24,25 +24,24 @@ class FreeStep:
     """Damped modes and what they leave."""
 
     at: FreeProjection
-    left: list[ComplexArray]
+    left: Left
     loss: float
 
 
-def free_unknowns(problem: Problem, n: int) -> int:
-    """Parameters of n damped modes: those of lossless ones, a decay rate and a phase for each, and a feedthrough."""
-    return problem.unknowns(n) + n + (n + 1) * problem.driven
-
-
-def free_criterion(problem: Problem, step: FreeStep) -> float:
+def free_criterion(search: FreeSearch, step: FreeStep) -> float:
     """BIC of a damped model; of a loss that is rounding, that of the rounding."""
-    return criteria_of(problem.samples, max(step.loss, problem.rounding), free_unknowns(problem, len(step.at.p))).bic
+    return criteria_of(search.samples, max(step.loss, search.rounding), search.unknowns(len(step.at.p))).bic
 
 
 def free_preference(problem: Problem, step: FreeStep) -> float:
     """BIC of damped modes, with noise as coloured as it prefers."""
     samples, n = problem.samples, len(step.at.p)
     lengths = [len(one.u) for one in problem.experiments if isinstance(one, RecordRows)]
-    foretold = autoregression(correlations(step.left, lengths), min(lengths))[1] if n and lengths else np.ones(1)
+    foretold = (
+        autoregression(correlations([one[0] for one in step.left], lengths), min(lengths))[1]
+        if n and lengths
+        else np.ones(1)
+    )
     found = criteria_of(samples, step.loss, free_unknowns(problem, n)).bic
     return found + past_of_noise(samples, foretold, float(np.log(samples)))
 
@@ -53,7 +52,7 @@ def free_step(search: FreeSearch, p: ComplexArray) -> FreeStep:
     if len(p) and search.windowed:
         at = refine_free(lambda _: search.all_rows(True), at.p, search.region, TUNING.rough)
     left = search.left(at)
-    return FreeStep(at, left, search.loss(left))
+    return FreeStep(at, left, float(search.losses(left).sum()))
 
 
 def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: int) -> FreeStep:
@@ -67,7 +66,7 @@ def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: 
         if more is None:
             break
         current = more
-        if short or free_criterion(search.problem, current) < free_criterion(search.problem, best):
+        if short or free_criterion(search, current) < free_criterion(search, best):
             best, missed = current, 0
         else:
             missed += 1
@@ -75,7 +74,7 @@ def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: 
         vague = _vagueness(search, best.at)
         weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(evidence(search, best.at)))
         fewer = free_step(search, np.delete(best.at.p, weakest))
-        if vague.max() <= 1 and free_criterion(search.problem, fewer) >= free_criterion(search.problem, best):
+        if vague.max() <= 1 and free_criterion(search, fewer) >= free_criterion(search, best):
             break
         best = fewer
     return best
@@ -84,7 +83,7 @@ def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: 
 def _vagueness(search: FreeSearch, at: FreeProjection) -> Array:
     """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
     n = len(at.p)
-    inner = at.covariance(at.loss / max(1, at.rows - free_unknowns(search.problem, n)))
+    inner = at.covariance(at.loss / max(1, at.rows - search.unknowns(n)))
     errors = np.sqrt(np.diag(inner)[n : 2 * n])
     return np.asarray(errors / np.maximum(TUNING.vague * np.abs(at.sigma), TUNING.vague * search.region.bin))
 
@@ -133,7 +132,7 @@ def _joined_by_one(search: FreeSearch, step: FreeStep, demanding: bool) -> FreeS
         (complex(p), float(gain)) for p, gain in zip(candidates, gains, strict=True)
         if np.all(np.abs(p.imag - at.p.imag) > needed)
     ]  # fmt: skip
-    if demanding and not (distant and _is_more_than_noise(search.problem, step, distant[0][1])):
+    if demanding and not (distant and _is_more_than_noise(search, step, distant[0][1])):
         return None
     first: FreeStep | None = None
     for p, _ in distant[: TUNING.tried]:
@@ -144,9 +143,9 @@ def _joined_by_one(search: FreeSearch, step: FreeStep, demanding: bool) -> FreeS
     return None if demanding else first
 
 
-def _is_more_than_noise(problem: Problem, step: FreeStep, gain: float) -> bool:
-    now, then = (free_unknowns(problem, len(step.at.p) + more) for more in (0, 1))
-    return stands_out(gain, step.loss, problem.samples, now, then - now)
+def _is_more_than_noise(search: FreeSearch, step: FreeStep, gain: float) -> bool:
+    now, then = (search.unknowns(len(step.at.p) + more) for more in (0, 1))
+    return stands_out(gain, step.loss, search.samples, now, then - now)
 
 
 def finished(search: FreeSearch, p: ComplexArray, accelerometer: bool) -> FreeProjection:

@@ -7,8 +7,10 @@ peaks may be much wider than a bin, it is solved over windows of several widths.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from ...modal.discretization import Hold
 from ..regression.free import FreeProjection, PoleRegion
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.modal_regressors import SampledModes
-from ..regression.spectral_rows import FreeWindow, Spectrum
+from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
@@ -30,71 +32,106 @@ _PEAKS = 200
 _COMPARED = 16
 
 
-class _DampedData:
-    """Experiments of a problem, and where damped modes are looked for in them."""
-
-    windowed = False  # whether `rows` are a part of all
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.region = PoleRegion(problem.bin, problem.ceiling)
+Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
 
 
-class Records(_DampedData):
-    """Records in time."""
+@dataclass(frozen=True)
+class Records:
+    """Records in time, and where damped modes are looked for in them.
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem)
-        self.experiments = experiments = [one for one in problem.experiments if isinstance(one, RecordRows)]
-        self.spectra = [Spectrum.of(one) for one in experiments]
-        self.windowed = max(len(one.u) for one in experiments) > TUNING.in_time and all(
-            one.complete and not one.from_rest and one.offset < 2 for one in experiments
-        )
-        self._in_time = [FreeRecord.of(one) for one in experiments]
+    `unknowns` counts the parameters of a number of modes, and losses below `rounding` are no noise.
+    """
+
+    records: Sequence[FreeRecord]
+    unknowns: Callable[[int], int]
+    rounding: float
+    in_time: int = TUNING.in_time
+
+    @property
+    def samples(self) -> int:
+        """Number of real equations."""
+        return sum(one.samples * len(one.outputs) for one in self.records)
+
+    @cached_property
+    def spectra(self) -> list[ChannelSpectra]:
+        """Transforms of all records."""
+        return [ChannelSpectra.of(one) for one in self.records]
+
+    @property
+    def region(self) -> PoleRegion:
+        """Where poles are looked for."""
+        return PoleRegion(min(one.bin for one in self.records), max(one.ceiling for one in self.records))
+
+    @cached_property
+    def windowed(self) -> bool:
+        """Whether `rows` are a part of all."""
+        return max(one.length for one in self.records) > self.in_time and all(one.whole for one in self.records)
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The bins about the modes of long records."""
-        return [FreeWindow.thinned(one, p) for one in self.spectra] if self.windowed else self._in_time
+        return [FreeWindow.thinned(one, p) for one in self.spectra] if self.windowed else self.records
 
-    def all_rows(self, through: bool) -> Sequence[FreeRows]:
+    def all_rows(self, through: bool = True) -> Sequence[FreeRows]:
         """All observed samples."""
-        return [FreeRecord.of(one, through) for one in self.experiments]
+        return self.records if through else [replace(one, through=False) for one in self.records]
 
-    def left(self, at: FreeProjection) -> list[ComplexArray]:
+    def scaled(self, sizes: Array) -> Records:
+        """The same with outputs (q,) so many times as large."""
+        records = [replace(one, y=one.y * sizes[one.outputs, None]) for one in self.records]
+        found = replace(self, records=records)
+        pairs = zip(self.spectra, records, strict=True)
+        vars(found)["spectra"] = [one.scaled(record, sizes[record.outputs]) for one, record in pairs]
+        return found
+
+    def left(self, at: FreeProjection) -> Left:
         """Transforms of what a model leaves; 0 where an output is missing, or an offset explains it."""
-        residues = at.residues[:, 0] if at.inputs else np.zeros((len(at.p), 1), complex)
-        if not len(at.p):
-            left = [one.Y.copy() for one in self.spectra]
-        elif isinstance(at.experiments[0], FreeWindow):
-            left = [
-                one.left(
-                    SampledModes.of(one.experiment.hold, at.p), residues[:, 0], own[:, 0],
-                    float(at.feedthrough[0, 0]) if at.has_feedthrough else 0.0,
-                )
-                for one, own in zip(self.spectra, at.own, strict=True)
-            ]  # fmt: skip
-        else:
-            pairs = zip(self.experiments, at.predicted(), strict=True)
-            left = [np.fft.rfft(np.where(one.observed, one.y - predicted, 0.0)) for one, predicted in pairs]
-        return [spectrum.beside_offset(each) for spectrum, each in zip(self.spectra, left, strict=True)]
+        found, windowed = [], isinstance(at.experiments[0], FreeWindow)
+        n, predicted = len(at.p), [] if windowed or not len(at.p) else at.predictions()
+        for k, (one, own) in enumerate(zip(self.spectra, at.own, strict=True)):
+            record = one.record
+            if not n:
+                left = one.Y.copy()
+            elif windowed:
+                motion, outputs = own[:n] + 1j * own[n : 2 * n], record.outputs
+                residues, through = at.residues[:, outputs, : record.inputs], at.feedthrough[outputs, : record.inputs]
+                left = one.left(one.Y, one.U, SampledModes.of(one.hold, at.p), residues, motion, through)
+            else:
+                left = np.fft.rfft(np.where(record.observed, record.y - predicted[k], 0.0))
+            if record.offset:
+                left[:, 0] = 0.0
+            found.append(left)
+        return found
 
-    def loss(self, left: Sequence[ComplexArray]) -> float:
-        """Sum of squares over the observed samples."""
-        return float(sum(spectrum.energy(one) for one, spectrum in zip(left, self.spectra, strict=True)))
+    def losses(self, left: Left) -> Array:
+        """Sum of squares over the observed samples of each output."""
+        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.records))
+        for part, spectrum in zip(left, self.spectra, strict=True):
+            found[spectrum.record.outputs] += spectrum.energies(part)
+        return found
 
-    def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
+    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
-        found = [Channels.of(spectrum).modes(one[None]) for spectrum, one in zip(self.spectra, left, strict=True)]
-        p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        width = min(one.bin for one in self.experiments)
-        chosen: list[int] = []
-        for k in np.argsort(-gain, kind="stable"):
-            apart = width + np.abs(p[k].real)
-            if all(abs(p[k].imag - p[other].imag) > apart + abs(p[other].real) for other in chosen):
-                chosen.append(int(k))
-            if len(chosen) == _COMPARED:
-                break
-        return p[chosen], gain[chosen]
+        joined: list[tuple[ChannelSpectra, list[ComplexArray]]] = []
+        for spectrum, part in zip(self.spectra, left, strict=True):
+            if joined and joined[-1][0].record.u is spectrum.record.u:  # outputs of one experiment
+                joined[-1][1].append(part)
+            else:
+                joined.append((spectrum, [part]))
+        found = [Channels.of(spectrum).modes(np.concatenate(parts)) for spectrum, parts in joined]
+        return strongest(found, self.region.bin)
+
+
+def strongest(found: Sequence[tuple[ComplexArray, Array]], width: float) -> tuple[ComplexArray, Array]:
+    """Poles, the strongest first, without those that lie within the peaks of stronger ones."""
+    p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    chosen: list[int] = []
+    for k in np.argsort(-gain, kind="stable"):
+        apart = width + np.abs(p[k].real)
+        if all(abs(p[k].imag - p[other].imag) > apart + abs(p[other].real) for other in chosen):
+            chosen.append(int(k))
+        if len(chosen) == _COMPARED:
+            break
+    return p[chosen], gain[chosen]
 
 
 @dataclass(frozen=True)
@@ -107,10 +144,9 @@ class Channels:
     ceiling: float
 
     @classmethod
-    def of(cls, spectrum: Spectrum) -> Channels:
-        """Those of a record of one input."""
-        one = spectrum.experiment
-        return cls(spectrum.U[None][: int(one.driven)], spectrum.length, one.hold, one.ceiling)
+    def of(cls, spectrum: ChannelSpectra) -> Channels:
+        """Those of a record."""
+        return cls(spectrum.U, spectrum.length, spectrum.hold, spectrum.record.ceiling)
 
     def modes(self, left: ComplexArray) -> tuple[ComplexArray, Array]:
         """Poles of modes that explain something of what is left of outputs (q, K), and how much; O(q T).
@@ -148,37 +184,44 @@ class Channels:
         return (self.length - 1) // 2
 
     def _local(self, left: ComplexArray, half: int, centres: Indices) -> tuple[ComplexArray, Array]:
-        """One mode in each window, frequencies in bins from its centre: `(s - pole) E = sum beta U + gamma z`.
-
-        The pole is that of all outputs: what inputs and ends explain of `E` and of `s E` is taken out of both.
-        """
+        """One mode in each window, frequencies in bins from its centre."""
         T = self.length
         turn = np.expm1(2j * np.pi / T * np.arange(-half, half + 1))
-        s = turn * (T / (2 * np.pi))
         place = centres[:, None] + np.arange(-half, half + 1)
         E, U = (np.ascontiguousarray(np.moveaxis(rows[:, place], 0, 1)) for rows in (left, self.U))
         # a smooth input is told from the ends by what it is beside a constant
         size = np.linalg.norm(U, axis=2, keepdims=True)
-        ends = np.broadcast_to(1.0 + turn, (len(place), 1, len(s)))
+        ends = np.broadcast_to(1.0 + turn, (len(place), 1, turn.size))
         inputs = np.concatenate([ends, U / np.where(size > 0, size, 1.0)], axis=1)
-        weight = np.ones((len(place), 1, len(s)), complex)
-        for _ in range(_ROUNDS):
-            shown = E * weight
-            power = np.sum(np.abs(shown) ** 2, axis=1)
-            energy, cross = power.sum(axis=1), power @ s
-            products, solved = _least_squares(inputs * weight, np.concatenate([shown, s * shown], axis=1))
-            taken = products[:, :, : len(left)].conj()
-            energy = energy - np.sum(taken * solved[:, :, : len(left)], axis=(1, 2)).real
-            cross = cross - np.sum(taken * solved[:, :, len(left) :], axis=(1, 2))
-            pole = cross / np.where(energy > 0, energy, 1.0)
-            width = np.clip(np.abs(pole.real), TUNING.narrowest, 2.0 * half)
-            pole = -width + 1j * np.clip(pole.imag, -half, half)
-            weight = 1.0 / (s - pole[:, None, None])
-        products, solved = _least_squares(inputs * weight, E)
-        gain = np.sum(products.conj() * solved, axis=(1, 2)).real
+        pole, gain = local_modes(E, inputs, turn[None] * (T / (2 * np.pi)), np.full(len(place), float(half)))
         p = self.hold.pole(np.exp(2j * np.pi / T * centres) * (1.0 + pole * (2 * np.pi / T)))
         kept = (np.abs(pole.imag) < half) & (p.imag > 0) & (p.imag < self.ceiling)
         return p[kept], gain[kept] * (2.0 / T)
+
+
+def local_modes(E: ComplexArray, inputs: ComplexArray, s: ComplexArray, half: Array) -> tuple[ComplexArray, Array]:
+    """Pole of one mode in each window, `(s - pole) E = sum beta inputs`, and how much it explains.
+
+    Of outputs (windows, q, K), inputs (windows, k, K), and frequencies `s` (windows or 1, K) from the centre, up to
+    `half` (windows,).  The pole is that of all outputs: what inputs explain of `E` and of `s E` is taken out of both.
+    """
+    count = E.shape[1]
+    each = s[:, None]
+    weight = np.ones((len(E), 1, s.shape[1]), complex)
+    for _ in range(_ROUNDS):
+        shown = E * weight
+        power = np.sum(np.abs(shown) ** 2, axis=1)
+        energy, cross = power.sum(axis=1), np.sum(power * s, axis=1)
+        products, solved = _least_squares(inputs * weight, np.concatenate([shown, each * shown], axis=1))
+        taken = products[:, :, :count].conj()
+        energy = energy - np.sum(taken * solved[:, :, :count], axis=(1, 2)).real
+        cross = cross - np.sum(taken * solved[:, :, count:], axis=(1, 2))
+        pole = cross / np.where(energy > 0, energy, 1.0)
+        width = np.clip(np.abs(pole.real), TUNING.narrowest, 2.0 * half)
+        pole = -width + 1j * np.clip(pole.imag, -half, half)
+        weight = 1.0 / (each - pole[:, None, None])
+    products, solved = _least_squares(inputs * weight, E)
+    return pole, np.sum(products.conj() * solved, axis=(1, 2)).real
 
 
 def _peaking(left: ComplexArray, half: int, centres: Indices) -> Indices:
@@ -200,43 +243,138 @@ def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[Comple
     return products, np.linalg.solve(gram, products)
 
 
-class Responses(_DampedData):
-    """Frequency responses."""
+@dataclass(frozen=True)
+class Responses:
+    """Frequency responses, and where damped modes are looked for in them."""
 
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem)
-        self.experiments = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-        self._responses = [FreeResponse(one) for one in self.experiments]
+    responses: Sequence[FreeResponse]
+    unknowns: Callable[[int], int]
+    rounding: float
+    windowed: ClassVar[bool] = False
+
+    @property
+    def samples(self) -> int:
+        """Number of real equations."""
+        return sum(one.samples * len(one.outputs) for one in self.responses)
+
+    @property
+    def region(self) -> PoleRegion:
+        """Where poles are looked for."""
+        return PoleRegion(min(one.bin for one in self.responses), max(one.ceiling for one in self.responses))
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All points."""
-        return self._responses
+        return self.responses
 
-    def all_rows(self, through: bool) -> Sequence[FreeResponse]:
+    def all_rows(self, through: bool = True) -> Sequence[FreeResponse]:
         """All points."""
-        return self._responses
+        return self.responses
 
-    def left(self, at: FreeProjection) -> list[ComplexArray]:
+    def scaled(self, sizes: Array) -> Responses:
+        """The same with entries (q,) so many times as large."""
+        parts = [replace(one, response=one.response * sizes[one.outputs, None]) for one in self.responses]
+        return replace(self, responses=parts)
+
+    def left(self, at: FreeProjection) -> Left:
         """What a model leaves, in the scale of the weights."""
-        return [
-            rows.target - np.concatenate([own, at.shared])[:, 0] @ rows.columns(at.p)
-            for rows, own in zip(self._responses, at.own, strict=True)
-        ]
+        pairs = zip(self.responses, at.own, strict=True)
+        return [rows.target - np.concatenate([own, at.shared[:, rows.outputs]]).T @ rows.columns(at.p)
+                for rows, own in pairs]  # fmt: skip
 
-    def loss(self, left: Sequence[ComplexArray]) -> float:
-        """Weighted sum of squares."""
-        return float(sum(np.sum(np.abs(one) ** 2) for one in left))
+    def losses(self, left: Left) -> Array:
+        """Weighted sum of squares of each entry."""
+        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.responses))
+        for part, rows in zip(left, self.responses, strict=True):
+            found[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
+        return found
 
-    def candidates(self, left: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
+    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
+        """Of windows of several widths, the poles that explain most."""
+        joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
+        for rows, part in zip(self.responses, left, strict=True):
+            everywhere = np.zeros((len(part), len(rows.frequencies)), complex)
+            everywhere[:, rows.observed] = part / rows.weight
+            weights = np.where(rows.observed, rows.scale, 0.0)[None].repeat(len(part), axis=0)
+            if joined and joined[-1][0] is rows.frequencies:
+                joined[-1][1].append(everywhere)
+                joined[-1][2].append(weights)
+            else:
+                joined.append((rows.frequencies, [everywhere], [weights]))
+        found = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
+                 for omega, parts, weights in joined]  # fmt: skip
+        return strongest(found, self.region.bin)
+
+
+def _modes_of_lines(omega: Array, left: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:
+    """Poles of modes that explain something of what is left of responses (q, K), and how much.
+
+    Each beside a straight line, within a window of so many points, which need not be equidistant.
+    """
+    found, points = [(np.zeros(0, complex), np.zeros(0))], len(omega)
+    for half in TUNING.widths_of_peaks:
+        if 4 * half > points and half > TUNING.widths_of_peaks[0]:
+            break
+        half = min(half, (points - 1) // 2)
+        if half < 3:
+            break
+        centres = np.arange(half, points - half, max(1, half // 6))
+        if points > _EVERYWHERE:
+            centres = _peaking(left * weight, half, centres)
+        size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
+        found += [_local_lines(omega, left, weight, half, centres[k : k + size]) for k in range(0, len(centres), size)]
+    p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return p, gain
+
+
+def _local_lines(
+    omega: Array, left: ComplexArray, weight: Array, half: int, centres: Indices
+) -> tuple[ComplexArray, Array]:
+    place = centres[:, None] + np.arange(-half, half + 1)
+    apart = omega[place] - omega[centres, None]
+    span = np.maximum(apart[:, -1] - apart[:, 0], np.finfo(float).tiny)
+    unit = span / (2 * half)
+    s = 1j * apart / unit[:, None]
+    share = weight[place][:, None]
+    E = np.ascontiguousarray(np.moveaxis(left[:, place], 0, 1)) * share
+    inputs = np.stack([np.ones(place.shape, complex), s / half], axis=1) * share
+    # the pole may lie anywhere between the ends, which unequal distances put elsewhere than half the span away
+    pole, gain = local_modes(E, inputs, s, np.minimum(-apart[:, 0], apart[:, -1]) / unit)
+    p = pole * unit + 1j * omega[centres]
+    kept = (p.imag > omega[place[:, 0]]) & (p.imag < omega[place[:, -1]]) & (p.imag > 0)
+    return p[kept], gain[kept]
+
+
+@dataclass(frozen=True)
+class LosslessResponses(Responses):
+    """Responses of one channel, where candidates are those beside lossless modes."""
+
+    experiments: Sequence[FrequencyRows] = ()
+
+    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
         """Candidates between the points."""
-        d, gain = ranked_candidates(self.experiments, left)
+        d, gain = ranked_candidates(self.experiments, [one[0] for one in left])
         return np.asarray(np.nan + 1j * d, complex), gain
 
 
 FreeSearch = Records | Responses
 
 
+def free_unknowns(problem: Problem, n: int) -> int:
+    """Parameters of n damped modes: those of lossless ones, a decay rate and a phase for each, and a feedthrough."""
+    return problem.unknowns(n) + n + (n + 1) * problem.driven
+
+
 def free_search(problem: Problem) -> FreeSearch:
-    """Where damped modes are looked for in the data of a problem."""
-    in_time = any(isinstance(one, RecordRows) for one in problem.experiments)
-    return Records(problem) if in_time else Responses(problem)
+    """Where damped modes are looked for in the data of a problem of lossless modes."""
+    unknowns = partial(free_unknowns, problem)
+    records = [FreeRecord.of(one) for one in problem.experiments if isinstance(one, RecordRows)]
+    if records:
+        return Records(records, unknowns, problem.rounding)
+    return responses_of(problem)
+
+
+def responses_of(problem: Problem) -> LosslessResponses:
+    """Where damped modes are looked for in frequency responses of a problem of lossless modes."""
+    rows = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+    unknowns = partial(free_unknowns, problem)
+    return LosslessResponses([FreeResponse.of(one) for one in rows], unknowns, problem.rounding, rows)

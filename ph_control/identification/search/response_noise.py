@@ -112,16 +112,17 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
     search = ResponseSearch(problem)
     step = search.damped(d)
     lossless = refine(problem, step.at.d, rtol=TUNING.rough).projection
-    simpler = criteria(problem, max(lossless.loss, problem.rounding), len(d)).bic <= free_criterion(problem, step)
+    simpler = criteria(problem, max(lossless.loss, problem.rounding), len(d)).bic <= free_criterion(search.data, step)
     squares, shares, gains = [], [], []
-    for rows, left, predicted in zip(search.data.all_rows(True), step.left, lossless.predicted(), strict=True):
-        columns = next(rows.at(step.at.p).blocks())
+    parts = zip(search.data.all_rows(), search.data.experiments, step.left, lossless.predicted(), strict=True)
+    for damped, rows, (left,), predicted in parts:
+        columns = next(damped.at(step.at.p).blocks())
         if simpler:
-            columns = next(rows.rows.at(lossless.d).sensitive_blocks(lossless.kappa, np.zeros(0)))
-            left = rows.target - predicted[rows.rows.record.observed] * rows.rows.scale
-        squares.append(np.abs(left / rows.rows.scale) ** 2)
+            columns = next(rows.at(lossless.d).sensitive_blocks(lossless.kappa, np.zeros(0)))
+            left = rows.target - predicted[rows.record.observed] * rows.scale
+        squares.append(np.abs(left / rows.scale) ** 2)
         shares.append(_spare(columns[:-1]))
-        gains.append(np.abs(rows.target - left) / rows.rows.scale)
+        gains.append(np.abs(rows.target - left) / rows.scale)
     gain, spare = np.concatenate(gains), np.concatenate(shares)
     if spare.sum() < TUNING.fewest_points or not np.ptp(gain) or step.loss <= problem.rounding:
         return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step.at.d

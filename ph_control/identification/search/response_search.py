@@ -15,7 +15,7 @@ from ..regression.variable_projection import Problem, refine
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
 from .free_path import FreeStep, free_step
-from .free_search import Responses
+from .free_search import responses_of
 from .steps import Report, Search, Step
 
 
@@ -24,7 +24,7 @@ class ResponseSearch(Search):
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self.data = Responses(problem)
+        self.data = responses_of(problem)
         self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.data.experiments)
         self._poles: dict[float, complex] = {}
 
@@ -37,7 +37,7 @@ class ResponseSearch(Search):
 
     def _is_white(self, step: FreeStep) -> bool:
         """Whether what damped modes leave is noise from point to point, but for a few that outweigh all others."""
-        parts = [without_peaks(part) for one in step.left for part in (one.real, one.imag)]
+        parts = [without_peaks(part) for (one,) in step.left for part in (one.real, one.imag)]
         return ljung_box(parts, TUNING.lags) >= TUNING.white
 
     def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
