@@ -49,6 +49,7 @@ from .identification.excitation.report import Excitation as Excitation
 from .identification.fit.bootstrap import Bootstrap as Bootstrap
 from .identification.fit.gradient import GradientResult as GradientResult
 from .identification.fit.gradient import gradient_descent as gradient_descent
+from .identification.fit.lossless_result import LosslessResult as LosslessResult
 from .identification.fit.pem import pem as pem
 from .identification.fit.pem import prediction_error_fit as prediction_error_fit
 from .identification.fit.result import PEMResult as PEMResult

@@ -68,7 +68,7 @@ def fitted():
 
 
 RESULTS = {
-    "PEMResult": fitted,
+    "LosslessResult": fitted,
     "FittedExperiment": lambda: fitted().experiments[0],
     "Comparison": lambda: phc.compare(record(), chain(), labels=["<chain> & $co$"]),
     "ResidualAnalysis": lambda: phc.residual_analysis(record(), fitted()),
@@ -314,11 +314,11 @@ def test_a_result_is_one_line_in_a_list_and_a_report_where_it_is_printed(name):
     assert "<script" not in document and "$" not in document
     for word in str(result).split():
         # the summary of a fit has its table as a table
-        assert word in read or name == "PEMResult"
+        assert word in read or name == "LosslessResult"
 
 
 def test_the_line_of_a_fit_says_its_order_its_fit_and_the_verdict():
-    assert repr(fitted()) == f"<PEMResult: 2 modes, fit {fitted().fit_percent:.2f} %, {fitted().verdict}>"
+    assert repr(fitted()) == f"<LosslessResult: 2 modes, fit {fitted().fit_percent:.2f} %, {fitted().verdict}>"
     assert str(fitted()) == fitted().summary()
     comparison = RESULTS["Comparison"]()
     assert repr(comparison) == f"<Comparison: fit to 'v</pre>': <chain> & $co$ {comparison.fit_percent[0]:.2f} %>"

@@ -485,7 +485,7 @@ def test_a_result_comes_back_from_its_file_bit_by_bit(tmp_path):
     assert result.active, "the record is meant to have NaN standard errors"
     result.save(tmp_path / "result.json")
     back = phc.load(tmp_path / "result.json")
-    assert type(back) is phc.PEMResult
+    assert type(back) is phc.LosslessResult
     for name in ("initial_state", "free_amplitudes", "covariance", "predicted", "residuals", "d", "r"):
         assert np.array_equal(getattr(back, name), getattr(result, name), equal_nan=True)
     for name in ("noise_variance", "loss", "loglik", "aic", "bic", "fit_percent", "active", "unseen", "message",

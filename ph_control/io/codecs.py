@@ -159,6 +159,7 @@ _CODECS: dict[str, Codec | str] = {
     "AffineHamiltonian": Codec(AffineHamiltonian, _affine_to_dict, _affine_from_dict),
     "PEMResult": "ph_control.identification.fit.serialization",
 }
+_KINDS = {"LosslessResult": "PEMResult"}  # classes under another name in documents
 
 _NO_DOCUMENTS = (".mat", ".csv", ".txt")  # suffixes of what other programs expect something else in
 
@@ -219,13 +220,14 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
 def document_of(obj: Any) -> str:
     """Text that `save` writes."""
     # the class itself: a subclass would come back as its base
-    codec = _codec(type(obj).__name__)
+    kind = _KINDS.get(type(obj).__name__, type(obj).__name__)
+    codec = _codec(kind)
     if codec is None or type(obj) is not codec.type:
         raise StructureError(
             f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
             "a passive system of another type can be converted with ph(sys), any other with modes(sys)"
         )
-    text = compose(type(obj).__name__, plain(codec.to_dict(obj)))
+    text = compose(kind, plain(codec.to_dict(obj)))
     try:
         restore(text.encode(), type(obj).__name__)
     except FileFormatError as error:

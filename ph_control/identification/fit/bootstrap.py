@@ -29,7 +29,7 @@ _EXACT = 1e-4  # of the noise variance: decrease of the sum of squares at which 
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap(Frozen):
-    """Estimates from resampled noise; made by `PEMResult.bootstrap`.
+    """Estimates from resampled noise; made by `LosslessResult.bootstrap`.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Bootstrap(Frozen):
         return np.asarray(~np.isnan(self.offset).any(axis=1))
 
     def _statistic(self, of: Callable[[Array], Array], *shape: int) -> Mapping[str, Array]:
-        """Statistic of each parameter under the keys of `PEMResult.stderr`; NaN for what never changed."""
+        """Statistic of each parameter by its name; NaN for what never changed."""
         found = {}
         for name in ("d", "r", "initial_state", "offset"):
             draws = getattr(self, name)[self._kept]
@@ -90,7 +90,7 @@ class Bootstrap(Frozen):
 
     @cached_property
     def stderr(self) -> Mapping[str, Array]:
-        """Standard deviation over the resamples, under the keys of `PEMResult.stderr`; NaN for what never changed."""
+        """Standard deviation over the resamples: d, r, initial_state, offset; NaN for what never changed."""
         return self._statistic(lambda draws: np.std(draws, axis=0, ddof=1))
 
     def interval(self, level: float = 0.95) -> Mapping[str, Array]:

@@ -34,7 +34,7 @@ from ..uncertainty.covariance import uncertainty
 from ..uncertainty.fisher import Information, information_at, listed
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
-from .result import PEMResult
+from .lossless_result import LosslessResult
 
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
@@ -59,7 +59,7 @@ class Fit:
     law: NoiseLaw | None = None
 
 
-def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> PEMResult:
+def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> LosslessResult:
     """Make the result of a fit, and warn of what the data do not show."""
     problem, found = fit.problem, fit.found
     at: Projection = found.end.projection.ascending
@@ -131,7 +131,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
-    return PEMResult(
+    return LosslessResult(
         system=_named_system(modes, fit.records[0]),
         experiments=experiments,
         covariance=estimated.covariance,

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ... import _checks
 from ..._display import Report, aligned, html_heading, html_report, html_table, percent, to_its_error
 from ..._types import Array
-from ..._units import common_unit, hertz_size, rate, step_of
+from ..._units import hertz_size, rate, step_of
 from ...exceptions import shortened
 from ..data.time_record import Record
 from ..diagnosis.damped_model import damped_lines
@@ -19,22 +18,7 @@ _SHOWN = 6  # experiments listed one by one
 
 
 class FitReport(Report):
-    """What the result of a fit shows of itself."""
-
-    @property
-    def time_unit(self: Any) -> str | None:
-        """Unit of time of the data, as 'ms', and so of `d` in radians per unit; None where it is not known."""
-        return common_unit([one.record for one in self.experiments])
-
-    @property
-    def natural_frequencies(self: Any) -> Array:
-        """Natural frequencies, ascending, rad per unit time: `d`."""
-        return np.asarray(self.d)
-
-    @property
-    def hertz(self) -> Array:
-        """Natural frequencies in Hz; where `time_unit` is not known, as if it were the second."""
-        return _checks.readonly(self.natural_frequencies / hertz_size(self.time_unit))
+    """What the result of a lossless fit shows of itself."""
 
     def __str__(self) -> str:
         return summary_of(self)

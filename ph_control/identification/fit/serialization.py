@@ -26,7 +26,8 @@ from ..search.formulation import REPRESENTATIONS
 from ..search.path import Start
 from ..search.response_noise import NoiseKind, NoiseLaw
 from ..uncertainty.fisher import Information
-from .result import OrderRow, PEMResult
+from .lossless_result import LosslessResult
+from .result import OrderRow
 
 _KEYS = {"u": "input", "y": "output", "outcome": "verdict"}  # fields under another name in a document
 _WORDS = {
@@ -137,7 +138,7 @@ def _places(fields: Fields, name: str, count: int | None = None) -> tuple[int, .
 # --- a result --------------------------------------------------------------------------------------------------------
 
 
-def _to_dict(result: PEMResult) -> dict[str, Any]:
+def _to_dict(result: LosslessResult) -> dict[str, Any]:
     found = _written(result, "system", "experiments", "order_table", "starts", "damped") | {
         "system": system_to_dict(result.system),
         "experiments": _counted(map(_written, result.experiments)),
@@ -163,7 +164,7 @@ def _from_dict(fields: Fields) -> Any:
     if "noise" not in fields:  # older files tell of one variance only
         optional["noise"] = NoiseLaw(NoiseKind.CONSTANT, float(np.sqrt(fields.number("noise_variance"))))
     return _read(
-        PEMResult, fields, shapes,
+        LosslessResult, fields, shapes,
         system=system, experiments=experiments,
         identifiability=_read(
             Information, information, {"lengths": (known,), "singular_values": (known,), "vectors": (known, known)}
@@ -227,4 +228,4 @@ def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:
     return _read(DampedModel, fields, shapes, **of_experiments)
 
 
-CODEC = Codec(PEMResult, _to_dict, _from_dict)
+CODEC = Codec(LosslessResult, _to_dict, _from_dict)

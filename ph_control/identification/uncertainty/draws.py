@@ -6,7 +6,7 @@ even approximately: an error of `d` moves the pole across, and a linearised band
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import log_ndtr, ndtri_exp, stdtrit
 
 from ... import _checks
-from ..._frozen import Frozen
+from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray, Mask
 from ...exceptions import StructureError
 from ...modal.modal_form import ModalForm, from_frequencies, imaginary
@@ -68,6 +68,22 @@ def normal_interval(
     centre, half = np.asarray(value, float), -stdtrit(dof, tail_of(level)) * np.asarray(stderr, float)
     ends = np.stack(np.broadcast_arrays(centre - half, centre + half), axis=-1)
     return np.maximum(ends, np.asarray(lower, float)[..., None])
+
+
+def intervals(
+    values: Mapping[str, Any], errors: Mapping[str, Any], level: float, lower: Mapping[str, float], dof: float
+) -> ReadOnlyMapping:
+    """Confidence intervals of estimates by name; of complex ones those of real and imaginary parts."""
+
+    def ends(name: str, part: Callable[[Any], Any]) -> Array:
+        return normal_interval(part(values[name]), part(errors[name]), level, lower=lower.get(name, -np.inf), dof=dof)
+
+    return ReadOnlyMapping(
+        {
+            name: ends(name, np.real) + 1j * ends(name, np.imag) if np.iscomplexobj(value) else ends(name, np.real)
+            for name, value in values.items()
+        }
+    )
 
 
 def tail_of(level: Any) -> float:
@@ -207,7 +223,7 @@ def _normal_between(low: Array, high: Array, centre: Array, random: np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class ModeSamples(Frozen):
-    """Models drawn by `PEMResult.sample` from the distribution of an estimate, and the bands of their responses.
+    """Models drawn by `LosslessResult.sample` from the distribution of an estimate, and the bands of their responses.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ from ...systems.port_hamiltonian import ph
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.fitted_directions import Directions, of_record, of_response, same_data
-from ..fit.result import PEMResult
+from ..fit.lossless_result import LosslessResult
 from ..regression.frequency_rows import modal_columns
 from ..regression.prediction import response_on
 
@@ -92,14 +92,14 @@ def answers_to(
 
 
 def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
-    """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
-    places = range(len(model.experiments)) if isinstance(model, PEMResult) else []
+    """What a `LosslessResult`, a system of this package, or a linear system of python-control says of an experiment."""
+    places = range(len(model.experiments)) if isinstance(model, LosslessResult) else []
     place = next((k for k in places if same_data(record, model.experiments[k].record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
         return Simulation(model.experiments[place].predicted, lambda: _fitted_directions(model, place), True)
     if isinstance(record, FrequencyRecord):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
-    if isinstance(model, PEMResult):
+    if isinstance(model, LosslessResult):
         return _fitted_model(model, place, label, record, rules)
     if rules.initial_state == "fitted":
         raise StructureError(
@@ -176,7 +176,7 @@ def _completed(motions: Motions, label: str, record: Record, rules: Rules) -> Si
 # --- results of a fit ------------------------------------------------------------------------------------------------
 
 
-def _fitted_model(model: PEMResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
+def _fitted_model(model: LosslessResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
     """A fit on other data, or from another state on its own: by the rules of the fit, for these data."""
     steps = [one.record.dt for one in model.experiments if isinstance(one.record, Record)]
     if model.method != "exact" and steps and all(abs(record.dt - h) > _STEP_TOLERANCE * record.dt for h in steps):
@@ -202,7 +202,7 @@ def _fitted_model(model: PEMResult, place: int | None, label: str, record: Recor
     return replace(found, directions=directions, own=True)
 
 
-def _kept_state(model: PEMResult, label: str) -> tuple[Array, float]:
+def _kept_state(model: LosslessResult, label: str) -> tuple[Array, float]:
     fitted = [one.record for one in model.experiments]
     if len(fitted) > 1 or not isinstance(fitted[0], Record):
         several = f"{len(fitted)} experiments, each with a state of its own, and this record is none of them"
@@ -211,7 +211,7 @@ def _kept_state(model: PEMResult, label: str) -> tuple[Array, float]:
     return model.initial_state, float(model.offsets[0])
 
 
-def _fitted_directions(model: PEMResult, place: int) -> Directions:
+def _fitted_directions(model: LosslessResult, place: int) -> Directions:
     """Derivatives of the prediction of one experiment of a fit by `(d, kappa)`, and by its free motion and offset."""
     one = model.experiments[place]
     seen = [l for l in range(model.order) if l not in model.unseen]
@@ -301,7 +301,7 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 
 def _response(model: Any, label: str, record: FrequencyRecord) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
-    if isinstance(model, PEMResult):
+    if isinstance(model, LosslessResult):
         live = model.r > 0
         infinite = np.isin(record.omega, model.d[live])
         response = model.modes.kappa[live] @ modal_columns(model.d[live], record.omega, model.quantity)[0]
