@@ -66,6 +66,7 @@ SHARES = {
     "pem": 0.2, "prediction_error_fit": 0.02, "order_selection": 0.05, "compare": 0.2, "residual_analysis": 0.1,
     "gradient_descent": 0.1, "excitation": 0.2, "spectral_estimate": 0.5, "PEMResult.bootstrap": 0.005,
     "load": 3.0, "read_csv": 3.0, "read_frequency_csv": 2.0,
+    "read_uff": 1.0, "read_touchstone": 1.0, "read_mat": 1.0, "read_frequency_mat": 1.0,
 }  # fmt: skip
 PICTURE = 0.02
 COMMAND = 0.05
@@ -75,7 +76,7 @@ INFINITE = re.compile(
     r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd|passivity"
 )
 UNKNOWN = re.compile(
-    r"margin|[Ee]xcitation|read_.*csv|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
+    r"margin|[Ee]xcitation|read_|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
     r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection"
 )
 
@@ -393,7 +394,7 @@ def _place(error: BaseException) -> str:
 
 
 def _file_call(target: Target) -> bool:
-    return target.name in ("load", "save", "read_csv", "read_frequency_csv", "PEMResult.save")
+    return target.name in ("load", "save", "PEMResult.save") or target.name.startswith("read_")
 
 
 def _allowed(target: Target, error: Exception) -> bool:

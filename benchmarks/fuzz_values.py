@@ -305,6 +305,12 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "names.inputs": lambda draw: pick(draw.rng, ["u", ["u"], [f"u{k}" for k in range(draw.m)]]),
     # files
     "load.path": _file("json"), "read_csv.path": _file("csv"), "read_frequency_csv.path": _file("frequency"),
+    "read_uff.path": _file("uff"), "read_touchstone.path": _file("s1p"), "read_mat.path": _file("table"),
+    "read_frequency_mat.path": _file("table"), "read_frequency_mat.frequency": _choice("f", "t"),
+    "read_frequency_mat.response": _choice("H", ["H", "y"]), "read_frequency_mat.frequency_unit": _choice("Hz"),
+    "parameter": _choice("Z", "Y", "S"), "read_mat.input": _choice(None, "u", False, ["u"]),
+    "read_mat.output": _choice(None, "y", ["y"]), "read_mat.time": _choice(None, "t", False),
+    "read_uff.input": _choice(None, "1+Z"), "read_uff.output": _choice(None, ["1+Z"]),
     "obj": lambda draw: pick(draw.rng, pool("system") + pool("modes") + pool("PEMResult")),
     "path": lambda draw: pick(draw.rng, [f"out{draw.rng.integers(100)}.json", Path(f"{draw.rng.integers(100)}.json")]),
     "overwrite": _choice(False, True), "input": _choice(None, "u", 1, False), "output": _choice(None, "y", -1, 2),
@@ -499,12 +505,36 @@ def _contents(kind: str) -> list[bytes]:
             "f [kHz],mag,phase [rad]\n",
         )
         return [(head + rows).encode() for head in heads]
+    if kind in ("uff", "s1p", "table"):
+        return [_measured(kind)]
     buffer = io.BytesIO()
     system = pool("system")[0]
     scipy.io.savemat(buffer, {"A": system.A, "B": system.B, "C": system.C, "D": system.D})
     other = io.BytesIO()
     scipy.io.savemat(other, {"num": [1.0, 0.0], "den": [1.0, 0.0, 4.0]}, do_compression=True)
     return [buffer.getvalue(), other.getvalue()]
+
+
+def _measured(kind: str) -> bytes:
+    """A file of another program: twelve samples, or twelve frequencies."""
+    t, u, y = _record(1, samples=12)
+    if kind == "s1p":
+        rows = [f"{10 * k + 1} {a:.4f} {b:.4f}\n" for k, (a, b) in enumerate(zip(u, y, strict=True))]
+        return ("# Hz S RI R 50\n" + "".join(rows)).encode()
+    if kind == "table":
+        buffer = io.BytesIO()
+        scipy.io.savemat(buffer, {"t": t, "u": u, "y": y, "f": 1.0 + t, "H": u + 1j * y})
+        return buffer.getvalue()
+    sets = []
+    for force, x in ((13, u), (12, y)):
+        values = "".join(f"{v:13.5e}" + "\n" * (k % 6 == 5) for k, v in enumerate(x))
+        head = f"{1:5d}{0:10d}{0:5d}{0:10d} NONE      {1:10d}{3:4d} NONE      {1:10d}{3:4d}\n"
+        head += f"{2:10d}{12:10d}{1:10d}{0.0:13.5e}{0.1:13.5e}{0.0:13.5e}\n"
+        head += "".join(
+            f"{axis:10d}{0:5d}{0:5d}{0:5d} NONE                 NONE                \n" for axis in (17, force, 0, 0)
+        )
+        sets.append(f"    -1\n    58\n{'NONE' + chr(10):s}" + 4 * "NONE\n" + head + values + "    -1\n")
+    return "".join(sets).encode()
 
 
 _TOKENS = (
@@ -548,7 +578,8 @@ def written(rng: Rng, kind: str) -> Any:
         return io.BytesIO(content)
     if form == 1:
         return io.StringIO(content.decode("latin-1"))
-    name = f"drawn{int(rng.integers(8))}.{'mat' if kind == 'mat' else 'json' if kind == 'json' else 'csv'}"
+    suffix = {"mat": "mat", "table": "mat", "json": "json", "uff": "uff", "s1p": "s1p"}.get(kind, "csv")
+    name = f"drawn{int(rng.integers(8))}.{suffix}"
     Path(name).write_bytes(content)
     return Path(name) if form == 2 else name
 

@@ -38,6 +38,7 @@ from .exceptions import FileFormatError as FileFormatError
 from .exceptions import FileMissingError as FileMissingError
 from .exceptions import IdentifiabilityWarning as IdentifiabilityWarning
 from .exceptions import IdentificationError as IdentificationError
+from .exceptions import MissingPackageError as MissingPackageError
 from .exceptions import NotLosslessError as NotLosslessError
 from .exceptions import NotPassiveError as NotPassiveError
 from .exceptions import OutputExistsError as OutputExistsError
@@ -67,7 +68,11 @@ from .identification.validation.result_plots import residual_plot as residual_pl
 from .io.codecs import load as load
 from .io.codecs import save as save
 from .io.frequency_csv import read_frequency_csv as read_frequency_csv
+from .io.matlab_tables import read_frequency_mat as read_frequency_mat
+from .io.matlab_tables import read_mat as read_mat
 from .io.time_csv import read_csv as read_csv
+from .io.touchstone import read_touchstone as read_touchstone
+from .io.universal_file import read_uff as read_uff
 from .modal.modal_form import ModalForm as ModalForm
 from .numerics.polynomials import ScaledCoefficients as ScaledCoefficients
 from .plotting.bode_plot import bode_plot as bode_plot

@@ -214,6 +214,17 @@ class FileMissingError(PHControlError, FileNotFoundError):
     """
 
 
+class MissingPackageError(PHControlError, ImportError):
+    """A package that reads a format is not installed; the message names the extra that brings it.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> issubclass(phc.MissingPackageError, ImportError)
+    True
+    """
+
+
 class OutputExistsError(PHControlError, FileExistsError):
     """The file to be written exists already and overwriting was not asked for.
 

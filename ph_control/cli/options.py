@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import difflib
 import math
 import re
@@ -15,6 +16,7 @@ from .outcome import BAD, complain
 # as the library has them; importing it would cost more than showing a help (a test holds the two together)
 METHODS = ("exact", "midpoint", "euler")
 INTERSAMPLE = ("zoh", "foh")
+PARAMETERS = ("Z", "Y", "S")
 FREQUENCY_UNITS = ("rad/s", "Hz", "kHz", "MHz", "GHz")
 
 _WIDTH = 88  # characters of running text in a help
@@ -96,6 +98,14 @@ def pair(text: str) -> tuple[float, float]:
     return found[0], found[1]
 
 
+def names(text: str) -> list[str]:
+    """Names between commas; one that has a comma itself stands in double quotes."""
+    found = [one.strip() for one in next(csv.reader([text], skipinitialspace=True), [])]
+    if not found or not all(found):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of names, such as force1,force2")
+    return found
+
+
 def size(text: str) -> tuple[float, float]:
     """Width and height in inches."""
     sides = pair(text)
@@ -152,10 +162,14 @@ def add_labels(parser: Parser) -> None:
 def add_recording(parser: Parser) -> None:
     """How tables are read, in time and in frequency."""
     table = parser.add_argument_group(
-        "recordings", "text tables: columns between commas, semicolons, tabs or white space, by name or number from 0"
+        "recordings",
+        "text tables: columns between commas, semicolons, tabs or white space, by name or number from 0;\n"
+        ".mat: variables by name; .uff, .unv: places such as 3+Z",
     )
     table.add_argument("--input", metavar="COLUMN", help="column of the input")
     table.add_argument("--output", metavar="COLUMN", help="column of the output")
+    table.add_argument("--inputs", type=names, metavar="LIST", help="columns of several inputs, such as force1,force2")
+    table.add_argument("--outputs", type=names, metavar="LIST", help="columns of several outputs")
     table.add_argument("--no-input", action="store_true", help="nothing drove the record: a free motion")
     table.add_argument("--time", metavar="COLUMN", help="column of the time")
     table.add_argument("--no-time", action="store_true", help="no column is the time; needs --dt")
@@ -170,7 +184,9 @@ def add_recording(parser: Parser) -> None:
         "--header", action=argparse.BooleanOptionalAction, help="whether the first row holds names (default: found out)"
     )
     response = parser.add_argument_group(
-        "frequency responses", "tables with a column of frequencies, and magnitude and phase or both parts"
+        "frequency responses",
+        "tables with a column of frequencies, and magnitude and phase or both parts;\n.uff, .unv; Touchstone (.s1p, "
+        ".s2p, ...); .mat: --frequency and --outputs name variables",
     )
     for role in ("frequency", "magnitude", "phase", "real", "imag"):
         part = _PARTS.get(role, role)
@@ -178,6 +194,10 @@ def add_recording(parser: Parser) -> None:
     response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: that in the name of the column")
     response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: that in the name, or linear")
     response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: that in the name of the column")
+    response.add_argument(
+        "--parameter", choices=PARAMETERS,
+        help="of Touchstone files: impedance Z (default), admittance Y or scattering S",
+    )  # fmt: skip
     response.add_argument("--weights", metavar="COLUMN", help="column of weights, as 1/variance")
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import BinaryIO, TextIO
+from collections.abc import Mapping, Sequence
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
 from control import FrequencyResponseData
@@ -17,6 +17,7 @@ from ..exceptions import StructureError
 from .text_table import Table, is_time_label, name_and_unit, read_table
 
 Column = int | str
+Columns = Column | Sequence[Column] | Sequence[Sequence[Column]]
 
 FREQUENCY_UNITS = {"rad/s": 1.0, "Hz": 2 * np.pi, "kHz": 2e3 * np.pi, "MHz": 2e6 * np.pi, "GHz": 2e9 * np.pi}
 UNITS = {
@@ -43,10 +44,10 @@ def read_frequency_csv(
     path: str | os.PathLike[str] | BinaryIO | TextIO,
     *,
     frequency: Column | None = None,
-    magnitude: Column | None = None,
-    phase: Column | None = None,
-    real: Column | None = None,
-    imag: Column | None = None,
+    magnitude: Columns | None = None,
+    phase: Columns | None = None,
+    real: Columns | None = None,
+    imag: Columns | None = None,
     frequency_unit: str | None = None,
     magnitude_unit: str | None = None,
     phase_unit: str | None = None,
@@ -60,9 +61,12 @@ def read_frequency_csv(
     ----------
     path : str, path-like, or file object open for reading
         The file.
-    frequency, magnitude, phase, real, imag : str or int, optional
-        Columns, by label or by number counted from 0.  Default: those labelled so, as `f`, `freq`, `omega`, `mag`,
-        `gain`, `phase`, `re`, `im` and the like.
+    frequency : str or int, optional
+        Column, by label or by number counted from 0.  Default: the one labelled `f`, `freq`, `omega` and the like.
+    magnitude, phase, real, imag : str or int, or lists of these, optional
+        Columns of the response, likewise; default: those labelled `mag`, `gain`, `phase`, `re`, `im` and the like.  A
+        list has a column for each output, a list of lists one for each output and input, `[["re11", "re12"], ["re21",
+        "re22"]]`; both parts need the same shape.
     frequency_unit : {'rad/s', 'Hz', 'kHz', 'MHz', 'GHz'}, optional
         Default: the unit in the label, and rad/s under `omega`; otherwise it must be given.
     magnitude_unit : {'linear', 'dB'}, optional
@@ -75,7 +79,8 @@ def read_frequency_csv(
     Returns
     -------
     control.FrequencyResponseData
-        At the frequencies of the file, in rad/s and ascending, with `time_unit` 's'; what is missing is NaN.
+        Shape (p, m, K), at the frequencies of the file, in rad/s and ascending, with `time_unit` 's'; what is missing
+        is NaN.
 
     Raises
     ------
@@ -107,21 +112,51 @@ def read_frequency_csv(
 
 
 def response_in(
-    table: Table, columns: Mapping[str, Column | None], units: Mapping[str, str | None], weights: Column | None = None
+    table: Table, columns: Mapping[str, Any], units: Mapping[str, str | None], weights: Column | None = None
 ) -> tuple[FrequencyResponseData, Array | None]:
     """Response that a table holds, and the column of weights if there is one; both ascending in frequency."""
     for name, allowed in UNITS.items():
         if units[name] is not None:
             _checks.choice(name, units[name], allowed)
-    (clock, *parts), polar = _columns_of(table, columns)
-    chosen = [clock, *parts] + ([] if weights is None else [table.find(weights, "weights")])
+    clock, parts, polar = _columns_of(table, columns)
+    shape, first, second = parts[0].shape, *(part.ravel().tolist() for part in parts)
+    chosen = [clock, *first, *second] + ([] if weights is None else [table.find(weights, "weights")])
     table.refuse_repeats(chosen)
     values = table.columns(chosen)
     omega = _angular(table, values[0], clock, units["frequency_unit"])
-    response = _polar(table, units, parts, *values[1:3]) if polar else values[1] + 1j * values[2]
+    pairs = zip(first, second, values[1 : len(first) + 1], values[len(first) + 1 :], strict=False)
+    response = np.array([_polar(table, units, [j, k], a, b) if polar else a + 1j * b for j, k, a, b in pairs])
     order = np.argsort(omega, kind="stable")
-    found = FrequencyResponseData(response[order], omega[order], title=os.path.basename(table.path) or None)
-    return with_unit(found, "s"), None if weights is None else values[3][order]
+    found = response_matrix(omega, response.reshape(*shape, -1), None, None, table.path)
+    return found, None if weights is None else values[-1][order]
+
+
+def response_matrix(
+    omega: Array, response: ComplexArray, inputs: list[str] | None, outputs: list[str] | None, path: str
+) -> FrequencyResponseData:
+    """Data of python-control, ascending in frequency: response (p, m, K), labels, and the file it comes from."""
+    order = np.argsort(omega, kind="stable")
+    names: dict[str, Any] = {} if inputs is None else {"inputs": inputs, "outputs": outputs}
+    found = FrequencyResponseData(response[..., order], omega[order], title=os.path.basename(path) or None, **names)
+    return with_unit(found, "s")
+
+
+def selected_channels(
+    data: FrequencyResponseData, inputs: Sequence[str] | None, outputs: Sequence[str] | None, path: str
+) -> FrequencyResponseData:
+    """Response of some of the inputs and outputs, by their labels."""
+    labels: dict[str, list[str]] = {"input": list(data.input_labels), "output": list(data.output_labels)}
+    wanted = {
+        role: known if given is None else list(given)
+        for (role, known), given in zip(labels.items(), (inputs, outputs), strict=True)
+    }
+    for role, known in labels.items():
+        unknown = [one for one in wanted[role] if one not in known]
+        if unknown:
+            raise StructureError(f"{path}: there is no {role} {unknown[0]!r}; they are {', '.join(known)}")
+    columns, rows = ([labels[role].index(one) for one in wanted[role]] for role in ("input", "output"))
+    chosen = data.frdata[np.ix_(rows, columns)]
+    return response_matrix(data.omega, chosen, wanted["input"], wanted["output"], path)
 
 
 def is_frequency_table(table: Table) -> bool:
@@ -134,13 +169,13 @@ def is_frequency_table(table: Table) -> bool:
 # --- columns -----------------------------------------------------------------------------------------------------
 
 
-def _columns_of(table: Table, given: Mapping[str, Column | None]) -> tuple[list[int], bool]:
-    """Columns of the frequency and of the two parts, and whether these are magnitude and phase."""
+def _columns_of(table: Table, given: Mapping[str, Any]) -> tuple[int, list[Any], bool]:
+    """Column of the frequency, those of the two parts, (p, m) each, and whether they are magnitude and phase."""
     asked = [pair for pair in _PAIRS if any(given[role] is not None for role in pair)]
     if len(asked) > 1:
         raise StructureError("magnitude or phase is given, and real or imag too; give one pair of them")
-    places = {
-        role: table.only(_labelled(table, role), role) if given[role] is None else table.find(given[role], role)
+    places: dict[str, Any] = {
+        role: table.only(_labelled(table, role), role) if given[role] is None else _found(table, given[role], role)
         for role in _LABELS
     }
     wanted = asked or [pair for pair in _PAIRS if all(places[role] is not None for role in pair)]
@@ -150,15 +185,33 @@ def _columns_of(table: Table, given: Mapping[str, Column | None]) -> tuple[list[
             "phase=, or with real= and imag="
         )
     pair = wanted[0] if wanted else _POLAR
-    found = {role: place for role in ("frequency", *pair) if (place := places[role]) is not None}
-    missing = [role for role in ("frequency", *pair) if role not in found]
+    clock, *parts = (places[role] for role in ("frequency", *pair))
+    missing = [role for role in ("frequency", *pair) if places[role] is None]
     if missing:
         other = "" if wanted else ", or real= and imag= in place of magnitude= and phase="
         raise StructureError(
             f"{table.path}: which column is the {' and which the '.join(missing)}? say which with "
             f"{', '.join(f'{role}=' for role in missing)}{other} ({table.listing()})"
         )
-    return list(found.values()), pair == _POLAR
+    shaped = [part if isinstance(part, np.ndarray) else np.full((1, 1), part) for part in parts]
+    if shaped[0].shape != shaped[1].shape:
+        sizes = " and ".join(
+            f"{role} {part.shape[0]} x {part.shape[1]}" for role, part in zip(pair, shaped, strict=True)
+        )
+        raise StructureError(f"columns of {sizes} (outputs x inputs); give both parts of each entry")
+    return clock, shaped, pair == _POLAR
+
+
+def _found(table: Table, given: Any, role: str) -> Any:
+    """Column that was given, or an array (p, m) of those of a list, or of a list of lists."""
+    if role == "frequency" or not isinstance(given, list | tuple):
+        return table.find(given, role)
+    rows = [row if isinstance(row, list | tuple) else [row] for row in given]
+    if len({len(row) for row in rows}) != 1 or not rows[0]:
+        raise StructureError(
+            f"{role} is {_checks.shown(given)}; a list of columns, or of lists of one length, is needed"
+        )
+    return np.array([[table.find(one, role) for one in row] for row in rows])
 
 
 def _labelled(table: Table, role: str) -> list[int]:

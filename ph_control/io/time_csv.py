@@ -127,10 +127,17 @@ def recording_in(table: Table, input: Any, output: Any, time: Any, dt: Any, time
     for column, signal in zip(outputs, y, strict=True):
         if np.isnan(signal).all():
             raise FileFormatError(f"{table.path}: {table.name(column)} has no values at all; choose another output")
+    labels = _signal_labels(table, inputs, "u"), _signal_labels(table, outputs, "y")
+    return recording(grid, u, y, *labels, table.path, unit)
+
+
+def recording(
+    grid: Array, u: Array, y: Array, inputs: list[str], outputs: list[str], path: str, unit: str | None
+) -> TimeResponseData:
+    """Data of python-control: inputs (m, N), outputs (p, N), their labels, and the file they come from."""
     found = TimeResponseData(
-        grid, y, inputs=u if inputs else None, issiso=len(outputs) == 1 and len(inputs) <= 1,
-        input_labels=_signal_labels(table, inputs, "u"), output_labels=_signal_labels(table, outputs, "y"),
-        title=Path(table.path).name,
+        grid, y, inputs=u if len(u) else None, issiso=len(y) == 1 and len(u) <= 1, input_labels=inputs or None,
+        output_labels=outputs, title=Path(path).name,
     )  # fmt: skip
     return with_unit(found, unit)
 
@@ -183,9 +190,9 @@ def _chosen(table: Table, wanted: Any, role: str) -> list[int] | None:
     return [table.find(wanted, role)]
 
 
-def _signal_labels(table: Table, columns: list[int], prefix: str) -> list[str] | None:
+def _signal_labels(table: Table, columns: list[int], prefix: str) -> list[str]:
     labels = [table.labels[j] if table.labels else "" for j in columns]
-    return [label or f"{prefix}[{k}]" for k, label in enumerate(labels)] or None
+    return [label or f"{prefix}[{k}]" for k, label in enumerate(labels)]
 
 
 def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) -> Array:

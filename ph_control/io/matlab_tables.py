@@ -1,0 +1,315 @@
+"""Recordings and frequency responses that lie in MATLAB's `.mat` files as arrays, also inside structures."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, BinaryIO, TextIO
+
+import numpy as np
+from control import FrequencyResponseData, TimeResponseData
+
+from .. import _checks
+from .._types import Array, ComplexArray
+from .._units import checked_unit
+from ..analysis.time_grid import printed_step
+from ..exceptions import FileFormatError, StructureError
+from .files import read_bytes, source_name
+from .frequency_csv import FREQUENCY_UNITS, response_matrix
+from .matlab import is_matlab, read_matlab
+from .time_csv import recording
+
+_COLUMN = re.compile(r"(.*?)\[([0-9]+)\]")
+_TIMES = ("t", "time")
+
+
+def read_mat(
+    path: str | os.PathLike[str] | BinaryIO | TextIO,
+    *,
+    input: str | Sequence[str] | bool | None = None,
+    output: str | Sequence[str] | None = None,
+    time: str | bool | None = None,
+    dt: float | None = None,
+    time_unit: str | None = None,
+) -> TimeResponseData:
+    r"""Read a recording from a MATLAB file: arrays, also those in structures, that are named as input, output and time.
+
+    Parameters
+    ----------
+    path : str, path-like, or file object open for reading
+        The file.
+    input, output : str or list of str, optional
+        Variables: vectors, or matrices with a column for each channel.  `"data.u"` is a field of a structure,
+        `"x[2]"` the column 2 of `x`, counted from 0.  `input=False` says that there is no input.  Default: `u` and `y`.
+    time : str or False, optional
+        Variable of the time.  Default: `t` or `time`, if there is one and `dt` is not given.
+    dt : float, optional
+        Time between samples, where no variable is the time.
+    time_unit : {'ns', 'us', 'ms', 's', 'min', 'h'}, optional
+        Unit of the time, and of `dt`; not known by default.
+
+    Returns
+    -------
+    control.TimeResponseData
+        `time` (N,), inputs (m, N) and outputs (p, N) as python-control squeezes them, labelled by the variables, with
+        the number of the column where there are several; NaN among the outputs are missing samples.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged or no `.mat` file of version 5 to 7, or if a variable is not an array of real numbers,
+        an input or the time has missing values, or the sampling is not uniform.
+    StructureError
+        If a variable is not in the file, or the lengths do not fit.
+    FileNotFoundError
+        If there is no such file (an error of this package as well).
+
+    See Also
+    --------
+    read_frequency_mat : frequency responses.
+    read_csv : recordings in text tables.
+
+    Notes
+    -----
+    Samples run along the rows of a matrix, as MATLAB has them, unless only its columns are as many as the samples of
+    the time or of a vector.  Files of version 7.3 are refused; `save(..., '-v7')` writes one that is read.
+    O(size of the file).
+
+    Examples
+    --------
+    >>> import io, numpy as np, ph_control as phc, scipy.io
+    >>> file = io.BytesIO()
+    >>> test = {"force": np.array([[1.0], [0.0], [0.0]]), "motion": np.arange(6.0).reshape(3, 2)}
+    >>> scipy.io.savemat(file, {"test": test})
+    >>> _ = file.seek(0)
+    >>> data = phc.read_mat(file, input="test.force", output="test.motion", dt=0.1, time_unit="s")
+    >>> data.output_labels, data.outputs.tolist()
+    (['test.motion[0]', 'test.motion[1]'], [[0.0, 2.0, 4.0], [1.0, 3.0, 5.0]])
+    """
+    name = source_name(path)
+    step, unit = None if dt is None else _checks.sampling_step(dt), checked_unit(time_unit)
+    variables = _Variables(read_bytes(path), name)
+    clock = variables.time(time, step)
+    driving = [] if input is False else variables.named("input", "u" if input is None else input)
+    moving = variables.named("output", "y" if output is None else output)
+    vectors = [value for _, value, column in driving + moving if column is None and 1 in value.shape]
+    count = len(clock) if clock is not None else next((one.size for one in vectors), None)
+    inputs, u = _channels(driving, count, name)
+    outputs, y = _channels(moving, count, name)
+    lengths = {len(one) for one in (*u, *y)} | ({len(clock)} if clock is not None else set())
+    if len(lengths) != 1:
+        raise StructureError(
+            f"{name}: the variables have {' and '.join(map(str, sorted(lengths)))} samples; choose those of one "
+            "recording"
+        )
+    samples = lengths.pop()
+    if samples < 2:
+        raise FileFormatError(f"{name} holds a recording of one sample; at least two are needed")
+    complete = [*zip(inputs, u, strict=True), *([] if clock is None else [("the time", clock)])]
+    for label, values in complete:
+        if np.isnan(values).any():
+            raise FileFormatError(f"{name}: {label} has missing values, and only outputs may; cut the recording there")
+    if clock is None:
+        assert step is not None
+        grid = step * np.arange(samples, dtype=float)
+    else:
+        try:
+            _checks.time_vector(clock)
+        except StructureError as error:
+            raise FileFormatError(f"{name}: {error}") from None
+        grid = clock[0] + (step or printed_step(clock)) * np.arange(samples)
+        if abs(grid[-1] - clock[-1]) > 0.02 * (grid[1] - grid[0]):
+            found = printed_step(clock)
+            raise StructureError(f"{name}: dt is {dt:g}, but the step of the time is {found:.9g}; leave dt out")
+    return recording(grid, np.array(u).reshape(-1, samples), np.array(y), inputs, outputs, name, unit)
+
+
+def read_frequency_mat(
+    path: str | os.PathLike[str] | BinaryIO | TextIO,
+    *,
+    frequency: str,
+    response: str | Sequence[str],
+    frequency_unit: str,
+) -> FrequencyResponseData:
+    r"""Read measured frequency responses from a MATLAB file: complex arrays, also those in structures, by their names.
+
+    Parameters
+    ----------
+    path : str, path-like, or file object open for reading
+        The file.
+    frequency : str
+        Variable of the frequencies, K numbers.
+    response : str or list of str
+        Variables of the response: K complex numbers, a matrix with K rows and a column for each output, or an array
+        (p, m, K) as MATLAB's `frd` keeps it.  Those of a list are outputs one after the other.
+    frequency_unit : {'rad/s', 'Hz', 'kHz', 'MHz', 'GHz'}
+        Unit of the frequencies.
+
+    Returns
+    -------
+    control.FrequencyResponseData
+        Shape (p, m, K), in rad/s and ascending, with `time_unit` 's'; what is missing is NaN.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged or no `.mat` file of version 5 to 7, or if a variable is not an array of numbers.
+    StructureError
+        If a variable is not in the file, or the lengths do not fit.
+    FileNotFoundError
+        If there is no such file (an error of this package as well).
+
+    See Also
+    --------
+    read_mat : recordings in time, and how variables are named.
+
+    Notes
+    -----
+    O(size of the file).
+
+    Examples
+    --------
+    >>> import io, numpy as np, ph_control as phc, scipy.io
+    >>> file, f = io.BytesIO(), np.arange(1.0, 4.0)
+    >>> scipy.io.savemat(file, {"f": f, "H": np.stack([1 / (4.1 - f**2), 1j * f], axis=1)})
+    >>> _ = file.seek(0)
+    >>> data = phc.read_frequency_mat(file, frequency="f", response="H", frequency_unit="Hz")
+    >>> data.frdata.shape, data.output_labels
+    ((2, 1, 3), ['H[0]', 'H[1]'])
+    """
+    size = FREQUENCY_UNITS[_checks.choice("frequency_unit", frequency_unit, tuple(FREQUENCY_UNITS))]
+    name = source_name(path)
+    variables = _Variables(read_bytes(path), name)
+    ((label, f, column),) = variables.named("frequency", [frequency])
+    hertz = _real(np.ravel(f) if column is None else f[:, column], label, name)
+    if not len(hertz) or not np.isfinite(hertz).all():
+        raise FileFormatError(f"{name}: {label} needs finite frequencies; export it anew")
+    blocks, outputs, inputs = [], [], 1
+    for label, value, column in variables.named("response", response):
+        block = _entries(value if column is None else value[:, [column]], len(hertz), label, name)
+        own = f"{label}[{column}]" if column is not None else label
+        outputs += [own] if len(block) == 1 else [f"{own}[{k}]" for k in range(len(block))]
+        blocks.append(block)
+        inputs = block.shape[1]
+    if len({block.shape[1] for block in blocks}) != 1:
+        raise StructureError(f"{name}: the responses have several numbers of inputs; read those of one number")
+    if any(np.isinf(block).any() for block in blocks):
+        raise FileFormatError(f"{name}: the response has infinite values; replace them by NaN, which is missing")
+    entries: ComplexArray = np.concatenate(blocks)
+    return response_matrix(size * hertz, entries, [f"u[{k}]" for k in range(inputs)], outputs, name)
+
+
+# --- variables -------------------------------------------------------------------------------------------------------
+
+
+class _Variables:
+    """Arrays of a file by their names, those in structures as `structure.field`."""
+
+    def __init__(self, content: bytes, name: str) -> None:
+        if not is_matlab(content, name):
+            raise FileFormatError(f"{name} is no .mat file; save it in MATLAB with the option '-v7'")
+        self.name = name
+        self._found = dict(_flat(read_matlab(content, name), ""))
+        if not any(isinstance(value, np.ndarray) for value in self._found.values()):
+            raise FileFormatError(f"{name} holds no arrays of numbers; save the measurement as arrays")
+
+    def named(self, role: str, wanted: Any) -> list[tuple[str, Array, int | None]]:
+        """Name, array of at least two dimensions, and column if one was asked for."""
+        names = [wanted] if isinstance(wanted, str) else wanted
+        if not isinstance(names, list | tuple) or not names or not all(isinstance(one, str) for one in names):
+            raise StructureError(f"{role} is {_checks.shown(wanted)}; give the name of a variable, or a list of names")
+        return [self._one(role, one.strip()) for one in names]
+
+    def _one(self, role: str, wanted: str) -> tuple[str, Array, int | None]:
+        bare, column = wanted, None
+        if wanted not in self._found and (found := _COLUMN.fullmatch(wanted)):
+            bare, column = found[1], int(found[2])
+        if bare not in self._found:
+            close = difflib.get_close_matches(bare, self._found, 1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise StructureError(
+                f"{self.name}: {role}: there is no variable {bare!r}; say which with {role}= (the file has "
+                f"{', '.join(list(self._found)[:30])}){hint}"
+            )
+        value = self._found[bare]
+        if not isinstance(value, np.ndarray) or not value.size:
+            raise FileFormatError(f"{self.name}: {bare} is {_kind(value)}; an array of numbers is needed")
+        if column is not None and (value.ndim != 2 or column >= value.shape[1]):
+            raise StructureError(f"{self.name}: {bare} has shape {value.shape}, and no column {column}, counted from 0")
+        return bare, value, column
+
+    def time(self, wanted: Any, step: float | None) -> Array | None:
+        """Instants, or None where a step takes their place."""
+        found = None if wanted is False else wanted
+        if wanted is None and step is None:
+            found = next((one for one in _TIMES if one in self._found), None)
+        if found is None:
+            if step is None:
+                raise StructureError(
+                    f"{self.name}: no variable is the time; name it with time=, or give the time between samples with "
+                    f"dt= (the file has {', '.join(list(self._found)[:30])})"
+                )
+            return None
+        ((label, value, column),) = self.named("time", [found])
+        return _real(np.ravel(value) if column is None else value[:, column], label, self.name)
+
+
+def _flat(fields: Mapping[str, Any], before: str) -> Iterator[tuple[str, Any]]:
+    for key, value in fields.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return "empty"
+    return value if isinstance(value, str) and value.startswith(("a ", "an ")) else "a text"
+
+
+def _real(values: Any, label: str, name: str) -> Array:
+    if np.iscomplexobj(values):
+        raise FileFormatError(f"{name}: {label} is complex; real numbers are needed")
+    return np.asarray(values, float)
+
+
+def _channels(variables: list[tuple[str, Array, int | None]], count: int | None, name: str) -> tuple[list[str], Any]:
+    """Labels and samples of channels; `count` is the number of samples, where it is known."""
+    labels: list[str] = []
+    rows: list[Array] = []
+    for label, value, column in variables:
+        if value.ndim != 2:
+            raise FileFormatError(f"{name}: {label} has {value.ndim} dimensions; samples by channels are needed")
+        table = _real(value, label, name)
+        if np.isinf(table).any():
+            raise FileFormatError(f"{name}: {label} has infinite values; replace them by NaN, which is missing")
+        if column is not None:
+            channels = {f"{label}[{column}]": table[:, column]}
+        else:
+            if table.shape[0] == 1 or (table.shape[1] == count != table.shape[0]):
+                table = table.T
+            several = table.shape[1] > 1
+            channels = {f"{label}[{k}]" if several else label: table[:, k] for k in range(table.shape[1])}
+        labels += channels
+        rows += channels.values()
+    if len(set(labels)) < len(labels):
+        raise StructureError(f"{name}: {next(one for one in labels if labels.count(one) > 1)} is named twice")
+    return labels, rows
+
+
+def _entries(value: Any, count: int, label: str, name: str) -> ComplexArray:
+    """Response as outputs x inputs x frequencies."""
+    array = np.asarray(value, complex)
+    if array.ndim == 3 and array.shape[2] == count:
+        return array
+    if array.ndim == 2 and array.shape[0] == count:
+        return array.T[:, None, :]
+    if array.ndim == 2 and array.shape[1] == count:
+        return array[:, None, :]
+    raise StructureError(
+        f"{name}: {label} has shape {array.shape}, and there are {count} frequencies; needed are as many rows, or an "
+        "array (outputs, inputs, frequencies)"
+    )

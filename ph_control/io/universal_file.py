@@ -1,0 +1,330 @@
+"""Universal files of vibration tests (UFF, UNV): recordings and frequency responses of data set 58."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, TextIO
+
+import numpy as np
+from control import FrequencyResponseData, TimeResponseData
+
+from .. import _checks
+from .._types import Array
+from ..analysis.time_grid import printed_step
+from ..exceptions import FileFormatError, MissingPackageError, StructureError
+from .files import read_bytes, source_name
+from .frequency_csv import response_matrix
+from .time_csv import recording
+
+SUFFIXES = (".uff", ".unv", ".uf", ".bunv", ".bun", ".uf58")
+
+_TIME, _FREQUENCY = 17, 18  # specific data types of the abscissa
+_FORCE = 13  # of the ordinate: excitation force
+_GENERAL, _TIME_RESPONSE, _FREQUENCY_RESPONSE = 0, 1, 4  # function types
+_COMPLEX = (5, 6)  # ordinate data types
+_DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
+_PRINTED = 6  # digits of abscissa minimum and increment in the header
+_SAME = 1e-6  # relative difference of two frequencies that are one
+_OTHERS = {2: "auto spectrum", 3: "cross spectrum", 5: "transmissibility", 6: "coherence", 9: "power spectral density"}
+
+
+@dataclass(frozen=True)
+class _Function:
+    """One function of a file: where it was measured, what excited it, and its values over time or frequency."""
+
+    in_time: bool
+    is_force: bool
+    response: str
+    reference: str
+    load_case: int
+    abscissa: Array
+    values: Any
+
+
+def read_uff(
+    path: str | os.PathLike[str] | BinaryIO | TextIO,
+    *,
+    input: str | Sequence[str] | None = None,
+    output: str | Sequence[str] | None = None,
+) -> list[TimeResponseData | FrequencyResponseData]:
+    r"""Read the recordings and frequency responses of a universal file (UFF, UNV: data set 58, text or binary).
+
+    Functions of one test become one matrix of responses, or one recording of several channels.
+
+    Parameters
+    ----------
+    path : str, path-like, or file object open for reading
+        The file.
+    input, output : str or list of str, optional
+        Labels of the inputs and outputs wanted, such as `"3+Z"`: node and direction (`+X` to `-Z`, rotations `+RX` to
+        `-RZ`), with the name of the component before it, as in `"wing:3+Z"`, where the file tells one.
+        Default: all; in recordings the excitation forces are the inputs and the other channels the outputs.
+
+    Returns
+    -------
+    list of control.FrequencyResponseData and control.TimeResponseData
+        In the order of the file, with labels, and `time_unit` 's'; frequencies in rad/s.
+
+        Frequency response functions on the same frequencies form one matrix, shape (p, m, K): a row for each place of
+        response, a column for each reference, NaN where a pair was not measured.  A pair that comes again opens the
+        next matrix.  Channels in time on the same grid and of one load case form one recording; a channel that
+        comes again opens the next one.  A file without excitation forces gives recordings without input.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged, cut short, of another kind, or holds neither recordings nor frequency responses.
+    StructureError
+        If a label is not in the file.
+    MissingPackageError
+        If pyuff is not installed; `pip install "ph_control[formats]"` brings it.
+    FileNotFoundError
+        If there is no such file (an error of this package as well).
+
+    See Also
+    --------
+    read_csv, read_mat : recordings in other formats.
+
+    Notes
+    -----
+    Spectra, coherences, mode shapes and geometry are passed over.  Amplitudes stay in the units of the file, and signs
+    in the directions measured.  Step and first value of an axis are printed with six digits in such files; they are
+    taken for the shortest decimal number, or rate, that is printed so: 1/2048 s for 4.88281e-04.  Within these digits
+    times and frequencies are exact.  O(size of the file).
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, numpy as np, ph_control as phc, pyuff
+    >>> f = np.arange(1.0, 5.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = pyuff.UFF(str(pathlib.Path(folder, "beam.uff")))
+    ...     for node in (1, 2):
+    ...         _ = pyuff.prepare_58(
+    ...             func_type=4, rsp_node=node, rsp_dir=3, ref_node=1, ref_dir=3, data=1 / (9 - f**2 + 1j), x=f,
+    ...             id1="", id2="", id3="", id4="", id5="", load_case_id=0, rsp_ent_name="", ref_ent_name="",
+    ...             abscissa_spacing=1, abscissa_spec_data_type=18, ordinate_spec_data_type=8,
+    ...             orddenom_spec_data_type=13, abscissa_min=1.0, abscissa_inc=1.0, binary=0,
+    ...         )
+    ...         file.write_sets(_, "add")
+    ...     (data,) = phc.read_uff(pathlib.Path(folder, "beam.uff"))
+    >>> data.output_labels, data.input_labels, data.frdata.shape
+    (['1+Z', '2+Z'], ['1+Z'], (2, 1, 4))
+    """
+    name = source_name(path)
+    wanted = _labels("input", input), _labels("output", output)
+    functions = list(_functions(read_bytes(path), name))
+    kinds = [_matrices(functions, name, *wanted), _recordings(functions, name, *wanted)]
+    # in the order of the file, by the first function of each
+    found = [data for _, data in sorted(((place, data) for kind in kinds for place, data in kind), key=lambda x: x[0])]
+    if not found:
+        listed = sorted({one.response for one in functions} | {one.reference for one in functions})
+        raise StructureError(f"{name}: no function has the labels asked for; those of the file are {', '.join(listed)}")
+    return found
+
+
+def _labels(role: str, given: Any) -> list[str] | None:
+    if given is None:
+        return None
+    found = [given] if isinstance(given, str) else given
+    if not isinstance(found, list | tuple) or not found or not all(isinstance(one, str) for one in found):
+        raise StructureError(f"{role} is {_checks.shown(given)}; give a label such as '3+Z', or a list of these")
+    return list(found)
+
+
+# --- functions of a file ---------------------------------------------------------------------------------------------
+
+
+def _functions(content: bytes, name: str) -> Iterator[_Function]:
+    """Recorded functions of a file, all checked."""
+    others = set()
+    count = 0
+    for place, fields in _data_sets(content, name):
+        function = _function(fields, f"{name}, data set {place + 1}")
+        if function is None:
+            others.add(_OTHERS.get(fields["func_type"], f"function type {fields['func_type']}"))
+            continue
+        count += 1
+        yield function
+    if not count:
+        held = f", but {' and '.join(sorted(others))}" if others else ""
+        raise FileFormatError(
+            f"{name} holds no recording and no frequency response (data set 58, function types 1 and 4){held}; export "
+            "these from the measurement"
+        )
+
+
+def _data_sets(content: bytes, name: str) -> list[tuple[int, dict[str, Any]]]:
+    """Fields of all data sets 58, each with its place."""
+    try:
+        import pyuff
+    except ImportError:
+        raise MissingPackageError(
+            "universal files are read by pyuff, which is not installed: pip install 'ph_control[formats]'"
+        ) from None
+    if b"    -1" not in content:
+        raise FileFormatError(f"{name} is no universal file: no line of it is '    -1'; export it as UFF or UNV")
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        copy = Path(folder, "copy.uff")  # the reader takes names of files only
+        copy.write_bytes(content)
+        try:
+            file = pyuff.UFF(str(copy))
+            places = [k for k, kind in enumerate(file.get_set_types()) if kind == 58]
+            found = [(k, file.read_sets(k)) for k in places]
+        except Exception as error:
+            # a damaged file ends in errors of every kind
+            raise FileFormatError(
+                f"{name} is no universal file, or damaged ({str(error)[:80] or type(error).__name__}); export it anew"
+            ) from None
+    if not content.rstrip(b" \r\n\t\0\x1a").endswith(b"    -1"):
+        raise FileFormatError(f"{name} is cut short: its last data set does not end in '    -1'; copy it anew")
+    return found
+
+
+def _function(fields: dict[str, Any], place: str) -> _Function | None:
+    """Function of a data set, or None if it is of another kind."""
+    try:
+        kind, axis, count = (int(fields[key]) for key in ("func_type", "abscissa_spec_data_type", "num_pts"))
+        values = np.asarray(fields["data"])[:count]
+        is_complex = int(fields["ord_data_type"]) in _COMPLEX
+        in_time = kind == _TIME_RESPONSE or (kind == _GENERAL and axis == _TIME)
+        if not in_time and kind != _FREQUENCY_RESPONSE and not (kind == _GENERAL and axis == _FREQUENCY and is_complex):
+            return None
+        if len(values) < count or count < 1:
+            raise FileFormatError(f"{place} has {len(values)} values, and its header says {count}; export it anew")
+        even = int(fields["abscissa_spacing"]) == 1
+        abscissa = (
+            _printed_grid(float(fields["abscissa_min"]), float(fields["abscissa_inc"]), count) if even
+            else np.asarray(fields["x"], float)[:count]
+        )  # fmt: skip
+        response, reference = (
+            _place_label(fields[f"{of}_ent_name"], int(fields[f"{of}_node"]), int(fields[f"{of}_dir"]))
+            for of in ("rsp", "ref")
+        )
+        case, force = int(fields["load_case_id"]), int(fields["ordinate_spec_data_type"]) == _FORCE
+    except FileFormatError:
+        raise
+    except Exception as error:
+        raise FileFormatError(f"{place} is damaged ({type(error).__name__}); export it anew") from None
+    if in_time and is_complex:
+        raise FileFormatError(f"{place} is a recording of complex values; export the measured signal")
+    if not np.isfinite(abscissa).all():
+        raise FileFormatError(
+            f"{place}: its {'times' if in_time else 'frequencies'} are not all finite; export it anew"
+        )
+    infinite = np.isinf(values)
+    if infinite.any():
+        raise FileFormatError(f"{place}: value {int(np.argmax(infinite)) + 1} is infinite; export it anew")
+    return _Function(in_time, force, response, reference, case, abscissa, values)
+
+
+def _place_label(component: Any, node: int, direction: int) -> str:
+    """Label of a place: its component, if the file names one, node and direction."""
+    before = str(component or "").strip()
+    prefix = "" if before.upper() in ("", "NONE") else f"{before}:"
+    sign = "" if direction == 0 else "-" if direction < 0 else "+"
+    return f"{prefix}{node}{sign}{_DIRECTIONS[abs(direction)]}"
+
+
+def _printed_grid(first: float, step: float, count: int) -> Array:
+    """Grid whose first value and step were printed with six digits."""
+    if not (step > 0 and np.isfinite(step)):
+        raise FileFormatError(f"the step of the axis is {step:g}; it must be positive")
+    allowed = 0.501 * 10.0 ** (np.floor(np.log10(step)) + 1 - _PRINTED)
+    found = step
+    for digits in range(1, _PRINTED + 1):
+        near = [float(f"{step:.{digits - 1}e}"), 1.0 / float(f"{1.0 / step:.{digits - 1}e}")]
+        close = [one for one in near if abs(one - step) <= allowed]
+        if close:
+            found = close[0]
+            break
+    whole = round(first / found)
+    error = 0.501 * 10.0 ** (np.floor(np.log10(abs(first))) + 1 - _PRINTED) if first else 0.0
+    start = whole * found if abs(whole * found - first) <= error else first
+    return np.asarray(start + found * np.arange(count))
+
+
+# --- functions that belong together ----------------------------------------------------------------------------------
+
+
+def _same_axis(a: Array, b: Array) -> bool:
+    return len(a) == len(b) and bool(np.allclose(a, b, rtol=_SAME, atol=0.0))
+
+
+def _matrices(
+    functions: list[_Function], name: str, inputs: list[str] | None, outputs: list[str] | None
+) -> Iterator[tuple[int, FrequencyResponseData]]:
+    """Frequency responses, as matrices, each with the place of its first function."""
+    groups: list[tuple[int, Array, dict[tuple[str, str], Any]]] = []
+    for place, one in enumerate(functions):
+        if one.in_time or not _asked(outputs, one.response) or not _asked(inputs, one.reference):
+            continue
+        pair = one.response, one.reference
+        group = next((g for g in groups if _same_axis(g[1], one.abscissa) and pair not in g[2]), None)
+        if group is None:
+            groups.append(group := (place, one.abscissa, {}))
+        group[2][pair] = one.values
+    for place, hertz, entries in groups:
+        rows, columns = (_ordered(wanted, [pair[k] for pair in entries]) for k, wanted in ((0, outputs), (1, inputs)))
+        matrix = np.full((len(rows), len(columns), len(hertz)), np.nan, complex)
+        for (response, reference), values in entries.items():
+            matrix[rows.index(response), columns.index(reference)] = values
+        yield place, response_matrix(2 * np.pi * hertz, matrix, columns, rows, name)
+
+
+def _recordings(
+    functions: list[_Function], name: str, inputs: list[str] | None, outputs: list[str] | None
+) -> Iterator[tuple[int, TimeResponseData]]:
+    """Recordings of several channels, each with the place of its first channel."""
+    groups: list[tuple[int, list[_Function]]] = []
+    for place, one in enumerate(functions):
+        if not one.in_time:
+            continue
+        last = groups[-1][1] if groups else []
+        known = {(each.response, each.is_force) for each in last}
+        fits = last and last[0].load_case == one.load_case and _same_axis(last[0].abscissa, one.abscissa)
+        if not fits or (one.response, one.is_force) in known:
+            groups.append((place, []))
+        groups[-1][1].append(one)
+    for place, channels in groups:
+        driving = {one.response: one for one in channels if one.is_force}
+        moving = {one.response: one for one in channels if not one.is_force}
+        if inputs is not None:
+            # a label may be that of a force and of a motion at one place
+            candidates = {**moving, **driving}
+            driving = {label: candidates[label] for label in inputs if label in candidates}
+            moving = {label: one for label, one in moving.items() if driving.get(label) is not one}
+        if outputs is not None:
+            moving = {label: moving[label] for label in outputs if label in moving}
+        if not moving or (inputs is not None and not driving):
+            if inputs is None and outputs is None:
+                raise FileFormatError(f"{name} holds a recording of forces without responses; export these as well")
+            continue
+        u, y = (np.array([one.values for one in side.values()], float) for side in (driving, moving))
+        if np.isnan(u).any():
+            raise FileFormatError(f"{name}: an input has missing values, and only outputs may; cut the recording there")
+        yield place, recording(_uniform(channels[0].abscissa, name), u, y, list(driving), list(moving), name, "s")
+
+
+def _uniform(instants: Array, name: str) -> Array:
+    try:
+        _checks.time_vector(instants)
+    except StructureError as error:
+        raise FileFormatError(f"{name}: {error}") from None
+    if len(instants) < 2:
+        raise FileFormatError(f"{name} holds a recording of one sample; at least two are needed")
+    return instants[0] + printed_step(instants) * np.arange(len(instants))
+
+
+def _asked(wanted: list[str] | None, label: str) -> bool:
+    return wanted is None or label in wanted
+
+
+def _ordered(wanted: list[str] | None, found: list[str]) -> list[str]:
+    """Labels that were found, in the order in which they were asked for, or appear."""
+    return [label for label in wanted if label in found] if wanted else list(dict.fromkeys(found))
