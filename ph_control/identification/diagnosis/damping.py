@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.special import fdtrc
@@ -26,7 +27,8 @@ from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import Finding, noise_size
 from ..search.criteria import criteria, preference
 from ..search.free_path import FreeStep, evidence, finished, free_path, free_preference
-from ..search.free_search import Channels, FreeSearch, Left, Records, free_search, free_unknowns
+from ..search.free_search import Channels, FreeSearch, Left, Records, free_unknowns
+from ..search.response_search import responses_of
 from ..search.steps import Step, crowds, more_than_noise
 from ..uncertainty.fisher import listed, named_modes
 from .damped_model import DampedModel, HypothesisTest
@@ -161,6 +163,15 @@ def contradiction(
             problem, search = rival, free_search(rival)
     quantity = _quantity(problem)
     return problem, abs(gain), _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)
+
+
+def free_search(problem: Problem) -> FreeSearch:
+    """Where damped modes are looked for in the data of a problem of lossless modes."""
+    unknowns = partial(free_unknowns, problem)
+    records = [FreeRecord.of(one) for one in problem.experiments if isinstance(one, RecordRows)]
+    if records:
+        return Records(records, unknowns, problem.rounding)
+    return responses_of(problem)
 
 
 def _is_of_euler(problem: Problem) -> bool:

@@ -78,7 +78,7 @@ class FreeProjection(LinearProjection):
         self.sizes, self.experiments = np.tile(self.d, 2), experiments
         self.rows = sum(one.samples * len(one.outputs) for one in experiments)
         self.inputs = max(one.inputs for one in experiments)
-        self._fed = fed
+        self.fed = fed
 
     @property
     def has_feedthrough(self) -> bool:
@@ -104,11 +104,31 @@ class FreeProjection(LinearProjection):
         return self.inputs * (2 * len(self.p) + self.has_feedthrough)
 
     @cached_property
+    def factors(self) -> list[Array]:
+        """Triangular factor of all columns of each experiment."""
+        return [rows.at(self.p).factor(rows.samples) for rows in self.experiments]
+
+    def without_mode(self, k: int) -> FreeProjection:
+        """The same without a mode, from the factors that are known."""
+        n = len(self.p)
+        found = FreeProjection(self.experiments, np.delete(self.p, k), self.fed)
+        if any(one.own_unknowns(n) - one.own_unknowns(n - 1) != 2 * one.moving for one in self.experiments):
+            return found  # fewer modes leave unknowns to others
+        found.factors = []
+        for rows, factor in zip(self.experiments, self.factors, strict=True):
+            width, own, last = 2 * n + rows.through, rows.own_unknowns(n), factor.shape[1] - len(rows.outputs)
+            starts = [0] * rows.moving + [own + width * one for one in range(rows.inputs)]
+            starts += list(range(own + width * rows.inputs, last, 2 * n))
+            dropped = [start + place for start in starts for place in (k, n + k)]
+            found.factors.append(reduced(np.asfortranarray(np.delete(factor, dropped, axis=1))))
+        return found
+
+    @cached_property
     def _parts(self) -> list[tuple[Array, _ExperimentColumns, _ExperimentColumns]]:
         """What turns the rows above into own unknowns, these rows, and those below, of each experiment."""
         n, found = len(self.p), []
-        for rows in self.experiments:
-            part = eliminate(rows.at(self.p).factor(rows.samples), rows.own_unknowns(n), rows.samples)
+        for rows, factor in zip(self.experiments, self.factors, strict=True):
+            part = eliminate(factor, rows.own_unknowns(n), rows.samples)
             above, below = (
                 _ExperimentColumns.of(rows, one, n, self._shared_unknowns) for one in (part.above, part.below)
             )
@@ -133,10 +153,10 @@ class FreeProjection(LinearProjection):
 
     def _held(self, output: int) -> tuple[int, ...]:
         """Places of what is not fed through to an output among the shared unknowns."""
-        if self._fed is None or not self.has_feedthrough:
+        if self.fed is None or not self.has_feedthrough:
             return ()
         width = 2 * len(self.p) + 1
-        return tuple(width * k + width - 1 for k in range(self.inputs) if not self._fed[output, k])
+        return tuple(width * k + width - 1 for k in range(self.inputs) if not self.fed[output, k])
 
     def _places(self, experiment: int, outputs: list[int]) -> Indices:
         """Places of outputs among those of an experiment."""
@@ -227,7 +247,7 @@ class GivenResidues(FreeProjection):
     """The same poles with `shared` unknowns that are given: only what belongs to each experiment is at its best."""
 
     def __init__(self, at: FreeProjection, shared: Array) -> None:
-        super().__init__(at.experiments, at.p)
+        super().__init__(at.experiments, at.p, at.fed)
         self._at, self._given = at, shared
 
     @cached_property
@@ -371,15 +391,19 @@ class FreeProblem:
 
 
 def refine_free(
-    make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None
+    make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None, last: bool = True
 ) -> FreeProjection:
-    """Poles refined from a start; of those without a decay rate (NaN) it is looked for first."""
+    """Poles refined from a start; of those without a decay rate (NaN) it is looked for first.
+
+    What is not the `last` refinement ends where steps get small.
+    """
     p = p.copy()
     for k in np.flatnonzero(np.isnan(p.real)):
         p[k] = _first_decay(make, p, int(k), region)
     for _ in range(3):  # peaks turn out wider than their window
         problem = FreeProblem(make(p), region, fed)
-        end = refine(problem, problem.inside(np.concatenate([p.imag, p.real])), rtol=rtol, max_iterations=_STEPS)
+        start = problem.inside(np.concatenate([p.imag, p.real]))
+        end = refine(problem, start, rtol=rtol, max_iterations=_STEPS, last=last)
         before, p = p, end.projection.p
         if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
             break

@@ -90,9 +90,8 @@ def _vagueness(search: FreeSearch, at: FreeProjection) -> Array:
 
 def evidence(search: FreeSearch, at: FreeProjection) -> Array:
     """How much the loss would grow without each mode."""
-    rows = search.rows(at.p)
-    loss = FreeProjection(rows, at.p).loss
-    return np.array([FreeProjection(rows, np.delete(at.p, k)).loss - loss for k in range(len(at.p))])
+    whole = FreeProjection(search.rows(at.p), at.p)
+    return np.array([whole.without_mode(k).loss - whole.loss for k in range(len(at.p))])
 
 
 def _closest(at: FreeProjection, band: float) -> tuple[float, int]:

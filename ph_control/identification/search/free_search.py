@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -17,13 +17,12 @@ import numpy as np
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.free import FreeProjection, PoleRegion
-from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
-from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
+from ..regression.time_rows import FreeRecord, FreeRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem
-from .response_candidates import ranked_candidates
 from .screening import highest_peaks
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
@@ -344,37 +343,9 @@ def _local_lines(
     return p[kept], gain[kept]
 
 
-@dataclass(frozen=True)
-class LosslessResponses(Responses):
-    """Responses of one channel, where candidates are those beside lossless modes."""
-
-    experiments: Sequence[FrequencyRows] = ()
-
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
-        """Candidates between the points."""
-        d, gain = ranked_candidates(self.experiments, [one[0] for one in left])
-        return np.asarray(np.nan + 1j * d, complex), gain
-
-
 FreeSearch = Records | Responses
 
 
 def free_unknowns(problem: Problem, n: int) -> int:
     """Parameters of n damped modes: those of lossless ones, a decay rate and a phase for each, and a feedthrough."""
     return problem.unknowns(n) + n + (n + 1) * problem.driven
-
-
-def free_search(problem: Problem) -> FreeSearch:
-    """Where damped modes are looked for in the data of a problem of lossless modes."""
-    unknowns = partial(free_unknowns, problem)
-    records = [FreeRecord.of(one) for one in problem.experiments if isinstance(one, RecordRows)]
-    if records:
-        return Records(records, unknowns, problem.rounding)
-    return responses_of(problem)
-
-
-def responses_of(problem: Problem) -> LosslessResponses:
-    """Where damped modes are looked for in frequency responses of a problem of lossless modes."""
-    rows = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-    unknowns = partial(free_unknowns, problem)
-    return LosslessResponses([FreeResponse.of(one) for one in rows], unknowns, problem.rounding, rows)

@@ -75,7 +75,7 @@ class ConstrainedProjection(LinearProjection):
     def __init__(self, problem: ConstrainedProblem, x: Array) -> None:
         self.x, self.sizes, self._problem = x, np.maximum(np.abs(x), EPS), problem
         self.p, self.residues, self.feedthrough = problem.coordinates.model(x)
-        free = FreeProjection(problem.start.experiments, self.p)
+        free = FreeProjection(problem.start.experiments, self.p, problem.start.fed)
         shared = problem.coordinates.layout.joined(self.residues, self.feedthrough, free.has_feedthrough)
         self.data = GivenResidues(free, shared)
 

@@ -1,0 +1,476 @@
+"""From recordings or response matrices to the damped modes, with any residues, that are most likely.
+
+One mode after the other joins where it explains most of what is left of all channels together, all are refined
+jointly, and each output counts by the variance of its own noise, which is estimated along with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..._checks import EPS
+from ..._frozen import Frozen
+from ..._types import Array, ComplexArray, Mask
+from ...exceptions import IdentificationError
+from ...modal.discretization import Hold
+from ..data.channels import Recording, ResponseMatrix
+from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
+from ..regression.frequency_rows import FreeResponse
+from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
+from .criteria import Criteria
+from .free_search import FreeSearch, Left, Records, Responses
+from .steps import stands_out
+
+Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
+Report = Callable[[int, float], None]  # modes, log-likelihood
+
+_ROUNDS = 6  # of fit and variances in turn
+_SETTLED = 1e-6  # relative change of the likelihood, over the samples
+_EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
+_SWAPS = 6  # modes that are looked for elsewhere, at most
+
+
+@dataclass(frozen=True)
+class FreeOrder:
+    """The best model of an order on the way: logarithm of its likelihood, criteria, and poles."""
+
+    order: int
+    loglik: float
+    aic: float
+    aicc: float
+    bic: float
+    poles: ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFit(Frozen):
+    """The most likely modes of any damping and residues.
+
+    Attributes
+    ----------
+    projection : FreeProjection
+        The linear problem at the minimum, over all data; its rows have variance 1.
+    channels : tuple of Recording, or of ResponseMatrix
+        The data.
+    scales : ndarray, shape (outputs of the projection,)
+        What one unit of each output of the projection is in the data: the standard deviation of its noise.
+    order_table : tuple of FreeOrder
+        The orders that were looked at.
+    per_entry : bool
+        Whether outputs of the projection are entries of a response matrix, `output * m + input`.
+    intersample : str
+        Behaviour of the inputs between samples.
+    region : PoleRegion
+        Where poles were looked for.
+    unknowns : int
+        Parameters of the model, without the variances.
+    criteria : Criteria
+        Likelihood, with the variances at their best, and what is made of it.
+    rounding : bool
+        Whether what is left is rounding, and no noise.
+    """
+
+    projection: FreeProjection
+    channels: tuple[Any, ...]
+    scales: Array
+    order_table: tuple[FreeOrder, ...]
+    per_entry: bool
+    intersample: str
+    region: PoleRegion
+    unknowns: int
+    criteria: Criteria
+    rounding: bool
+
+    @property
+    def order(self) -> int:
+        """Number of modes."""
+        return len(self.projection.p)
+
+    @property
+    def problem(self) -> FreeProblem:
+        """What was minimised."""
+        return FreeProblem(self.projection.experiments, self.region, self.projection.fed)
+
+    @property
+    def variance(self) -> float:
+        """Variance of the rows of the projection that is not biased by the parameters."""
+        rows = self.projection.rows
+        return rows / max(1, rows - self.unknowns)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of imaginary and real parts of the poles, then of what is shared by outputs of the projection."""
+        return self.projection.covariance(self.variance)
+
+
+def residues_of(fit: FreeFit) -> ComplexArray:
+    """Residues in the units of the data, shape (n, p, m)."""
+    found = fit.projection.residues * fit.scales[:, None]
+    return found.reshape(fit.order, -1, len(fit.channels[0].input_labels)) if fit.per_entry else found
+
+
+def feedthrough_of(fit: FreeFit) -> Array:
+    """What is fed through in the units of the data, shape (p, m)."""
+    found = fit.projection.feedthrough * fit.scales[:, None]
+    return found.reshape(-1, len(fit.channels[0].input_labels)) if fit.per_entry else found
+
+
+def free_fit(
+    channels: Experiments,
+    order: int | str = "auto",
+    *,
+    quantities: Sequence[str] | None = None,
+    intersample: str = "auto",
+    offset: bool = True,
+    max_order: int = 40,
+    criterion: str = "bic",
+    callback: Report | None = None,
+    start: ComplexArray | None = None,
+) -> FreeFit:
+    """Fit modes of any damping and residues to all channels, from nothing or from some poles.
+
+    Parameters
+    ----------
+    channels : sequence of Recording, or of ResponseMatrix
+        Experiments of the same inputs and outputs.
+    order : int or 'auto'
+        Number of modes; 'auto' takes that which the criterion prefers.
+    quantities : sequence of str, optional
+        Of each output 'displacement', 'velocity', 'acceleration', or 'free' for another sensor; 'free' by default.  An
+        accelerometer feels the input at once; elsewhere what is fed through stays 0 unless it stands out.
+    intersample : {'auto', 'zoh', 'foh'}
+        Whether inputs are held or interpolated between samples; 'auto' takes the likelier.
+    offset : bool
+        Whether outputs have a constant of their own in each recording.
+    max_order : int
+        Largest order that 'auto' looks at.
+    criterion : {'bic', 'aicc', 'aic'}
+        What chooses the order.
+    callback : callable, optional
+        Called with the number of modes and the log-likelihood of each model on the way.
+    start : ndarray of complex, optional
+        Poles of positive imaginary part to start from, real parts NaN where they are not known.
+
+    Returns
+    -------
+    FreeFit
+        The minimum, its order table, and what belongs to it.
+
+    Raises
+    ------
+    IdentificationError
+        If there are fewer samples than unknowns.
+    """
+    first = channels[0]
+    quantities = tuple(quantities or ["free"] * len(first.output_labels))
+    per_entry = isinstance(first, ResponseMatrix)
+    automatic = not isinstance(order, int)
+    holds = ("zoh", "foh") if intersample == "auto" and not per_entry else (intersample,)
+    path = _Path.of(channels, quantities, holds[0], offset, criterion, callback)
+    path.check(1 if automatic else int(order))
+    most = min(max_order, path.carried) if automatic else int(order)
+    begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
+    step = path.chosen(begin, most, automatic)
+    if len(holds) > 1 and len(step.p) and any(one.inputs for one in path.search.all_rows()):
+        other = _Path.of(channels, quantities, holds[1], offset, criterion, callback)
+        gain = other.likelihood_of(other.fitted(step.p)) - path.likelihood_of(path.fitted(step.p))
+        if gain > TUNING.sure:
+            path, holds = other, holds[1:]
+            step = path.chosen(step.p, most, automatic)
+    return path.finished(step, tuple(channels), holds[0], per_entry)
+
+
+# --- data ------------------------------------------------------------------------------------------------------------
+
+
+def _records(channels: Sequence[Recording], hold: str, offset: bool) -> list[FreeRecord]:
+    found = []
+    for one in channels:
+        y = np.where(one.observed, one.y, 0.0)
+        options = {"offset": int(offset), "driven": bool(one.u.any())}
+        u = one.u if len(one.u) else np.zeros((1, one.samples))
+        found += FreeRecord.by_observation(u, y, one.observed, Hold(one.dt, "exact", hold), **options)
+    return found
+
+
+def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) -> tuple[list[FreeResponse], Array]:
+    """Entries grouped where weights, but for a factor, and points agree; and the size that each is given."""
+    found, sizes = [], np.ones(channels[0].response[..., 0].size)
+    for one in channels:
+        entries = one.response.reshape(len(sizes), -1)
+        weights, observed = one.weights.reshape(entries.shape), one.observed.reshape(entries.shape)
+        kinds = np.repeat(np.array(["displacement" if q == "free" else q for q in quantities]), one.response.shape[1])
+        groups: dict[tuple[str, bytes, bytes], list[int]] = {}
+        for e in np.flatnonzero(observed.any(axis=1)).tolist():
+            shape = np.float32(np.where(observed[e], weights[e] / weights[e][observed[e]].mean(), 0.0))
+            groups.setdefault((str(kinds[e]), observed[e].tobytes(), shape.tobytes()), []).append(e)
+        for (kind, *_), members in groups.items():
+            at, seen = members[0], observed[members[0]]
+            scale = np.sqrt(weights[at] / weights[at][seen].mean())
+            response = np.where(seen, entries[members], 0.0)
+            found.append(FreeResponse(one.omega, response, scale, seen, kind, np.array(members)))
+    return found, sizes
+
+
+# --- the path --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """Modes and what they leave: losses of outputs in the units of the data, and the log-likelihood."""
+
+    at: FreeProjection
+    left: Left
+    losses: Array
+    loglik: float
+
+    @property
+    def p(self) -> ComplexArray:
+        """Poles."""
+        return self.at.p
+
+
+@dataclass
+class _Path:
+    """A search, with what each output is multiplied by so that its noise has variance 1."""
+
+    search: FreeSearch
+    counts: Array  # real equations of each output
+    floors: Array  # losses that are rounding
+    felt: Mask  # entries that are fed through in any case
+    criterion: str
+    callback: Report | None
+    sizes: Array
+    scaled: FreeSearch
+    table: dict[int, FreeOrder]
+
+    @classmethod
+    def of(
+        cls, channels: Experiments, quantities: Sequence[str], hold: str, offset: bool, criterion: str,
+        callback: Report | None,
+    ) -> _Path:  # fmt: skip
+        """The path over some data."""
+        search: FreeSearch
+        inputs = len(channels[0].input_labels)
+        accelerometers = np.array([one == "acceleration" for one in quantities])
+        if isinstance(channels[0], ResponseMatrix):
+            responses, _ = _responses([one for one in channels if isinstance(one, ResponseMatrix)], quantities)
+            search = Responses(responses, _counter(responses, 1), 0.0)
+            felt = np.repeat(accelerometers, inputs)[:, None]
+            parts = [(one.outputs, one.samples, np.abs(one.response * one.scale).max(axis=1)) for one in responses]
+        else:
+            records = _records([one for one in channels if isinstance(one, Recording)], hold, offset)
+            search = Records(records, _counter(records, inputs), 0.0)
+            felt = np.repeat(accelerometers[:, None], inputs, axis=1)
+            parts = [(one.outputs, one.samples, np.abs(one.y).max(axis=1)) for one in records]
+        counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
+        for outputs, samples, size in parts:
+            counts[outputs] += samples
+            largest[outputs] = np.maximum(largest[outputs], size)
+        counts, floors = np.maximum(counts, 1), counts * (EPS * counts * largest) ** 2
+        floors = np.maximum(floors, np.finfo(float).tiny)
+        one = cls(search, counts, floors, felt, criterion, callback, np.ones(len(felt)), search, {})
+        one.weigh(search.losses(search.left(FreeProjection(search.rows(np.zeros(0, complex)), np.zeros(0, complex)))))
+        return one
+
+    # --- likelihood
+
+    def weigh(self, losses: Array) -> None:
+        """Give every output the weight of the variance that it is left with."""
+        self.sizes = np.sqrt(self.counts / np.maximum(losses, self.floors))
+        self.scaled = self.search.scaled(self.sizes)
+
+    def loglik(self, losses: Array) -> float:
+        """Log-likelihood at the best variances."""
+        variances = np.maximum(losses, self.floors) / self.counts
+        return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1)))
+
+    def likelihood_of(self, at: FreeProjection) -> float:
+        """The same of a fit over all data."""
+        return self.loglik(self.scaled.losses(self.scaled.left(at)) / self.sizes**2)
+
+    def unknowns(self, n: int) -> int:
+        """Parameters of n modes."""
+        return self.search.unknowns(n)
+
+    def criteria(self, loglik: float, unknowns: int) -> Criteria:
+        """Criteria of a model with so many unknowns beside the variances."""
+        samples, parameters = float(self.counts.sum()), unknowns + len(self.counts)
+        aic, spare = 2 * parameters - 2 * loglik, samples - parameters - 1
+        aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
+        return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+
+    def cost(self, model: _Model) -> float:
+        """What the order is chosen by."""
+        return self.criteria(model.loglik, self.unknowns(len(model.p))).by_name(self.criterion)
+
+    @property
+    def carried(self) -> int:
+        """Largest number of modes for which there are more samples than unknowns."""
+        none = self.unknowns(0)
+        return max(0, int((self.counts.sum() - len(self.counts) - none) // (self.unknowns(1) - none)))
+
+    def check(self, order: int) -> None:
+        """Refuse more modes than the data can carry."""
+        if order > self.carried:
+            raise IdentificationError(
+                f"{order} modes have {self.unknowns(order)} unknowns in all channels, more than the "
+                f"{int(self.counts.sum())} samples can carry; the largest order for these data is {self.carried}"
+            )
+
+    # --- models
+
+    def model(self, p: ComplexArray, rtol: float = TUNING.rough) -> _Model:
+        """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
+        search = self.scaled
+        at = refine_free(search.rows, p, search.region, rtol, last=False)
+        left = search.left(at)
+        losses = search.losses(left) / self.sizes**2
+        found = _Model(at, left, losses, self.loglik(losses))
+        unknowns, n = self.unknowns(len(p)), len(p)
+        judged = self.criteria(found.loglik, unknowns)
+        if n not in self.table or self.table[n].loglik < found.loglik:
+            self.table[n] = FreeOrder(n, found.loglik, judged.aic, judged.aicc, judged.bic, at.p[np.argsort(at.d)])
+        if self.callback is not None:
+            self.callback(n, found.loglik)
+        return found
+
+    def reweighted(self, model: _Model) -> _Model:
+        """The same model with the weights of what it leaves."""
+        ratio = np.sqrt(self.counts / np.maximum(model.losses, self.floors)) / self.sizes
+        if len(ratio) == 1 or np.ptp(np.log(ratio)) < 1e-3:
+            return model
+        self.weigh(model.losses)
+        return self.model(model.p)
+
+    def candidates(self, model: _Model) -> tuple[ComplexArray, Array]:
+        """Poles that stand out of what is left, the strongest first."""
+        p, gains = self.scaled.candidates(model.left)
+        now, then = self.unknowns(len(model.p)), self.unknowns(len(model.p) + 1)
+        loss = float(np.sum(model.losses * self.sizes**2))
+        shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
+        return p, gains * np.array(shown, bool)
+
+    def chosen(self, start: ComplexArray, most: int, automatic: bool) -> _Model:
+        """The model of an order, or of that which the criterion prefers."""
+        model = self.reweighted(self.model(start))
+        best, missed = model, 0
+        while len(model.p) < most and missed < TUNING.patience:
+            p, gains = self.candidates(model)
+            if not len(p) or (automatic and not gains.any()):
+                break
+            joining = _together(model.at, p, gains, self.search.region.bin, most - len(model.p))
+            model = self.reweighted(self.model(np.append(model.p, joining)))
+            if not automatic or self.cost(model) < self.cost(best):
+                best, missed = model, 0
+            else:
+                missed += 1
+        best = self.relocated(best)
+        return self.pruned(best) if automatic else best
+
+    def relocated(self, model: _Model) -> _Model:
+        """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""
+        for _ in range(_SWAPS):
+            p, gains = self.candidates(model)
+            if not gains.any():
+                break
+            more = self.model(np.append(model.p, p[0]))
+            weakest = int(np.argmin(self.evidence(more)))
+            other = self.model(np.delete(more.p, weakest))
+            if other.loglik <= model.loglik + TUNING.sure:
+                break
+            model = self.reweighted(other)
+        return model
+
+    def evidence(self, model: _Model) -> Array:
+        """How much the loss would grow without each mode."""
+        whole = FreeProjection(self.scaled.rows(model.p), model.p)
+        return np.array([whole.without_mode(k).loss - whole.loss for k in range(len(model.p))])
+
+    def pruned(self, model: _Model) -> _Model:
+        """Modes dropped as long as the criterion gets better."""
+        while len(model.p):
+            weakest = int(np.argmin(self.evidence(model)))
+            fewer = self.model(np.delete(model.p, weakest))
+            if self.cost(fewer) >= self.cost(model):
+                break
+            model = self.reweighted(fewer)
+        return model
+
+    # --- the end
+
+    def fitted(self, p: ComplexArray, rtol: float = TUNING.rough, fed: Mask | None = None) -> FreeProjection:
+        """Modes refined over all data."""
+        return refine_free(lambda _: self.scaled.all_rows(), p, self.scaled.region, rtol, fed)
+
+    def settled(self, at: FreeProjection, fed: Mask | None) -> tuple[FreeProjection, Array]:
+        """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
+        before = -np.inf
+        for _ in range(_ROUNDS):
+            losses = self.scaled.losses(self.scaled.left(at)) / self.sizes**2
+            now = self.loglik(losses)
+            alone = len(losses) == 1
+            self.weigh(losses)
+            at = self.fitted(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.all_rows(), at.p, fed)
+            if alone or now - before <= _SETTLED * max(1.0, abs(now)) / len(losses):
+                break
+            before = now
+        return at, losses
+
+    def finished(self, model: _Model, channels: tuple[Any, ...], hold: str, per_entry: bool) -> FreeFit:
+        """The last minimum; what is fed through only where it stands out, or has to be."""
+        self.weigh(model.losses)
+        at, losses = self.settled(self.fitted(model.p, _EXACT), None)
+        fed: Mask | None = None
+        if at.has_feedthrough and not self.felt.all():
+            fed = self.felt | self.stands_out(at)
+            if not fed.all():
+                at, losses = self.settled(self.fitted(at.p, _EXACT, fed), fed)
+        rank = np.argsort(at.d)
+        at = FreeProjection(at.experiments, at.p[rank], fed)
+        unknowns = self.unknowns(len(rank)) - (0 if fed is None else int(np.sum(~fed)))
+        table = tuple(self.table[n] for n in sorted(self.table))
+        criteria = self.criteria(self.loglik(losses), unknowns)
+        rounding = bool(np.any(losses <= self.floors))
+        return FreeFit(
+            at, channels, 1.0 / self.sizes, table, per_entry, hold, self.search.region, unknowns, criteria, rounding
+        )
+
+    def stands_out(self, at: FreeProjection) -> Mask:
+        """Which of all that may be fed through is more than its error shows."""
+        n, width = len(at.p), 2 * len(at.p) + 1
+        errors = np.sqrt(np.diag(at.covariance(at.rows / max(1, at.rows - self.unknowns(n)))))[2 * n :]
+        errors = errors.reshape(len(at.feedthrough), at.inputs, width)[:, :, -1]
+        return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
+
+
+def _counter(rows: Sequence[FreeRecord] | Sequence[FreeResponse], inputs: int) -> Callable[[int], int]:
+    """Number of parameters of n modes: poles, residues and what is fed through of each output, nuisance parameters."""
+    outputs = np.unique(np.concatenate([one.outputs for one in rows]))
+    driven = inputs * any(one.inputs > 0 for one in rows)
+
+    def unknowns(n: int) -> int:
+        own = sum(one.own_unknowns(n) * len(one.outputs) for one in rows)
+        fed = driven * any(one.through for one in rows)
+        return 2 * n + len(outputs) * (2 * n * driven + fed) + own
+
+    return unknowns
+
+
+def _together(at: FreeProjection, p: ComplexArray, gains: Array, width: float, most: int) -> ComplexArray:
+    """Candidates that may join at once: the strongest, and those nearly as strong far from it and from one another."""
+    chosen = [complex(p[0])]
+    for one, gain in zip(p[1:].tolist(), gains[1:].tolist(), strict=True):
+        if len(chosen) == most or gain < TUNING.nearly_as_strong * gains[0] or not gain:
+            break
+        others = np.append(at.p, chosen)
+        apart = TUNING.together_apart * width + np.nan_to_num(np.abs(others.real)) + abs(one.real)
+        if np.all(np.abs(others.imag - one.imag) > apart):
+            chosen.append(one)
+    return np.array(chosen)
