@@ -325,8 +325,7 @@ def _each(
                 "use the function of the same name of python-control"
             )
     t = _instants(systems, timepts, samples)
-    responses = [run(sys, t) for sys in systems]
-    return TimeResponseList(responses) if several else responses[0]
+    return TimeResponseList([run(sys, t.copy()) for sys in systems]) if several else run(sys, t)
 
 
 def _visible(sys: LosslessSystem) -> Array:
@@ -445,7 +444,7 @@ class _Response(TimeResponseData):
         first = slice(None, 1)
         u = described.pop("inputs", None)
         super().__init__(t[first], y[..., first], y[:0, ..., first], None if u is None else u[..., first], **described)
-        self.t, self.y, self.u, self.x = t.copy(), y, u, y[:0]
+        self.t, self.y, self.u, self.x = t, y, u, y[:0]
         if compute is not None:
             self._compute, self.nstates, self.state_labels = compute, sys.nstates, list(sys.state_labels)
             if self.return_x:

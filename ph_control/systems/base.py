@@ -151,7 +151,7 @@ class LosslessSystem(ct.StateSpace):
 
         Runs on modal coordinates: O(n) a point, accurate arbitrarily close to a pole.
         """
-        return self.modes.evaluate(_checks.complex_points("the points", x))
+        return self.modes.evaluate(x)
 
     def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
         """Frequency response as data, a rounding to the right of the imaginary axis.
@@ -160,17 +160,14 @@ class LosslessSystem(ct.StateSpace):
         it went: up at a zero, down at a pole.  What unwraps it, as `control.bode_plot` does, goes the same way.
         """
         response = super().frequency_response(omega, squeeze)
-        values, unit = response.frdata, -1j if self._integrated else 1.0
-
-        def across(G: ComplexArray) -> Array:
-            return -G.imag if self._integrated else G.real
-
-        along = np.abs(values.real if self._integrated else values.imag)
-        aside = np.where((across(values) == 0) & (along < np.inf), _ASIDE * along, 0.0)
+        parts = response.frdata.real, response.frdata.imag
+        across, along = parts[::-1] if self._integrated else parts
+        aside = (-_ASIDE if self._integrated else _ASIDE) * np.abs(along)
         if self.ninputs > 1:
             # entries of residues with either sign go either way
-            aside = np.copysign(aside, across(self.horner(response.omega * (1j + _RIGHT))))
-        response.frdata = values + unit * aside
+            beside = self.horner(response.omega * (1j + _RIGHT))
+            aside = np.copysign(aside, beside.imag if self._integrated else beside.real)
+        np.copyto(across, aside, where=(across == 0) & np.isfinite(along))
         return response
 
     def bode_plot(self, *args: Any, **kwargs: Any) -> Any:
