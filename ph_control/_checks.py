@@ -18,7 +18,7 @@ from ._types import Array
 from .exceptions import StructureError
 
 EPS = float(np.finfo(float).eps)
-_CACHED = 1 << 13  # entries of a matrix looked at together
+_TOGETHER = 1 << 13  # instants looked at together
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
@@ -134,7 +134,7 @@ def representable(what: str, *arrays: NDArray[Any], nonzero: NDArray[np.bool_] |
 
     `nonzero` says where results are not 0: there an underflow would pass for a weight that is absent.
     """
-    lost = any((nonzero & (np.abs(array) < TINY)).any() for array in arrays)
+    lost = nonzero is not False and any((nonzero & (np.abs(array) < TINY)).any() for array in arrays)
     if lost or not all(np.isfinite(array).all() for array in arrays):
         raise StructureError(
             f"{what} leave the range of doubles (1e-308 to 1e308); choose other units of time or amplitude"
@@ -216,12 +216,6 @@ def skew_matrix(name: str, array: Array) -> Array:
 def _largest(array: Array) -> float:
     """Largest absolute value, without an array of them: memory that is new costs more than what is done in it."""
     return max(float(array.max(initial=0.0)), -float(array.min(initial=0.0)))
-
-
-def bands(rows: int) -> list[slice]:
-    """Rows of a square matrix, as many at a time as stay in a cache."""
-    step = max(1, _CACHED // max(1, rows))
-    return [slice(start, start + step) for start in range(0, rows, step)]
 
 
 def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
@@ -425,11 +419,12 @@ def _refuse_instants(t: Array, off: float, allowed: float, name: str) -> None:
 @np.errstate(over="ignore")
 def distance_from_grid(t: Array, step: float) -> float:
     """Largest `|t_0 + k step - t_k|`, 0 if they are equal to the last bit."""
-    grid = np.arange(float(t.size))
-    grid *= step
-    grid += t[0]
-    grid -= t
-    return _largest(grid)
+    # as many at a time as stay in a cache
+    steps, off = np.arange(float(min(t.size, _TOGETHER))), 0.0
+    for start in range(0, t.size, _TOGETHER):
+        part = t[start : start + _TOGETHER]
+        off = max(off, _largest((steps[: part.size] + start) * step + t[0] - part))
+    return off
 
 
 def sampling_step(dt: Any, *, name: str = "dt") -> float:

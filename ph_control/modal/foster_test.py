@@ -46,35 +46,40 @@ def lossless_modes_with_errors(sys: Any, method: str | None = None, intersample:
     Takes a continuous-time `control.StateSpace` or `control.TransferFunction` (so also what `control.zpk`
     gives) and the systems of `scipy.signal`.  A state-space system never passes through polynomials.
     """
-    if isinstance(sys, scipy.signal.lti):
-        return _confirmed(_from_scipy(sys), None)
     if isinstance(sys, scipy.signal.dlti):
         raise NotLosslessError(
             [f"the system is discrete-time (dt = {sys.dt}); give it as a control.StateSpace, with how it was sampled"]
         )
-    if not isinstance(sys, ct.StateSpace | ct.TransferFunction):
+    if not isinstance(sys, ct.StateSpace | ct.TransferFunction | scipy.signal.lti):
         raise StructureError(
             f"no port-Hamiltonian form of an object of type {type(sys).__name__}; pass a StateSpace, a "
             "TransferFunction, a zero-pole-gain system, a ModalForm, or the matrices Q and B"
         )
-    rule = sampling_rule(sys, method, intersample) if sys.isdtime(strict=True) else None
-    _ports(sys.noutputs, sys.ninputs)
-    if rule is None and isinstance(sys, ct.TransferFunction) and sys.issiso():
-        return _from_transfer_function(sys.num_list[0][0], sys.den_list[0][0])
-    return _confirmed(_poles_and_residues(sys, 0.0 if rule is None else 1.0), rule)
+    rule = sampling_rule(sys, method, intersample) if _is_sampled(sys) else None
+    _refuse_other_than_ports(sys)
+    form = given = _poles_and_residues(sys, rule)
+    if rule is not None:
+        form = continuous(given, rule)
+    try:
+        judged = decide(form)
+    except (NotLosslessError, StructureError):
+        if rule is None and isinstance(sys, ct.TransferFunction) and sys.issiso():
+            _refuse_lost_coefficients(sys.num_list[0][0], sys.den_list[0][0], form)
+        raise
+    if given.resolvents:
+        _confirm(judged.modes, given, rule)
+    return judged
 
 
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def of_sampled(sys: Any, method: str | None, intersample: str) -> PoleResidueForm:
     """Poles and residues in continuous time of any system that was sampled."""
-    return continuous(_poles_and_residues(sys, 1.0), sampling_rule(sys, method, intersample))
+    rule = sampling_rule(sys, method, intersample)
+    return continuous(_poles_and_residues(sys, rule), rule)
 
 
-def _confirmed(form: PoleResidueForm, rule: Hold | None) -> Judged:
-    """Decide, and hold what was found against the matrices that it was found in."""
-    judged = decide(form if rule is None else continuous(form, rule))
-    if form.resolvents:
-        _confirm(judged.modes, form, rule)
-    return judged
+def _is_sampled(sys: Any) -> bool:
+    return isinstance(sys, ct.InputOutputSystem) and bool(sys.isdtime(strict=True))
 
 
 def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None:
@@ -100,26 +105,42 @@ def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None
         )
 
 
-def _poles_and_residues(sys: Any, rest: float) -> PoleResidueForm:
-    if isinstance(sys, ct.StateSpace):
-        return pole_residue.from_state_space(sys.A, sys.B, sys.C, sys.D, rest)
-    entries = [
-        [pole_residue.from_polynomials(sys.num_list[i][j], sys.den_list[i][j]) for j in range(sys.ninputs)]
-        for i in range(sys.noutputs)
-    ]
-    return pole_residue.assemble(entries) if len(entries) > 1 else entries[0][0]
+def _poles_and_residues(sys: Any, rule: Hold | None) -> PoleResidueForm:
+    """Poles and residues of a system of any kind, by the route of its kind."""
+    numbers = _numbers(sys)
+    if isinstance(sys, scipy.signal.ZerosPolesGain):
+        return pole_residue.from_zeros_poles(*numbers)
+    if isinstance(sys, ct.StateSpace | scipy.signal.StateSpace):
+        A, B, C, D = numbers
+        return pole_residue.from_state_space(A, B, C, D, rest=0.0 if rule is None else 1.0)
+    return pole_residue.from_fractions(*numbers)
 
 
-def _from_transfer_function(num: Array, den: Array) -> Judged:
-    form = pole_residue.from_polynomials(num, den)
-    try:
-        return decide(form)
-    except (NotLosslessError, StructureError):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            lost = float(np.nanmax(form.pole_error / np.abs(form.poles), initial=0.0))
-        odd = not (np.any(den[-2::-2]) or np.any(num[-1::-2]))
-        if not odd or lost < COEFFICIENT_LIMIT:
-            raise
+def _numbers(sys: Any) -> tuple[Any, ...]:
+    """The numbers that a system is made of, checked: zeros, poles and gain; A, B, C and D; or tables of polynomials."""
+    if isinstance(sys, scipy.signal.ZerosPolesGain):
+        gain = float(_checks.real_array("the gain", sys.gain, 0))
+        zeros, poles = _checks.conjugate_closed("zeros", sys.zeros), _checks.conjugate_closed("poles", sys.poles)
+        return zeros, poles, gain
+    if isinstance(sys, ct.StateSpace | scipy.signal.StateSpace):
+        matrices = tuple(_checks.real_array(name, np.atleast_2d(getattr(sys, name)), 2) for name in "ABCD")
+        for name, matrix in zip("ABC", matrices, strict=False):
+            _checks.in_range(name, matrix)
+        return matrices
+    plain = isinstance(sys, ct.TransferFunction)
+    tables = (sys.num_list, sys.den_list) if plain else ([[np.atleast_1d(sys.num)]], [[np.atleast_1d(sys.den)]])
+    return tuple(
+        [[_checks.real_array(name, polynomial, 1) for polynomial in row] for row in table]
+        for name, table in zip(("the numerator", "the denominator"), tables, strict=True)
+    )
+
+
+def _refuse_lost_coefficients(num: Array, den: Array, form: PoleResidueForm) -> None:
+    """Refuse the coefficients of what may be lossless where their rounding has lost its poles."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lost = float(np.nanmax(form.pole_error / np.abs(form.poles), initial=0.0))
+    odd = not (np.any(den[-2::-2]) or np.any(num[-1::-2]))
+    if odd and lost >= COEFFICIENT_LIMIT:
         raise StructureError(
             f"the coefficients of the transfer function carry {max(0.0, -np.log10(lost)):.1f} digits of its poles, "
             f"needed {-np.log10(COEFFICIENT_LIMIT):.0f}: the rest is lost in their rounding to doubles; give natural "
@@ -127,32 +148,22 @@ def _from_transfer_function(num: Array, den: Array) -> Judged:
         ) from None
 
 
-def _ports(noutputs: int, ninputs: int) -> None:
-    if noutputs != ninputs:
+def _refuse_other_than_ports(sys: Any) -> None:
+    """Refuse a system without inputs, or with another number of outputs."""
+    if isinstance(sys, scipy.signal.lti) and not isinstance(sys, scipy.signal.StateSpace):
+        return
+    outputs, inputs = (sys.outputs, sys.inputs) if isinstance(sys, scipy.signal.lti) else (sys.noutputs, sys.ninputs)
+    if outputs != inputs:
         raise NotLosslessError(
-            [f"the system has {ninputs} inputs and {noutputs} outputs, needed as many of both: each pair is a port"]
+            [f"the system has {inputs} inputs and {outputs} outputs, needed as many of both: each pair is a port"]
         )
-    if ninputs == 0:
+    if inputs == 0:
         raise StructureError("the system has no inputs; a port-Hamiltonian system needs at least one port")
-
-
-def _from_scipy(sys: scipy.signal.lti) -> PoleResidueForm:
-    if isinstance(sys, scipy.signal.ZerosPolesGain):
-        return pole_residue.from_zeros_poles(np.atleast_1d(sys.zeros), np.atleast_1d(sys.poles), sys.gain)
-    if isinstance(sys, scipy.signal.TransferFunction):
-        return pole_residue.from_polynomials(np.atleast_1d(sys.num), np.atleast_1d(sys.den))
-    _ports(sys.outputs, sys.inputs)
-    A, B, C, D = (np.atleast_2d(M) for M in (sys.A, sys.B, sys.C, sys.D))
-    return pole_residue.from_state_space(A, B, C, D)
 
 
 def decide(form: PoleResidueForm) -> Judged:
     """Hold poles and residues against (M): the modal form, or `NotLosslessError` naming each offence."""
-    _checks.representable(
-        "the poles and residues of the system",
-        *(form.poles, form.residues, form.pole_error, form.residue_error, form.growth, form.growth_error),
-    )
-    _checks.in_range("the list of residues", np.abs(form.residues))
+    form.check_range()
     violations = _feedthrough(form)
     found: list[_Found] = []
     hidden: list[tuple[float, float, str]] = []
@@ -305,7 +316,8 @@ def modes_of_energy(energy: tuple[Array, ComplexArray, Array], B: Array) -> Moda
     modes = ModalForm._of(d.copy(), (E @ B) / np.sqrt(d)[:, None], E0 @ B)
     what = "the modal weights of this Q and B"
     _checks.representable(what, modes.r, modes.kappa, nonzero=_stands_out(E, B).reshape(modes.r.shape))
-    _checks.representable(what, modes.rigid**2, nonzero=_stands_out(E0, B))
+    if len(E0):
+        _checks.representable(what, modes.rigid**2, nonzero=_stands_out(E0, B))
     return modes
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from .._checks import EPS, bands, symmetric_matrix
+from .._checks import EPS, symmetric_matrix
 from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 
 AT_ONCE = 64  # rows of a matrix up to which its eigenvalues cost no more than the rest of building a system
+_CACHED = 1 << 13  # entries of a matrix looked at together
 _NEAR = 10.0  # by how much the smallest eigenvalue is less than its estimate at most
 
 
@@ -20,12 +21,10 @@ def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = No
     return array
 
 
-def built_matrix(Q: ArrayLike) -> Array:
-    """Check a Hamiltonian matrix when a system is built of it: a large one only as far as O(n^2) steps can."""
-    array = symmetric_matrix(Q)
-    if len(array) <= AT_ONCE or surely_indefinite(array):
-        not_indefinite(array)
-    return array
+def not_surely_indefinite(Q: Array) -> None:
+    """Refuse an indefinite Hamiltonian matrix when a system is built of it, a large one as far as O(n^2) steps tell."""
+    if len(Q) <= AT_ONCE or surely_indefinite(Q):
+        not_indefinite(Q)
 
 
 def not_indefinite(Q: Array, *, name: str = "Q") -> None:
@@ -55,20 +54,22 @@ def surely_indefinite(Q: Array) -> bool:
 
     A diagonal entry may be negative, or a pair of rows have `Q_ij^2 > Q_ii Q_jj`.
     """
-    diagonal = np.diag(Q)
+    diagonal = Q.diagonal()
     if diagonal.min(initial=0.0) < 0:
         return True
     root = np.sqrt(diagonal)
     bound = (1 + 16 * len(Q) * EPS) * root
-    return any(bool((np.abs(Q[band]) > bound[band, None] * root).any()) for band in bands(len(Q)))
+    step = max(1, _CACHED // len(Q))
+    bands = [slice(start, start + step) for start in range(0, len(Q), step)]
+    return any(bool((np.abs(Q[band]) > bound[band, None] * root).any()) for band in bands)
 
 
 def unit_diagonal(Q: Array) -> tuple[Array, Array]:
     """Return `(Q_ij / sqrt(Q_ii Q_jj), sqrt(diag Q))`: definiteness does not depend on units."""
-    scale = np.sqrt(np.abs(np.diag(Q)))
-    # a zero diagonal is left unscaled: then any entry in its row shows up as a negative eigenvalue
-    size = float(np.max(scale, initial=0.0))
-    scale = np.where(scale > 0, scale, size if size > 0 else 1.0)
+    scale = np.sqrt(np.abs(Q.diagonal()))
+    if np.count_nonzero(scale) < len(scale):
+        # a zero diagonal is left unscaled: then any entry in its row shows up as a negative eigenvalue
+        scale[scale == 0] = scale.max() or 1.0
     scaled = Q + Q.T
     scaled *= 0.5
     scaled /= scale[:, None]
@@ -105,7 +106,7 @@ def _near_smallest_eigenvalue(factor: Array) -> float:
     """Estimate from above, in O(n^2), by two steps of inverse iteration from a vector without any symmetry."""
     start, _ = dpotrs(factor, np.sin(np.arange(1.0, len(factor) + 1) ** 2), lower=1)
     end, _ = dpotrs(factor, start, lower=1)
-    return float(np.linalg.norm(start) / np.linalg.norm(end))
+    return float(np.sqrt((start @ start) / (end @ end)))
 
 
 def smallest_scaled_eigenvalue(Q: Array) -> tuple[float, float]:

@@ -50,6 +50,12 @@ class PoleResidueForm:
         none, gain = np.zeros(len(poles)), float(np.abs(residues).max(initial=0.0))
         return cls(poles, residues, pole_error, residue_error, none, none, gain, feedthrough)
 
+    def check_range(self) -> None:
+        """Refuse numbers that left the range of doubles."""
+        errors = self.pole_error, self.residue_error, self.growth, self.growth_error
+        _checks.representable("the poles and residues of the system", self.poles, self.residues, *errors)
+        _checks.in_range("the list of residues", np.abs(self.residues))
+
 
 class Resolvent(NamedTuple):
     """`outputs (s - T)^{-1} inputs` of a triangular matrix, which is known up to `backward`."""
@@ -89,9 +95,6 @@ def from_state_space(A: Array, B: Array, C: Array, D: Array, rest: float = 0.0) 
     block.  So no rank decides what ports see: a part that none does has a residue of zero within its bound.  Only at
     `rest`, the pole of rigid bodies, ranks tell the Jordan chains: 0, or 1 in discrete time.
     """
-    A, B, C, D = (_checks.real_array(name, M, 2) for name, M in zip("ABCD", (A, B, C, D), strict=True))
-    for name, M in zip("ABC", (A, B, C), strict=True):
-        _checks.in_range(name, M)
     A, B, C = _connected(A, B, C)
     count, label = components(A != 0)
     parts = [np.flatnonzero(label == k) for k in range(count)]
@@ -329,8 +332,7 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
 
     Simple poles on the axis are found with twice the digits, any others by a companion form.
     """
-    num = np.trim_zeros(_checks.real_array("the numerator", num, 1), "f")
-    den = np.trim_zeros(_checks.real_array("the denominator", den, 1), "f")
+    num, den = np.trim_zeros(num, "f"), np.trim_zeros(den, "f")
     if len(den) == 0:
         raise StructureError("the denominator is zero; a transfer function needs a non-zero denominator")
     if len(num) > len(den):
@@ -342,8 +344,6 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         )
     while len(num) and num[-1] == 0 and den[-1] == 0:
         num, den = num[:-1], den[:-1]
-    with np.errstate(over="ignore"):
-        _checks.representable("the coefficients of the transfer function", num / den[0], den / den[0])
     if len(num) and (exact := _on_the_axis(num, den)) is not None:
         return exact
     order = len(den) - 1
@@ -352,14 +352,15 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
     top = den[0]
     den = den / top * powers
     num = np.concatenate([np.zeros(order + 1 - len(num)), num]) / top * powers
-    _checks.representable("the coefficients of the transfer function", num, den)
     feedthrough, num = num[0], (num - num[0] * den)[1:]
     D = np.array([[feedthrough]])
+    A = scale * np.eye(order, k=-1)
+    A[:1] = -scale * den[1:]
+    _checks.representable("the coefficients of the transfer function", D, A, num)
     if order == 0 or not num.any():
         return _static(D)
-    A = np.diag(np.ones(order - 1), -1)
-    A[0] = -den[1:]
-    form = from_state_space(A * scale, np.eye(order)[:, :1] * scale, num[None, :], D)
+    _checks.in_range("the transfer function in the unit of its poles", np.append(A, num))
+    form = from_state_space(A, np.eye(order)[:, :1] * scale, num[None, :], D)
     return replace(form, resolvents=())
 
 
@@ -379,6 +380,8 @@ def _on_the_axis(num: Array, den: Array) -> PoleResidueForm | None:
     P, c = den[::-1] / den[0], num[::-1] / den[0]
     if P[1 - still :: 2].any() or P[still::2].min() <= 0 or order < 2 or len(num) > order:
         return None
+    if not (np.isfinite(P).all() and np.isfinite(c).all()):
+        return None
     found = fractions_from_coefficients(P[still:-1:2], c[0::2], c[1::2])
     if found is None or np.max(found[0][1] / found[0][0]) > COEFFICIENT_LIMIT:
         return None
@@ -395,8 +398,7 @@ def _on_the_axis(num: Array, den: Array) -> PoleResidueForm | None:
 
 def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResidueForm:
     """Poles and residues of `gain prod(s - z) / prod(s - p)`, by products: no polynomial is formed."""
-    gain = float(_checks.real_array("the gain", gain, 0))
-    zeros, poles = list(_checks.conjugate_closed("zeros", z)), list(_checks.conjugate_closed("poles", p))
+    zeros, poles = list(z), list(p)
     if len(zeros) > len(poles):
         raise NotLosslessError([f"the system is improper: {len(zeros)} zeros over {len(poles)} poles, needed less"])
     close = 8 * max(1, len(poles)) * _checks.EPS
@@ -425,8 +427,11 @@ def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResid
     return PoleResidueForm(p, residues[:, None, None], pole_error, error, growth, growth_error, float(size.max()), D)
 
 
-def assemble(entries: list[list[PoleResidueForm]]) -> PoleResidueForm:
-    """One form from those of the entries; `decide` merges the poles they share."""
+def from_fractions(num: list[list[Array]], den: list[list[Array]]) -> PoleResidueForm:
+    """One form from the polynomials of the entries; the poles that they share are not merged."""
+    entries = [[from_polynomials(*pair) for pair in zip(*rows, strict=True)] for rows in zip(num, den, strict=True)]
+    if len(entries) == len(entries[0]) == 1:
+        return entries[0][0]
     flat = [entry for row in entries for entry in row]
     p, m = len(entries), len(entries[0])
     residues = []

@@ -63,8 +63,9 @@ class AffineHamiltonian(LosslessSystem):
     _integrated = True
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
-        matrix = _definite.built_matrix(Q)
+        matrix = _checks.symmetric_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
+        _definite.not_surely_indefinite(matrix)
         bracket = ports.T @ apply_form(ports)
         size = float(np.max(np.abs(bracket), initial=0.0))
         allowed = 8 * len(matrix) * _checks.EPS * float(np.linalg.norm(ports)) ** 2

@@ -18,7 +18,7 @@ from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import symplectic_form
-from .base import LosslessSystem, View, refuse_losses
+from .base import LosslessSystem, View, inherited_names, refuse_losses
 from .passive_form import Conversion, PortRows, passive_parts
 from .port_hamiltonian import PortHamiltonian
 
@@ -219,7 +219,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
         """Transfer function at complex points, shape (p, m, N); `inf` at a pole, never NaN.  O(n) a point."""
-        return self.modes.evaluate(_checks.complex_points("the points", x))
+        return self.modes.evaluate(x)
 
     def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
         """Frequency response as data, from the modes."""
@@ -257,12 +257,9 @@ class DissipativePortHamiltonian(PortHamiltonian):
     rigid_modes = property(_lossless_only("rigid_modes", "rigid-body modes are"))
     _separation = _lossless_only("_separation", "the canonical part and its margins are")
 
-    def _named(self, names: dict[str, Any]) -> DissipativePortHamiltonian:
-        """Return the same system with other names."""
+    def _converted(self, **names: Any) -> DissipativePortHamiltonian:
+        names = inherited_names(self, names, "inputs", "outputs", "states")
         return restored(self._parts, names, self.time_unit, self.conversion)
-
-    def _converted(self, **names: Any) -> Any:
-        return self
 
     # --- what python-control asks a system ------------------------------------------------------------------------
 

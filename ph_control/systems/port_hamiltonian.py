@@ -79,8 +79,10 @@ class PortHamiltonian(LosslessSystem):
     _given: tuple[Array, Array] | None
 
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
-        matrix = _definite.built_matrix(Q)
-        self._fill((matrix, _checks.port_matrix(B, len(matrix))), None, names)
+        matrix = _checks.symmetric_matrix(Q)
+        ports = _checks.port_matrix(B, len(matrix))
+        _definite.not_surely_indefinite(matrix)
+        self._fill((matrix, ports), None, names)
 
     def _fill(
         self,
@@ -91,8 +93,6 @@ class PortHamiltonian(LosslessSystem):
     ) -> None:
         """Take matrices that have been checked, or modes, and views of them that are known."""
         self._given, self._modes = given, modes
-        for matrix in given or ():
-            _checks.readonly(matrix)
         if given is not None:
             self._setup(len(given[1]), given[1].shape[1], names)
         elif modes is not None:
@@ -213,7 +213,7 @@ class PortHamiltonian(LosslessSystem):
         the band is 2e-14, 2e-13 or 8e-13, against 1e-14, 2e-14 or 5e-14 by modes; beyond the band both reach 1e-15.  A
         value asked for before `modes` may differ from the same one after by as much.
         """
-        return self._spectrum.evaluate(_checks.complex_points("the points", x))
+        return self._spectrum.evaluate(x)
 
     @property
     def _spectrum(self) -> ModalForm:
@@ -391,6 +391,12 @@ class PortHamiltonian(LosslessSystem):
 
         found = append(self, other)
         return super().append(other) if found is None else found
+
+    def _converted(self, **names: Any) -> PortHamiltonian:
+        names = inherited_names(self, names, *_SIGNALS)
+        twin = restored(PortHamiltonian, self._given, self._modes, names, self._kept(_OF_Q_AND_B))
+        twin.time_unit = self.time_unit
+        return twin
 
     def _scaled(self, factor: float) -> PortHamiltonian:
         root = np.sqrt(factor)
@@ -583,55 +589,61 @@ def ph(
     ('mean', False)
     """
     _checks.choice("storage", storage, STORAGES)
-    sampled = B is None and isinstance(Q, ct.InputOutputSystem) and Q.isdtime(strict=True)
-    if not sampled and (method is not None or not (isinstance(intersample, str) and intersample == "zoh")):
+    losses = {"R": R, "P": P, "S": S, "N": N}
+    if B is None:
+        if J is not None:
+            raise StructureError("J is given without B; it belongs to the matrices Q and B of z' = J Q z + B u")
+        if sensors is not None or any(value is not None for value in losses.values()):
+            raise StructureError("R, P, S, N and sensors belong to the matrices Q and B, and B is not given")
+        return _of_system(Q, storage, lossless, ports, method, intersample, names)
+    _refuse_sampling(method, intersample)
+    if storage != "auto" or ports is not None:
+        raise StructureError("storage and ports say how to convert a system; Q and B are given, which say it already")
+    if sensors is not None or any(v is not None and _checks.real_array(name, v).any() for name, v in losses.items()):
+        from .dissipative import DissipativePortHamiltonian
+
+        return DissipativePortHamiltonian(Q, B, **losses, J=J, sensors=sensors, **names)
+    if J is not None:
+        Q, B = normal_form(Q, B, J)
+    return PortHamiltonian(Q, B, **names)
+
+
+def _refuse_sampling(method: Any, intersample: Any) -> None:
+    """Refuse to be told how a system was sampled that was not."""
+    if method is not None or not (isinstance(intersample, str) and intersample == "zoh"):
         raise StructureError(
             f"method={_checks.shown(method)} and intersample={_checks.shown(intersample)} say how a discrete-time "
             "system was sampled; this one is not sampled"
         )
-    losses = {"R": R, "P": P, "S": S, "N": N}
-    lossy = any(value is not None and _checks.real_array(name, value).any() for name, value in losses.items())
-    if B is not None and (storage != "auto" or ports is not None):
-        raise StructureError("storage and ports say how to convert a system; Q and B are given, which say it already")
-    if B is not None and (sensors is not None or lossy):
-        from .dissipative import DissipativePortHamiltonian
 
-        return DissipativePortHamiltonian(Q, B, **losses, J=J, sensors=sensors, **names)
-    if B is None and not all(value is None for value in (*losses.values(), sensors)):
-        raise StructureError("R, P, S, N and sensors belong to the matrices Q and B, and B is not given")
-    if B is not None:
-        if J is not None:
-            Q, B = normal_form(Q, B, J)
-        return PortHamiltonian(Q, B, **names)
-    source = Q
-    if J is not None:
-        raise StructureError("J is given without B; it belongs to the matrices Q and B of z' = J Q z + B u")
+
+def _of_system(
+    source: Any, storage: str, lossless: bool, ports: Any, method: str | None, intersample: str, names: dict[str, Any]
+) -> PortHamiltonian:
+    """Port-Hamiltonian form of any linear system."""
+    sampled = isinstance(source, ct.InputOutputSystem) and source.isdtime(strict=True)
+    if not sampled:
+        _refuse_sampling(method, intersample)
     if isinstance(source, ModalForm) and source.is_lossless:
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, GeneralModalForm):
         source = source.state_space()
-    convert = storage != "auto" or ports is not None
-    if isinstance(source, PortHamiltonian) and not source._in_normal_form and not convert:
-        if lossless:
+    if isinstance(source, LosslessSystem) and storage == "auto" and ports is None:
+        if lossless and isinstance(source, PortHamiltonian):
             refuse_losses(source, "frequencies d and weights r are")
-        return source._named(inherited_names(source, names, *_SIGNALS))
-    if isinstance(source, PortHamiltonian) and not convert:
-        names = inherited_names(source, names, *_SIGNALS)
-        twin = restored(PortHamiltonian, source._given, source._modes, names, source._kept(_OF_Q_AND_B))
-        twin.time_unit = source.time_unit
-        return twin
-    if isinstance(source, LosslessSystem) and not convert:
         return source._converted(**names)
     sensors_last = False
     if ports is not None:
         source = in_port_order(_state_space(source, None), ports)
         sensors_last = source.noutputs > source.ninputs
+    kept = with_states = names
+    if isinstance(source, ct.InputOutputSystem):
+        kept = inherited_names(source, names, "inputs", "outputs")
+        with_states = inherited_names(source, names, *_SIGNALS)
     tested = _of_ports(source) if sensors_last else source
     plain = isinstance(tested, ct.StateSpace) and tested.isctime() and not isinstance(tested, LosslessSystem)
     if plain and not sensors_last and (found := foster_test.hamiltonian_form(tested)):
-        return PortHamiltonian(*found, **inherited_names(source, names, *_SIGNALS))
-    named = isinstance(source, ct.InputOutputSystem)
-    kept = inherited_names(source, names, "inputs", "outputs") if named else names
+        return PortHamiltonian._from_matrices(*found, **with_states)
     refusal: NotLosslessError | None = None
     try:
         judged = foster_test.lossless_modes_with_errors(tested, method, intersample)
