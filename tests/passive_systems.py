@@ -121,7 +121,8 @@ def measured(form, system):
     The transfer function is held against the largest value in the band, of which points are left out where rounding of
     the given matrices alone moves the response by more than 1e-12 of it.
     """
-    W = np.block([[form.R, form.P], [form.P.T, form.S]])
+    S = np.zeros_like(form.N) if form.is_lossless else form.S  # without losses S is Williamson's
+    W = np.block([[form.R, form.P], [form.P.T, S]])
     size = np.linalg.norm(W, 2) or 1.0
     m = system.ninputs
     omega = band(system)
@@ -134,7 +135,7 @@ def measured(form, system):
         moved = np.maximum(moved, np.abs(values(A + noise, B, C, D, omega) - wanted))
     moved = moved.max(axis=(1, 2))
     JRQ = (form.J - form.R) @ form.Q
-    got = values(JRQ, form.G - form.P, (form.G + form.P).T @ form.Q, form.S + form.N, omega)
+    got = values(JRQ, form.G - form.P, (form.G + form.P).T @ form.Q, S + form.N, omega)
     finite = np.isfinite(wanted).all(axis=(1, 2)) & np.isfinite(got).all(axis=(1, 2))
     largest = np.abs(wanted[finite]).max(initial=np.linalg.norm(D))
     clear = finite & (moved <= 1e-12 * largest)

@@ -246,6 +246,11 @@ def test_the_names_of_a_system_survive_and_unknown_ones_are_refused():
 def test_without_losses_and_sensors_it_is_the_lossless_system():
     Q, zero = np.diag([4.0, 1.0]), np.zeros((2, 2))
     assert type(phc.ph(Q, [0.0, 1.0], R=zero, P=np.zeros(2), S=0.0, N=[[0.0]])) is phc.PortHamiltonian
+    plain = phc.ph(Q, [0.0, 1.0])
+    np.testing.assert_array_equal((plain.J - plain.R) @ plain.Q, plain.A)
+    np.testing.assert_array_equal(plain.G - plain.P, plain.B)
+    np.testing.assert_array_equal(plain.N, [[0.0]])
+    assert [rows.shape for rows in plain.sensors] == [(0, 2), (0, 1)]
     with_sensor = phc.ph(Q, [0.0, 1.0], sensors=[[1.0, 0.0]])
     assert with_sensor.is_lossless and with_sensor.noutputs == 2 and isinstance(with_sensor, phc.PortHamiltonian)
     np.testing.assert_allclose(with_sensor.lossless_part().d, [2.0])

@@ -21,7 +21,13 @@ from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
 from ..symplectic.darboux_and_casimirs import normal_form
-from ..symplectic.forms_and_williamson import apply_form, energy_coordinates, port_spectrum, williamson
+from ..symplectic.forms_and_williamson import (
+    apply_form,
+    energy_coordinates,
+    port_spectrum,
+    symplectic_form,
+    williamson,
+)
 from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
 from .passive_form import in_port_order
 
@@ -253,12 +259,45 @@ class PortHamiltonian(LosslessSystem):
     def S(self) -> Array:
         """Symplectic matrix of Williamson's normal form, `Q = S^T diag(d, d) S`, shape (2n, 2n).
 
-        A degree of freedom that stores no energy comes first, with a zero in place of its `d`.  Raises
-        `StructureError` if there are rigid-body modes: see `williamson_semidefinite`.
+        With losses `S` is the symmetric part of the feedthrough, which is 0 here.  A degree of freedom that stores no
+        energy comes first, with a zero in place of its `d`.  Raises `StructureError` if there are rigid-body modes: see
+        `williamson_semidefinite`.
         """
         if self._given is None and not len(self.modes.rigid):
             return np.eye(2 * self.n)
         return williamson(self.Q)[1]
+
+    # --- the terms of a system with losses: here all but J are 0 ---------------------------------------------------
+
+    @View
+    def J(self) -> Array:
+        """Skew structure matrix `[[0, I], [-I, 0]]`, shape (2n, 2n), read-only."""
+        return symplectic_form(self.n)
+
+    @property
+    def G(self) -> Array:
+        """Port matrix, shape (2n, m), read-only: `B`, as nothing is lost between states and ports."""
+        return self.B
+
+    @View
+    def R(self) -> Array:
+        """Dissipation matrix: zeros, shape (2n, 2n), read-only."""
+        return np.zeros((self.nstates, self.nstates))
+
+    @View
+    def P(self) -> Array:
+        """Dissipation between states and ports: zeros, shape (2n, m), read-only."""
+        return np.zeros((self.nstates, self.ninputs))
+
+    @View
+    def N(self) -> Array:
+        """Skew part of the feedthrough: zeros, shape (m, m), read-only; the symmetric part is 0 as well."""
+        return np.zeros((self.ninputs, self.ninputs))
+
+    @property
+    def sensors(self) -> tuple[Array, Array]:
+        """State rows (0, 2n) and input rows (0, m) of outputs after those of the ports: there are none."""
+        return np.zeros((0, self.nstates)), np.zeros((0, self.ninputs))
 
     @property
     def is_canonical(self) -> bool:
