@@ -27,6 +27,7 @@ STRUCTURES = {
     "free": "free",
 }  # fmt: skip
 _EXACT = 1e-12  # relative decrease of the loss at which a refinement ends
+_ITERATIONS = 60  # before it follows secants
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,8 @@ class StructuredFit(Frozen):
         In the coordinates and units of `FreeProjection.covariance`.
     projection : FreeProjection
         The data at this model.
+    converged : bool
+        Whether the loss has come to its minimum.
     """
 
     hypothesis: str
@@ -67,6 +70,7 @@ class StructuredFit(Frozen):
     parameters: int
     covariance: Array
     projection: FreeProjection
+    converged: bool
 
 
 class ConstrainedProjection(LinearProjection):
@@ -164,7 +168,9 @@ class ConstrainedProblem:
         return iter(())
 
 
-def constrained(at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion) -> StructuredFit:
+def constrained(
+    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, iterations: int | None = None
+) -> StructuredFit:
     """Fit a structure to the data of a free fit.
 
     Parameters
@@ -177,6 +183,8 @@ def constrained(at: FreeProjection, layout: ChannelLayout, hypothesis: str, regi
         Poles on the axis and real shapes; real shapes; simple poles; equal responses between ports; nothing.
     region : PoleRegion
         Where poles are looked for.
+    iterations : int, optional
+        After so many it ends, wherever it stands: enough for structures that fit. None goes on to the minimum.
 
     Returns
     -------
@@ -187,11 +195,13 @@ def constrained(at: FreeProjection, layout: ChannelLayout, hypothesis: str, regi
     coordinates = coordinates_of(at, layout, hypothesis)
     x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
-    end = refine(problem, problem.inside(x), rtol=_EXACT).projection
+    most, last = iterations or _ITERATIONS, iterations is None
+    found = refine(problem, problem.inside(x), rtol=_EXACT, max_iterations=most, last=last)
+    end = found.projection
     shapes, participation = coordinates.shapes(end.x) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        coordinates.dof, end.covariance(variance), end.data,
+        coordinates.dof, end.covariance(variance), end.data, found.converged,
     )  # fmt: skip
 
 
@@ -200,6 +210,8 @@ def coordinates_of(at: FreeProjection, layout: ChannelLayout, hypothesis: str) -
     n, shown = len(at.p), at.shown
     residues, through = layout.split(shown.astype(float), n)
     entries, fed = np.any(residues, axis=0, keepdims=True)[0], through != 0
+    if not layout.inputs:
+        return MatrixCoordinates(layout, n, entries, fed, damped=hypothesis != "lossless")
     if hypothesis in ("lossless", "classical"):
         return ShapeCoordinates(layout, n, entries, fed, damped=hypothesis == "classical", real=True, tied=True)
     if hypothesis == "rank one":

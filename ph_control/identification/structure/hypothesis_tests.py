@@ -1,0 +1,118 @@
+"""Structures tested within the free model by the likelihood that each costs, and the simplest that is not rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import fdtrc
+
+from ..._checks import EPS
+from ..diagnosis.damped_model import HypothesisTest
+from ..regression.free import FreeProjection, GivenResidues, PoleRegion
+from .constrained import StructuredFit, constrained
+from .layout import ChannelLayout
+
+SIMPLEST_FIRST = ("lossless", "classical")
+LEVEL = 0.05
+_ITERATIONS = 12  # three are usual
+_HOPELESS = 1e-6
+
+
+@dataclass(frozen=True)
+class StructureTests:
+    """Structures that were tested, in the order in which they are preferred, and the fits of all.
+
+    Attributes
+    ----------
+    tests : tuple of HypothesisTest
+        Each within the free model.
+    fits : mapping of str to StructuredFit
+        Minima of the hypotheses, and of the free model as 'free'.
+    """
+
+    tests: tuple[HypothesisTest, ...]
+    fits: Mapping[str, StructuredFit]
+
+    def stands(self, hypothesis: str, level: float = LEVEL) -> bool:
+        """Whether a hypothesis was tested and not rejected."""
+        return any(one.hypothesis == hypothesis and one.p >= level for one in self.tests)
+
+
+def structure_tests(at: FreeProjection, layout: ChannelLayout, region: PoleRegion) -> StructureTests:
+    """Test all structures that the inputs, outputs and ports of a free fit allow to test.
+
+    Parameters
+    ----------
+    at : FreeProjection
+        Minimum of the free fit over all that was measured, in rows of one variance.
+    layout : ChannelLayout
+        Inputs and outputs, their units and ports.
+    region : PoleRegion
+        Where poles are looked for.
+
+    Returns
+    -------
+    StructureTests
+        Residues of rank one with two inputs and two outputs or more, reciprocity with two ports.
+
+    Notes
+    -----
+    Poles of the free model lie on either side of the axis and its residues are of any phase and sign, so that each
+    structure lies inside it, and the law of the likelihood ratio is that of as many squares as unknowns are fewer:
+    Fisher's, since the variance is estimated.
+    """
+    fits = {"free": constrained(at, layout, "free", region)}
+    tests = []
+    for hypothesis in testable(layout):
+        test, fits[hypothesis] = _tested(at, layout, hypothesis, region, fits["free"].parameters)
+        tests.append(test)
+    return StructureTests(tuple(tests), fits)
+
+
+def _tested(
+    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, parameters: int
+) -> tuple[HypothesisTest, StructuredFit]:
+    """Test a hypothesis; the minimum of one that is rejected beyond doubt is not followed to its last digit."""
+    for iterations in (_ITERATIONS, None):
+        fit = constrained(at, layout, hypothesis, region, iterations)
+        test = likelihood_test(at, fit, parameters - fit.parameters)
+        if fit.converged or test.p < _HOPELESS:
+            break
+    return test, fit
+
+
+def testable(layout: ChannelLayout) -> list[str]:
+    """Hypotheses that channels and ports allow to test, the simplest first."""
+    driven = layout.inputs > 0
+    found = [one for one in SIMPLEST_FIRST if driven or one == "lossless"]
+    found += ["rank one"] if min(layout.outputs, layout.inputs) > 1 else []
+    return found + (["reciprocal"] if len(layout.ports) > 1 else [])
+
+
+def likelihood_test(at: FreeProjection, fit: StructuredFit, dof: int) -> HypothesisTest:
+    """A structure against the free model, which has so many unknowns more; the variance is that of the free fit."""
+    spare = max(1, at.rows - at.unknowns)
+    variance = max(at.loss, _rounding(at)) / spare
+    gain = max(0.0, fit.loss - at.loss)
+    if not dof:
+        return HypothesisTest(fit.hypothesis, 0.0, 0, 1.0)
+    ratio = (spare + dof) * float(np.log1p(gain / variance / spare))
+    return HypothesisTest(fit.hypothesis, ratio, dof, float(fdtrc(dof, spare, gain / variance / dof)))
+
+
+def _rounding(at: FreeProjection) -> float:
+    """Loss below which residuals are rounding: in recursions run in doubles, errors grow with the samples."""
+    return at.rows * EPS**2 * at.rows * GivenResidues(at, np.zeros_like(at.shared)).loss
+
+
+def choose(found: StructureTests, level: float = LEVEL) -> StructuredFit:
+    """Return the simplest structure that is not rejected: lossless, classical, passive, free.
+
+    Of a free model, residues have rank one if that is not rejected, since those of simple poles have.
+    """
+    for hypothesis in (*SIMPLEST_FIRST, "passive", "rank one"):
+        if found.stands(hypothesis, level):
+            return found.fits[hypothesis]
+    return found.fits["free"]
