@@ -391,8 +391,9 @@ class FreeProblem:
 
 
 def refine_free(
-    make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None, last: bool = True
-) -> FreeProjection:
+    make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None, last: bool = True,
+    steps: int = _STEPS,
+) -> FreeProjection:  # fmt: skip
     """Poles refined from a start; of those without a decay rate (NaN) it is looked for first.
 
     What is not the `last` refinement ends where steps get small.
@@ -403,7 +404,7 @@ def refine_free(
     for _ in range(3):  # peaks turn out wider than their window
         problem = FreeProblem(make(p), region, fed)
         start = problem.inside(np.concatenate([p.imag, p.real]))
-        end = refine(problem, start, rtol=rtol, max_iterations=_STEPS, last=last)
+        end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last)
         before, p = p, end.projection.p
         if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
             break

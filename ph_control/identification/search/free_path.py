@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Mask
 from ..regression.free import FreeProjection, refine_free
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
@@ -94,12 +94,16 @@ def evidence(search: FreeSearch, at: FreeProjection) -> Array:
     return np.array([whole.without_mode(k).loss - whole.loss for k in range(len(at.p))])
 
 
-def _closest(at: FreeProjection, band: float) -> tuple[float, int]:
-    """How far, in units of what is demanded, the closest pair is apart, and the weaker mode of it."""
+def closest(at: FreeProjection, band: float) -> tuple[float, int]:
+    """How far, in units of what is demanded, the closest pair is apart, and the weaker mode of it.
+
+    Two modes that all channels see in different proportions may be as close as they like.
+    """
     d, half_width = at.d, np.abs(at.sigma)
     if len(d) < 2:
         return np.inf, 0
     apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
+    apart[~_alike(at)] = np.inf
     np.fill_diagonal(apart, np.inf)
     first, second = np.unravel_index(np.argmin(apart), apart.shape)
     # of a pair that mends one peak the broader is the patch
@@ -107,15 +111,28 @@ def _closest(at: FreeProjection, band: float) -> tuple[float, int]:
     return float(apart[first, second]), int(weaker)
 
 
-def _is_sound(search: FreeSearch, step: FreeStep) -> bool:
-    at = step.at
-    return bool(_closest(at, search.region.bin)[0] >= 1 and np.all(np.abs(at.sigma) <= TUNING.broadest * at.d))
+def _alike(at: FreeProjection) -> Mask:
+    """Which pairs of modes have the same shape in all channels, by the modal assurance criterion."""
+    n = len(at.p)
+    shapes = at.residues.reshape(n, -1)
+    if not at.inputs:
+        shapes = np.concatenate([own[:n] + 1j * own[n : 2 * n] for own in at.own], axis=1)
+    if shapes.shape[1] == 1:
+        return np.ones((n, n), bool)
+    power = np.sum(np.abs(shapes) ** 2, axis=1)
+    products = np.outer(power, power)
+    return np.abs(shapes.conj() @ shapes.T) ** 2 >= TUNING.same_shape * np.where(products > 0, products, 1.0)
+
+
+def is_sound(at: FreeProjection, band: float) -> bool:
+    """Whether no mode only mends the shape of another, and none is broader than a mode."""
+    return bool(closest(at, band)[0] >= 1 and np.all(np.abs(at.sigma) <= TUNING.broadest * at.d))
 
 
 def _sound(search: FreeSearch, step: FreeStep) -> FreeStep:
     """A model without the modes that only mend the shape of others."""
-    while len(step.at.p) and not _is_sound(search, step):
-        distance, weaker = _closest(step.at, search.region.bin)
+    while len(step.at.p) and not is_sound(step.at, search.region.bin):
+        distance, weaker = closest(step.at, search.region.bin)
         if distance >= 1:
             weaker = int(np.argmax(np.abs(step.at.sigma) / step.at.d))
         step = free_step(search, np.delete(step.at.p, weaker))
@@ -136,7 +153,7 @@ def _joined_by_one(search: FreeSearch, step: FreeStep, demanding: bool) -> FreeS
     first: FreeStep | None = None
     for p, _ in distant[: TUNING.tried]:
         trial = free_step(search, np.append(at.p, p))
-        if _is_sound(search, trial):
+        if is_sound(trial.at, search.region.bin):
             return trial
         first = trial if first is None else first
     return None if demanding else first

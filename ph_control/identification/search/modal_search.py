@@ -23,15 +23,20 @@ from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_fr
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from .criteria import Criteria
+from ..uncertainty.residual_tests import ljung_box
+from .circumstances import autoregression, correlations
+from .criteria import Criteria, past_of_noise
+from .free_path import is_sound
 from .free_search import FreeSearch, Left, Records, Responses
 from .steps import stands_out
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 Report = Callable[[int, float], None]  # modes, log-likelihood
 
+_STEPS = 15  # of a refinement on the way
 _ROUNDS = 6  # of fit and variances in turn
 _SETTLED = 1e-6  # relative change of the likelihood, over the samples
+_ROUGH = 1e-5  # relative decrease of the loss at which refinements on the way end
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
@@ -307,8 +312,18 @@ class _Path:
         return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
 
     def cost(self, model: _Model) -> float:
-        """What the order is chosen by."""
-        return self.criteria(model.loglik, self.unknowns(len(model.p))).by_name(self.criterion)
+        """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
+        found = self.criteria(model.loglik, self.unknowns(len(model.p))).by_name(self.criterion)
+        if not len(model.p) or isinstance(self.search, Responses):
+            return found
+        each = 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
+        for output, count in enumerate(self.counts):
+            pairs = zip(self.search.records, model.left, strict=True)
+            seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
+            sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
+            foretold = autoregression(sums, min(length for length, _ in seen))[1]
+            found += past_of_noise(int(count), foretold, each)
+        return found
 
     @property
     def carried(self) -> int:
@@ -326,10 +341,10 @@ class _Path:
 
     # --- models
 
-    def model(self, p: ComplexArray, rtol: float = TUNING.rough) -> _Model:
+    def model(self, p: ComplexArray, rtol: float = _ROUGH) -> _Model:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
         search = self.scaled
-        at = refine_free(search.rows, p, search.region, rtol, last=False)
+        at = refine_free(search.rows, p, search.region, rtol, last=False, steps=_STEPS)
         left = search.left(at)
         losses = search.losses(left) / self.sizes**2
         found = _Model(at, left, losses, self.loglik(losses))
@@ -362,19 +377,65 @@ class _Path:
         model = self.reweighted(self.model(start))
         best, missed = model, 0
         while len(model.p) < most and missed < TUNING.patience:
-            p, gains = self.candidates(model)
-            if not len(p) or (automatic and not gains.any()):
+            more = self.joined(model, most, automatic)
+            if more is None:
                 break
-            joining = _together(model.at, p, gains, self.search.region.bin, most - len(model.p))
-            model = self.reweighted(self.model(np.append(model.p, joining)))
+            model = more
             if not automatic or self.cost(model) < self.cost(best):
                 best, missed = model, 0
             else:
                 missed += 1
-        best = self.relocated(best)
-        return self.pruned(best) if automatic else best
+        best = self.relocated(best, automatic)
+        return self.patched(self.pruned(best), most) if automatic else best
 
-    def relocated(self, model: _Model) -> _Model:
+    def joined(self, model: _Model, most: int, automatic: bool) -> _Model | None:
+        """One more mode, or several; if the order is to be chosen, none that only mends the shape of others."""
+        p, gains = self.candidates(model)
+        if not len(p) or (automatic and not gains.any()):
+            return None
+        band = self.search.region.bin
+        trials = [_together(model.at, p, gains, band, most - len(model.p))]
+        if automatic:
+            p = p[(gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))]
+            if len(self.counts) * max(1, model.at.inputs) == 1:
+                needed = TUNING.damped_apart * band + np.abs(model.at.sigma)
+                p = p[[bool(np.all(np.abs(one.imag - model.p.imag) > needed)) for one in p]]
+            trials = [one[np.isin(one, p)] for one in trials]
+            trials += [p[k : k + 1] for k in range(min(TUNING.tried, len(p)))]
+        for joining in trials:
+            if len(joining):
+                trial = self.model(np.append(model.p, joining))
+                if not automatic or is_sound(trial.at, band):
+                    return self.reweighted(trial)
+        return None
+
+    def patched(self, model: _Model, most: int) -> _Model:
+        """Modes that are close to others, or broad, where they leave white residuals and others do not."""
+        more, band = model, self.search.region.bin
+        for _ in range(TUNING.patches):
+            p, gains = self.candidates(more)
+            if not gains.any() or len(more.p) >= most or self.is_white(more):
+                break
+            more = self.reweighted(self.model(np.append(more.p, p[0])))
+        if is_sound(more.at, band) or not self.is_white(more) or self.cost(more) >= self.cost(model):
+            return model
+        return self.pruned(self.relocated(more, False))
+
+    def is_white(self, model: _Model) -> bool:
+        """Whether what is left of each output may be white noise."""
+        found = []
+        for output in range(len(self.counts)):
+            parts: list[Array] = []
+            if isinstance(self.search, Records):
+                for one, left in zip(self.search.records, model.left, strict=True):
+                    parts += [np.fft.irfft(row, one.length) for row in left[one.outputs == output]]
+            else:
+                for rows, left in zip(self.search.responses, model.left, strict=True):
+                    parts += [part for row in left[rows.outputs == output] for part in (row.real, row.imag)]
+            found.append(ljung_box(parts, TUNING.lags))
+        return min(found) * len(found) >= TUNING.white
+
+    def relocated(self, model: _Model, sound: bool) -> _Model:
         """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""
         for _ in range(_SWAPS):
             p, gains = self.candidates(model)
@@ -383,7 +444,7 @@ class _Path:
             more = self.model(np.append(model.p, p[0]))
             weakest = int(np.argmin(self.evidence(more)))
             other = self.model(np.delete(more.p, weakest))
-            if other.loglik <= model.loglik + TUNING.sure:
+            if other.loglik <= model.loglik + TUNING.sure or (sound and not is_sound(other.at, self.search.region.bin)):
                 break
             model = self.reweighted(other)
         return model
