@@ -19,7 +19,7 @@ import ph_control as phc
 
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
 
-from benchmarks import cold, digits, methods, montecarlo, page, passive_peers, peers, report, tasks, trials
+from benchmarks import cold, digits, methods, modal_peers, montecarlo, page, passive_peers, peers, report, tasks, trials
 from benchmarks.bound import fit_from_truth, output_and_jacobian, standard_errors
 from benchmarks.recordings import BAND, POWER_RATIO, Configuration, simulate, spaced_frequencies
 
@@ -504,3 +504,52 @@ def test_the_conversion_of_passive_systems_is_judged_by_its_matrices(capsys, mon
     monkeypatch.setitem(passive_peers.METHODS, "ph_control", lossy)
     trial = passive_peers.attempt("ph_control", "chain", 6, 0)
     assert not trial.counts and trial.losses < -0.1 and trial.transfer > 1e-3
+
+
+# --- damped modes ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", [*modal_peers.CASES["time"][:1], *modal_peers.CASES["frf"]])
+def test_derivatives_by_poles_are_those_of_the_model(case):
+    data, truth, _ = modal_peers.data_of(case, 0)
+    columns, _ = modal_peers.derivatives(data, truth)
+
+    def output(step, l):
+        poles = truth.poles.copy()
+        poles[l] += step
+        moved = dataclasses.replace(truth, poles=poles)
+        if case.kind == "record":
+            return moved.simulate(data.u, data.h)
+        entries = moved.response(data.omega).reshape(len(columns), -1)
+        return np.concatenate([entries.real, entries.imag], axis=1)
+
+    size = 1e-6 * np.abs(truth.poles)
+    for l in range(case.n):
+        for step, row in ((1j * size[l], l), (size[l], case.n + l)):
+            expected = (output(step, l) - output(-step, l)) / (2 * size[l])
+            found = np.array([column[row] for column in columns])
+            assert np.linalg.norm(found - expected) <= 1e-4 * np.linalg.norm(expected)
+
+
+def test_damped_modes_are_found_by_us_and_held_against_the_bound():
+    for case in (modal_peers.CASES["time"][0], modal_peers.CASES["frf"][0]):
+        lines, document = modal_peers.study(case, 2, ["ERA"])
+        ours = document["trials"]["ph_control pem, free"]
+        assert all(one["found"] and not one["failure"] for one in ours), lines
+        # four standard errors of an rms over few numbers
+        assert modal_peers.rms([one["damping"] for one in ours]) < 4 * document["bound"][1]
+        assert max(one["ahead"] for one in ours) < 0.1 and "Cramer-Rao" in lines[1]
+
+
+def test_what_is_no_mode_of_the_truth_is_not_found():
+    _, truth, _ = modal_peers.data_of(modal_peers.CASES["time"][1], 3)
+    estimate = modal_peers.Estimate(truth.poles)
+    assert modal_peers.errors(estimate, truth)[2]
+    for poles in (truth.poles[1:], truth.poles * np.r_[1.05, 1, 1, 1, 1], truth.poles.imag * 1j, -truth.poles.conj()):
+        assert not modal_peers.errors(modal_peers.Estimate(poles), truth)[2]
+
+
+def test_a_method_without_its_package_is_listed(monkeypatch):
+    monkeypatch.setattr(modal_peers.Method, "missing", property(lambda method: "not installed"))
+    lines, _ = modal_peers.study(modal_peers.CASES["time"][0], 1, None)
+    assert sum("not installed" in line for line in lines) == 12
