@@ -304,6 +304,8 @@ def _staircase(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     # its tolerance is that of inputs and outputs of the size of A
     size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
     reduced = ct.ss(A, B * (size / b), C * (size / c), np.zeros((len(C), B.shape[1]))).minreal()
+    if reduced.nstates == len(A):
+        return A, B, C  # the staircase form has lost digits for nothing
     return reduced.A, reduced.B * (b / size), reduced.C * (c / size)
 
 
