@@ -152,8 +152,8 @@ def complex_points(name: str, value: Any) -> NDArray[np.complex128]:
     if points.ndim > 1:
         raise StructureError(f"{name} have shape {points.shape}; give a number or a vector")
     # `1j * np.inf` has a real part of NaN, and is infinite all the same
-    unknown = np.isnan(points) & ~np.isinf(points)
-    if unknown.any():
+    unknown = np.isnan(points)
+    if unknown.any() and (unknown := unknown & ~np.isinf(points)).any():
         raise StructureError(f"{name} are not numbers: the first NaN is at index {int(unknown.argmax())}")
     return points
 
@@ -236,7 +236,10 @@ def port_matrix(B: ArrayLike, rows: int, *, name: str = "B") -> Array:
 
 def natural_frequencies(d: ArrayLike, *, name: str = "d") -> Array:
     """Check a vector of natural frequencies: positive and finite."""
-    array = np.atleast_1d(real_array(name, d))
+    return _positive(np.atleast_1d(real_array(name, d)), name)
+
+
+def _positive(array: Array, name: str) -> Array:
     if array.ndim != 1:
         raise StructureError(f"{name} has shape {array.shape}; it must be a vector of n natural frequencies")
     if np.count_nonzero(array > 0) < array.size:
@@ -262,9 +265,11 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
 
 def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Check a pair `(d, v)` of the paper: n positive frequencies and a vector of 2n weights."""
-    frequencies = natural_frequencies(d)
+    return _pair(natural_frequencies(d), real_array("v", v))
+
+
+def _pair(frequencies: Array, vector: Array) -> tuple[Array, Array]:
     in_range("d", frequencies)
-    vector = real_array("v", v)
     if vector.shape != (2 * len(frequencies),):
         several = vector.ndim == 2 and vector.shape[0] == 2 * len(frequencies)
         hint = "; pairs (d, v) are those of one port" if several else ""
@@ -280,17 +285,13 @@ def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Check the parameters of a canonical form: a pair, or `d = (d_1, d_2) >= 0` of as many entries as `v`."""
     given, weights = real_array("d", d), real_array("v", v)
     if given.ndim != 1 or given.size != weights.size or given.size == 0 or given.size % 2:
-        frequencies, vector = parameter_pair(given, weights)
-    else:
-        frequencies = given
-        if frequencies.min() < 0:
-            worst = int(frequencies.argmin())
-            raise StructureError(
-                f"d is negative: d[{worst}] = {frequencies[worst]:.6g}; the entries of (d_1, d_2) are >= 0"
-            )
-        _, vector = parameter_pair(np.ones(given.size // 2), weights)
-    in_range("d", frequencies)
-    return readonly(frequencies), readonly(vector)
+        return _pair(_positive(np.atleast_1d(given), "d"), weights)
+    if given.min() < 0:
+        worst = int(given.argmin())
+        raise StructureError(f"d is negative: d[{worst}] = {given[worst]:.6g}; the entries of (d_1, d_2) are >= 0")
+    in_range("d", given)
+    in_range("v", weights, SMALLEST_SQUARED)
+    return given, weights
 
 
 def symplectic_defect(S: Array) -> float:

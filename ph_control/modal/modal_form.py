@@ -106,6 +106,7 @@ class ModalForm(ShownModes):
     rigid: Array
     r: Array = field(default=None)  # type: ignore[arg-type]
 
+    @np.errstate(over="ignore")
     def __post_init__(self) -> None:
         d = _checks.natural_frequencies(self.d)
         if np.any(d[1:] < d[:-1]):
@@ -128,8 +129,7 @@ class ModalForm(ShownModes):
 
     def _fill(self, d: Array, nu: ComplexArray, rigid: Array, r: Array | None) -> None:
         if r is None:
-            with np.errstate(over="ignore"):
-                r = np.abs(nu) ** 2
+            r = np.abs(nu) ** 2
             r = r[:, 0] if nu.shape[1] == 1 else r
         self.__dict__.update({"d": d, "nu": nu, "rigid": rigid, "r": r})
         for array in (d, nu, rigid, r):
