@@ -290,6 +290,15 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "bode_plot.data": lambda draw: pick(draw.rng, [None, *pool("response")]),
     "step_plot.data": lambda draw: pick(draw.rng, [None, *pool("response")]),
     "impulse_plot.data": lambda draw: pick(draw.rng, [None, *pool("response")]),
+    "shapes": lambda draw: pick(draw.rng, [_shapes(draw), _shapes(draw), *pool("modes")]),
+    "mac_plot.other": lambda draw: pick(draw.rng, [None, _shapes(draw)]),
+    "positions": lambda draw: pick(draw.rng, [None, *(draw.rng.uniform(size=(3, k)) for k in (1, 2, 3))]),
+    "shape_plot.poles": lambda draw: 1j * draw.frequencies() - 0.01,
+    **{f"{name}.modes": _choice(None, [0], [0, -1]) for name in ("shape_plot", "circle_plot")},
+    "frf_plot.outputs": _choice(None, [0], [-1, 0]), "frf_plot.inputs": _choice(None, [0]),
+    "circle_plot.output": _choice(None, 0), "circle_plot.input": _choice(None, 0),
+    "frf_plot.model": Draw.any_system, "circle_plot.model": Draw.any_system,
+    "position_label": _choice(None, "Place"), "position_unit": _choice(None, "m"), "shape_unit": _choice(None, "1/kg"),
     "omega_limits": _choice(None, [0.1, 10.0]), "omega_num": _integers(20, 50),
     **{name: _choice(False, True) for name in (
         "Hz", "dB", "deg", "plot_magnitude", "plot_phase", "wrap_phase", "display_margins", "grid", "show_legend")},
@@ -322,6 +331,12 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     # objects of methods
     "other": Draw.any_system, "Ts": _choice(0.1, 0.5), "form": _choice("ph", "ch", "oh"), "index": _integers(0, 1, -1),
 }  # fmt: skip
+
+
+def _shapes(draw: Draw) -> Any:
+    """Of three sensors, as `positions` are."""
+    c = draw.rng.standard_normal((2, draw.n, 3))
+    return c[0] + 1j * c[1] * draw.rng.integers(0, 2)
 
 
 def _stop(progress: Any) -> None:

@@ -31,6 +31,23 @@ FILES = 12  # in a folder, at most
 PICTURES = {"plotting", "identification.validation"}
 
 
+TESTS = Path(__file__).resolve().parent
+
+# tests of numerics, each of which imports what it tests
+NUMERICS = {
+    "test_coefficients", "test_coordinates", "test_discretization", "test_general_form", "test_graphs", "test_lapack",
+    "test_margins", "test_mode_shapes", "test_propagation", "test_reachability", "test_reactance", "test_realization",
+    "test_reduction", "test_regressors", "test_residuals", "test_samples", "test_shared_poles", "test_solver",
+    "test_spectrum", "test_structures", "test_symplectic", "test_triangle", "test_twofloat", "test_uncertainty",
+}  # fmt: skip
+
+# other tests that import modules of the package; all the rest use public names, and the command line
+INTERNALS = {
+    "test_bootstrap", "test_channels", "test_cli_models", "test_contradiction", "test_data", "test_excitation",
+    "test_pem_kinds", "test_plots", "test_system_plots",
+}  # fmt: skip
+
+
 def imports(package: Path) -> list[tuple[str, str, str]]:
     """`(module, imported module, function around the import)` of every import inside a package."""
     known = {_name(file, package) for file in package.rglob("*.py")}
@@ -146,6 +163,47 @@ def test_the_picture_has_every_folder_and_is_what_its_script_draws():
     in_order = [name.replace(".", "/") for name in ORDER if name.replace(".", "/") in boxes]
     assert boxes == in_order[::-1]
     assert (DOCS / "architecture.svg").read_text(encoding="utf-8") == drawing["picture"]()
+
+
+def imported_modules(source: str) -> set[str]:
+    """Modules of the package, but for the entry of the command line, that a source imports anywhere."""
+    found = set()
+    for node, _ in _imports(ast.parse(source)):
+        names = [alias.name for alias in node.names]
+        if isinstance(node, ast.Import):
+            found |= {name for name in names if name.startswith("ph_control.")}
+        elif node.module == "ph_control":
+            found |= {name for name in names if name.startswith("_") or (PACKAGE / name).is_dir()} - {"cli"}
+        elif node.module and node.module.startswith("ph_control.") and (node.module, names) != CLI:
+            found.add(node.module)
+    return found
+
+
+CLI = ("ph_control.cli", ["main"])
+
+
+def test_tests_use_public_names():
+    found = {file.stem for file in TESTS.glob("*.py") if imported_modules(file.read_text(encoding="utf-8"))}
+    assert found == NUMERICS | INTERNALS
+    assert len(INTERNALS) <= 10
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "from ph_control.io import files",
+        "from ph_control.cli import main, fit",
+        "from ph_control import _checks",
+        "from ph_control import identification",
+        "import ph_control.modal.zeros as zeros",
+        "def f():\n    from ph_control.modal.zeros import one_port_zeros",
+    ],
+)
+def test_a_test_that_imports_a_module_is_noticed(statement):
+    assert imported_modules(statement)
+    assert not imported_modules(
+        "import ph_control as phc\nfrom ph_control import pem, cli\nfrom ph_control.cli import main"
+    )
 
 
 def test_modules_are_imported_by_name_in_two_places_only():

@@ -24,7 +24,7 @@ from ph_control import (
     spring_chain,
 )
 from ph_control.analysis.spectral_estimate import SpectralEstimate
-from ph_control.plotting.bode_data import Curve, features, frequency_grid
+from ph_control.plotting.bode_data import Curve, bode_data, features, frequency_grid
 from ph_control.plotting.style import extremes
 
 EPS = np.finfo(float).eps
@@ -119,6 +119,42 @@ def test_repeated_real_poles_are_features_at_their_size_and_not_at_the_rounding_
     marks, singular = features(ct.tf([20], [1, 3, 3, 1]))
     assert len(marks) and np.allclose(marks, 1.0, rtol=1e-3) and not len(singular)
     assert bode_plot(ct.tf([20], [1, 3, 3, 1])).axes[0, 0].get_xlim() == (0.1, 10.0)
+
+
+def test_a_part_of_two_thousand_modes_is_drawn_as_finely_as_a_small_system():
+    sys = phc.modes(0.5 * np.arange(1, 2001), 2.0 / np.arange(1, 2001))
+    numbers = bode_data(sys, [500.1, 510.1])
+    (curve,) = numbers.curves
+    assert curve.crowds(numbers.low, numbers.high) == []
+    between = np.count_nonzero((curve.omega > 504.0) & (curve.omega < 504.5))
+    # 30 points on each side of a pole and of the zero between two of them
+    assert between >= 4 * 29
+
+
+def test_the_median_of_a_crowd_is_that_over_frequency_not_over_samples():
+    # three of five samples crowd behind every second one, with a quarter of the axis to themselves
+    even = np.geomspace(1.0, 10.0, 6001)
+    crowded = np.concatenate([even[::2] * (1 + k * 1e-7) for k in (1, 2, 3)])
+    omega = np.concatenate([even, crowded])
+    level = np.repeat([0.0, 5.0], [len(even), len(crowded)])[np.argsort(omega)]
+    curve = Curve("c", np.sort(omega), np.ones((1, 1, len(omega))), np.geomspace(1.0, 10.0, 5000))
+    assert np.median(level) == 5.0
+    x, middle = curve.typical(level, 1.0, 10.0)
+    assert np.isnan(middle[-1]) and (np.diff(x) > 0).all()
+    assert len(x) > 100 and (middle[:-1] == 0.0).all()
+
+
+def test_the_grid_has_three_to_thirty_points_on_each_side_of_a_mark_by_their_number_in_the_picture():
+    def per_side(marks, low, high):
+        grid = frequency_grid(marks, low, high, count=2)
+        middle = marks[len(marks) // 2]
+        following = marks[len(marks) // 2 + 1]
+        return np.count_nonzero((grid > middle) & (grid <= 0.5 * (middle + following)))
+
+    many = np.linspace(1.0, 100.0, 5000)
+    assert per_side(many, 0.1, 1000.0) == 3
+    assert per_side(many, 50.0, 51.0) == 30
+    assert per_side(np.linspace(1.0, 100.0, 300), 0.1, 1000.0) == 20
 
 
 def test_a_discrete_time_system_has_its_features_where_the_continuous_one_has_them():

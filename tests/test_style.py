@@ -48,6 +48,11 @@ def residuals(data):
     return phc.residual_analysis(data, plants()[0])
 
 
+@functools.cache
+def structure():
+    return phc.modes([-0.1 + 10j, -0.5 + 40j], [[1.0, 0.5], [1.0, -1.0]], [[0.1], [0.2j]]).state_space()
+
+
 # each with the shape of its axes, and with the object whose method `plot` draws the same
 PICTURES = {
     "bode": (lambda **k: phc.bode_plot(plants(), **k), (2, 1)),
@@ -62,6 +67,9 @@ PICTURES = {
     "comparison of responses": (lambda **k: phc.compare_plot(phc.compare(response(), *plants()), **k), (3, 1)),
     "residuals": (lambda **k: phc.residual_plot(residuals(record()), **k), (2, 1)),
     "residual response": (lambda **k: phc.residual_plot(residuals(response()), **k), (2, 1)),
+    "responses": (lambda **k: phc.frf_plot(fitted(), segments=2, **k), (2, 1)),
+    "circles": (lambda **k: phc.circle_plot(structure(), ct.frd(structure(), np.arange(1.0, 90.0)), **k), (1, 2)),
+    "shapes": (lambda **k: phc.shape_plot(np.array([[1.0, 0.5j, 0.3], [1.0, 0.2, -1.0]]), **k), (1, 2)),
     "order": (lambda **k: phc.order_plot(phc.order_selection(record(), 3), **k), (1, 2)),
 }
 all_pictures = pytest.mark.parametrize("picture, shape", PICTURES.values(), ids=PICTURES)

@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lfilter
-from scipy.stats import binom, f, kstest
+from scipy.stats import binom, kstest
 
 import ph_control as phc
 from ph_control import IdentificationError, StructureError
-from ph_control.identification.uncertainty.residual_tests import (
-    ResidualData,
-    autocorrelation,
-    cross_correlation,
-    influence,
-    ljung_box,
-)
 
 EPS = np.finfo(float).eps
 STEP = 0.2
@@ -302,134 +294,6 @@ def test_time_frequency_and_step_are_those_of_the_kind_of_data():
             one.plot(experiment=1)
 
 
-# --- residuals: statistics of several records ------------------------------------------------------------------------
-
-
-def two_records(seed=0, missing=0.0):
-    """Residual data of two records with one direction fitted to both, and one to each."""
-    rng = np.random.default_rng(seed)
-    lengths = (50, 34)
-    e, u = rng.standard_normal(84), rng.standard_normal(84)
-    e[rng.random(84) < missing] = np.nan
-    shared = np.cos(0.4 * np.arange(84))[:, None]
-    local = tuple(np.cos(1.3 * np.arange(length))[:, None] for length in lengths)
-    return e, u, shared, lengths, local
-
-
-def projected(noise, shared, lengths, local):
-    """What is left of noise beside all directions, each record's own standing where the record does."""
-    columns = np.zeros((84, 3))
-    columns[:, :1] = shared
-    columns[:50, 1:2], columns[50:, 2:] = local
-    Q = np.linalg.qr(columns)[0]
-    return noise - Q @ (Q.T @ noise)
-
-
-def test_pairs_of_samples_are_those_within_each_record():
-    e, u, _, lengths, _ = two_records(missing=0.2)
-    none = np.zeros((84, 0))
-    data = ResidualData(e, u, none, 5, lengths)
-    auto, cross = autocorrelation(data, 0.95)[0], cross_correlation(data, 0.95)
-    parts = [(e[:50], u[:50]), (e[50:], u[50:])]
-    for lag, value, pairs in zip(auto.lags, auto.values, auto.pairs, strict=True):
-        products = [a[k] * a[k - lag] for a, _ in parts for k in range(lag, len(a))]
-        products = [product for product in products if not np.isnan(product)]
-        assert pairs == len(products)
-        assert value == pytest.approx(np.mean(products) / np.nanmean(e**2), rel=1e-9)
-    centred = [(a - np.nanmean(a), v - v.mean()) for a, v in parts]
-    size = np.sqrt(
-        np.nanmean(np.concatenate([a for a, _ in centred]) ** 2) * np.mean(np.concatenate([v for _, v in centred]) ** 2)
-    )
-    for lag, value, pairs in zip(cross.lags, cross.values, cross.pairs, strict=True):
-        products = [a[k] * v[k - lag] for a, v in centred for k in range(len(a)) if 0 <= k - lag < len(a)]
-        products = [product for product in products if not np.isnan(product)]
-        assert pairs == len(products)
-        assert value == pytest.approx(np.mean(products) / size, rel=1e-9, abs=1e-14)
-
-
-def test_moments_of_projected_noise_in_several_records_are_those_of_chance():
-    _, u, shared, lengths, local = two_records()
-    rng = np.random.default_rng(1)
-    e = projected(rng.standard_normal((84, 4000)), shared, lengths, local)
-    raw = np.array(
-        [np.sum(e[lag:50] * e[: 50 - lag], axis=0) + np.sum(e[50 + lag :] * e[50:-lag], axis=0) for lag in (1, 2, 3)]
-    )
-    raw = raw / np.sum(e**2, axis=0)
-    found = [autocorrelation(ResidualData(one, u, shared, 3, lengths, local), 0.95)[0] for one in e.T[:20]]
-    per_pair = 84 / found[0].pairs
-    mean = raw[:, :20].T * per_pair - np.array([one.values for one in found])
-    np.testing.assert_allclose(mean, mean[:1].repeat(20, axis=0), atol=1e3 * EPS)
-    assert np.all(np.abs(raw.mean(axis=1) * per_pair - mean[0]) < 4 * raw.std(axis=1) / np.sqrt(4000) * per_pair)
-    np.testing.assert_allclose(raw.std(axis=1) * per_pair, found[0].band / 1.959964, rtol=4 / np.sqrt(2 * 4000))
-    # the correction is no trifle here
-    assert np.max(np.abs(mean[0]) * 1.959964 / found[0].band) > 0.1
-
-
-def test_the_tests_of_influence_are_those_of_dense_regressions():
-    """White residuals of two records: regressors built one by one, F tests from two sums of squares."""
-    noise, u, shared, lengths, local = two_records(seed=3)
-    e, L = projected(noise, shared, lengths, local), 4
-    data = ResidualData(e, u, shared, L, lengths, local)
-    found = influence(data)
-    assert found.noise_order == 0
-    blocks = [[], [], [], []]
-    for start, stop, own in ((0, 50, local[0]), (50, 84, local[1])):
-        v = u[start:stop] - u[start:stop].mean()
-        whole = np.zeros((84, 1))
-        whole[start:stop] = own
-        blocks[0].append(whole)
-        mean = np.zeros((84, 1))
-        mean[start:stop] = 1.0
-        blocks[1].append(mean)
-        for kind, lags in ((2, range(L + 1)), (3, range(-L, 0))):
-            shifted = np.zeros((84, len(lags)))
-            for column, lag in enumerate(lags):
-                for k in range(stop - start):
-                    if 0 <= k - lag < stop - start:
-                        shifted[start + k, column] = v[k - lag]
-            blocks[kind].append(shifted)
-    steps = [
-        np.column_stack([shared, *blocks[0]]), np.column_stack(blocks[1]), blocks[2][0] + blocks[2][1],
-        blocks[3][0] + blocks[3][1],
-    ]  # fmt: skip
-    sums, ranks = [], []
-    for count in range(1, 5):
-        X = np.column_stack(steps[:count])
-        left = e - X @ np.linalg.lstsq(X, e)[0]
-        sums.append(left @ left)
-        ranks.append(np.linalg.matrix_rank(X))
-    expected = [
-        f.sf(
-            (sums[k - 1] - sums[k]) / (ranks[k] - ranks[k - 1]) / (sums[k] / (84 - ranks[k])),
-            ranks[k] - ranks[k - 1],
-            84 - ranks[k],
-        )
-        for k in (1, 2, 3)
-    ]
-    np.testing.assert_allclose([found.offset, found.response, found.feedback], expected, rtol=1e-8)
-
-
-def test_a_long_record_worked_in_pieces_gives_the_statistics_of_one_worked_whole(monkeypatch):
-    from ph_control.identification.uncertainty import residual_data, residual_tests
-
-    rng = np.random.default_rng(4)
-    e, u = lfilter([1.0], [1.0, -0.5], rng.standard_normal((2, 700)))
-    data = [ResidualData(e, u, rng.standard_normal((700, 3)), 12) for _ in range(2)]
-    data[1] = ResidualData(e, u, data[0].directions, 12)
-    whole = autocorrelation(data[0], 0.99), cross_correlation(data[0], 0.99), influence(data[0])
-    monkeypatch.setattr(residual_tests, "_PIECE", 64)
-    monkeypatch.setattr(residual_tests, "_ROWS", 90)
-    monkeypatch.setattr(residual_tests, "_TOGETHER", 1500)
-    monkeypatch.setattr(residual_data, "_CACHED", 100)
-    pieces = autocorrelation(data[1], 0.99), cross_correlation(data[1], 0.99), influence(data[1])
-    assert pieces[0][1:] == pytest.approx(whole[0][1:], rel=1e-9)
-    np.testing.assert_allclose(pieces[0][0].band, whole[0][0].band, rtol=1e-10)
-    np.testing.assert_allclose(pieces[1].band, whole[1].band, rtol=1e-10)
-    np.testing.assert_allclose(pieces[1].values, whole[1].values, atol=1e-13)
-    assert vars(pieces[2]) == pytest.approx(vars(whole[2]), rel=1e-8)
-    assert whole[2].noise_order >= 1
-
-
 # --- residuals: chance -----------------------------------------------------------------------------------------------
 
 
@@ -461,17 +325,6 @@ def test_p_values_of_fits_to_short_data_of_every_kind_are_uniform(kind):
     for column in np.array(p_values).T:
         assert kstest(column, "uniform").statistic * np.sqrt(runs) < KOLMOGOROV
         assert np.sum(column < 0.05) <= binom.isf(1e-3, runs, 0.05)
-
-
-def test_the_p_value_of_a_fit_counts_gaps_as_gaps():
-    e = np.random.default_rng(0).standard_normal(400)
-    e[::2] = np.nan
-    # every other sample: only even lags have pairs, and those are as many as half the record gives
-    compressed = ljung_box([e[1::2]], 10)
-    assert ljung_box([e], 20) == pytest.approx(compressed, rel=0.1)
-    assert ljung_box([np.zeros(50)], 5) == 1.0 == ljung_box([np.full(50, np.nan)], 5) == ljung_box([np.ones(3)], 5)
-    slow = lfilter([1.0], [1.0, -0.8], np.random.default_rng(1).standard_normal(200))
-    assert ljung_box([slow[:100], slow[100:]], 10) < 1e-9
 
 
 # --- residuals: findings ---------------------------------------------------------------------------------------------
@@ -519,16 +372,6 @@ def test_each_experiment_may_have_a_mean_of_its_own():
     quiet = phc.residual_analysis(data, sensed("velocity"), dt=STEP, offset=True)
     # what was fitted cannot be tested
     assert quiet.verdict == "white, and independent of the input" and np.isnan(quiet.offset_p_value)
-
-
-def test_experiments_of_very_different_noise_are_told_by_no_more_chance_than_others():
-    """Were they added up as they are, the loud one would stand for all, and its pairs be too few for the band."""
-    refused, runs = 0, 150
-    for seed in range(runs):
-        rng = np.random.default_rng(seed)
-        parts = [10.0 * rng.standard_normal(40), rng.standard_normal(400)]
-        refused += ljung_box(parts, 10) < 0.05
-    assert refused <= binom.isf(1e-3, runs, 0.05)
 
 
 def test_feedback_is_found_within_records_and_not_across_them():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import control as ct
@@ -9,7 +10,7 @@ import numpy as np
 from scipy import signal
 
 from .. import _checks
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, Mask
 from .._units import common_unit, with_unit
 from ..exceptions import StructureError
 
@@ -211,3 +212,65 @@ def _hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
         return np.ones_like(theta)
     half = np.sinc(theta / (2.0 * np.pi))
     return half * np.exp(-0.5j * theta) if intersample == "zoh" else half**2
+
+
+# --- several channels ------------------------------------------------------------------------------------------------
+
+
+def response_matrix_estimate(
+    records: Sequence[tuple[Array, Array, float]], segments: int, intersample: str
+) -> tuple[Array, ComplexArray, Array]:
+    """Frequencies (K,), responses (p, m, K) and multiple coherence (p, K) of records `(u (m, T), y (p, T), step)`.
+
+    H1 estimator, all records together: cross spectra of outputs and inputs times the inverse of the spectra of the
+    inputs, of Hann windows; of inputs that rest for nine tenths of a record, as those of hammers, of the whole record
+    as it is.  Segments with NaN in an output are left out of it; NaN is what remains unknown, where inputs hold too
+    little power or move alike.
+    """
+    steps = {step for _, _, step in records}
+    if len(steps) > 1:
+        raise StructureError(f"the records have steps {', '.join(f'{one:g}' for one in sorted(steps))}; needed one")
+    step, shortest = steps.pop(), min(u.shape[1] for u, _, _ in records)
+    impact = all(_rests(u) for u, _, _ in records)
+    length = shortest if impact else _segment_length(shortest, segments)
+    sums: list[Any] = [0.0, 0.0, 0.0]
+    for u, y, _ in records:
+        for start in range(0, u.shape[1] - length + 1, length if impact else length // 2):
+            part = slice(start, start + length)
+            found = _segment_spectra(u[:, part], y[:, part], impact)
+            sums = [total + one for total, one in zip(sums, found, strict=True)]
+    Suu, Syu, Syy = (np.moveaxis(np.asarray(one), -1, 0) for one in sums)
+    omega = 2.0 * np.pi * np.arange(len(Suu)) / (length * step)
+    power = np.einsum("kpii->kpi", Suu).real
+    # inputs that never moved while an output was seen
+    present = power.max(axis=0) > 0
+    Suu = Suu + np.where(present, 0.0, power.max())[..., None] * np.eye(power.shape[-1])
+    sizes = np.linalg.eigvalsh(Suu)[..., 0]
+    told = sizes > _INPUT_FLOOR * sizes[1:].max(axis=0)
+    told[[0, -1] if impact else [0, 1, -1]] = False
+    kept = told.any(axis=1)
+    omega, Suu, Syu, Syy, told = omega[kept], Suu[kept], Syu[kept], Syy[kept], told[kept]
+    # G Suu = Syu
+    Suu = np.where(told[..., None, None], Suu, np.eye(Suu.shape[-1]))
+    response = np.linalg.solve(np.swapaxes(Suu, 2, 3), Syu[..., None])[..., 0]
+    explained = np.sum(response * Syu.conj(), axis=2).real
+    coherence = np.clip(explained / np.where(Syy > 0, Syy, 1.0), 0.0, 1.0)
+    hold = _hold_response(omega * step, intersample)
+    response = np.where(told[..., None] & present, response / hold[:, None, None], np.nan)
+    return omega, np.moveaxis(response, 0, -1), coherence.T
+
+
+def _rests(u: Array) -> bool:
+    """Whether the inputs are at rest for nine tenths of a record."""
+    return bool(np.mean((np.abs(u) > 0.01 * np.max(np.abs(u))).any(axis=0)) < 0.1)
+
+
+def _segment_spectra(u: Array, y: Array, whole: bool) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Spectra (p, m, m, K) of the inputs, (p, m, K) of outputs and inputs, (p, K) of outputs; 0 of those with gaps."""
+    seen: Mask = np.logical_not(np.isnan(y).any(axis=1))
+    y = np.where(seen[:, None], y, 0.0)
+    if not whole:
+        window = signal.get_window("hann", u.shape[1])
+        u, y = ((one - one.mean(axis=1, keepdims=True)) * window for one in (u, y))
+    U, Y = np.fft.rfft(u), np.fft.rfft(y)
+    return seen[:, None, None, None] * (U[:, None] * U[None].conj()), Y[:, None] * U[None].conj(), np.abs(Y) ** 2

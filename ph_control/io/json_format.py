@@ -180,9 +180,9 @@ class Fields:
         """Take true or false."""
         return self._typed(key, bool, "true or false")
 
-    def number(self, key: str, *, finite: bool = True) -> float:
+    def number(self, key: str) -> float:
         """Take a float."""
-        return float(self.array(key, (), finite=finite))
+        return float(self.array(key, ()))
 
     def array(self, key: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
         """Take an array of that shape; None stands for a length that the file decides."""

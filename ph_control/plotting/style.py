@@ -160,6 +160,15 @@ class Picture:
             self.figure.suptitle(plain(title if self.look.title is None else self.look.title))
         return ct.ControlPlot(self.lines, self.axes, self.figure, legend=legend)
 
+    def legend_of_all(self) -> Any:
+        """One legend below all axes of a new figure, of those that are like the first; on given axes that of these."""
+        first = self.axes[0, 0]
+        handles, labels = first.get_legend_handles_labels()
+        silent = self.look.show_legend is False or (self.look.legend_loc is False and not self.look.show_legend)
+        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(labels) < 2:
+            return self.look.legend(first)
+        return self.figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+
     def legends(self) -> NDArray[Any]:
         """Legends of all axes."""
         return np.array([[self.look.legend(axis) for axis in row] for row in self.axes], dtype=object)
@@ -181,6 +190,21 @@ def picture(
         axes[row - 1, 0].tick_params(labelbottom=False)
     figure.align_ylabels()
     return Picture(look, figure, axes, new=True)
+
+
+def panels(look: Look, ax: Any, count: int, size: tuple[float, float], *, columns: int = 3, **options: Any) -> Picture:
+    """So many axes of this size each in rows of at most `columns`, or those that were passed, as they lie."""
+    if ax is not None:
+        shape = np.shape(ax) if np.ndim(ax) == 2 and np.size(ax) == count else (count, 1)
+        return picture(look, ax, shape, size, meaning="a panel for each")
+    # four are two rows of two
+    columns = min(count, 2 if count == 4 and columns > 2 else columns)
+    rows = -(-count // columns)
+    drawn = picture(look, None, (rows, columns), (max(columns * size[0], 4.2), 0.5 + rows * size[1]), **options)
+    for k, axis in enumerate(drawn.axes.flat):
+        axis.set_visible(k < count)
+        drawn.lines.flat[k] = []
+    return drawn
 
 
 def _given_axes(ax: Any, shape: tuple[int, int], meaning: str) -> tuple[Figure, NDArray[Any]]:

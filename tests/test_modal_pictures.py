@@ -1,0 +1,351 @@
+"""Pictures of modal tests: frequency responses with data, circles, stabilisation, mode shapes, assurance, residuals."""
+
+from types import SimpleNamespace
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import ph_control as phc
+from ph_control import StructureError
+
+EPS = np.finfo(float).eps
+HERTZ, RATIOS = np.array([20.0, 45.0, 80.0]), np.array([0.01, 0.005, 0.02])
+
+
+def legend_texts(legend):
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def result(p=3, m=1, k=2, **more):
+    """What a fit of `p` outputs and `m` inputs has: classical damping, outputs that are displacements times `s**k`."""
+    x = np.arange(1, p + 1) / p
+    psi = np.array([np.sin(0.5 * np.pi * (2 * l + 1) * x) + 0.1 for l in range(3)])
+    d = 2 * np.pi * HERTZ
+    poles = d * (-RATIOS + 1j * np.sqrt(1 - RATIOS**2))
+    b = np.array([np.cos(l * np.arange(1, m + 1)) for l in range(3)])
+    residues = psi[:, :, None] * b[:, None, :] * (poles**k / (2j * poles.imag))[:, None, None]
+    return SimpleNamespace(
+        poles=poles, residues=residues, feedthrough=np.zeros((p, m)), shapes=psi.astype(complex), time_unit="s",
+        natural_frequencies=d, hertz=HERTZ, damping_ratios=RATIOS, stderr={"shapes": np.full(psi.shape, 0.02 + 0.03j)},
+        output_labels=[f"y{i + 1}" for i in range(p)], input_labels=[f"u{i + 1}" for i in range(m)], order=3, **more,
+    )  # fmt: skip
+
+
+def exact(fit, omega):
+    """Sum over the fractions, written out."""
+    s = 1j * np.asarray(omega)
+    terms = [
+        rho[:, :, None] / (s - p) + rho.conj()[:, :, None] / (s - np.conj(p))
+        for rho, p in zip(fit.residues, fit.poles, strict=True)
+    ]
+    return sum(terms) + fit.feedthrough[:, :, None]
+
+
+def measured(fit, noise=0.0, count=200, low=5.0, high=100.0):
+    omega = 2 * np.pi * np.linspace(low, high, count)
+    values, rng = exact(fit, omega), np.random.default_rng(0)
+    scale = noise * np.abs(values).mean(axis=2, keepdims=True)
+    values = values + scale * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    return ct.frd(values, omega)
+
+
+# --- frequency responses ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", [0, 1, 2], ids=["displacement", "velocity", "acceleration"])
+def test_curves_are_the_response_of_the_quantity_measured(k):
+    fit = result(2, 2, k)
+    plot = phc.frf_plot(fit, time_unit="s")
+    assert plot.axes.shape == (4, 2)
+    for i in range(2):
+        for j in range(2):
+            gain, phase = plot.lines[2 * i, j][0], plot.lines[2 * i + 1, j][0]
+            expected = exact(fit, 2 * np.pi * gain.get_xdata())[i, j]
+            np.testing.assert_allclose(10 ** (gain.get_ydata() / 20), np.abs(expected), rtol=1e-9)
+            seen = np.isfinite(phase.get_ydata())
+            turns = np.exp(1j * np.radians(phase.get_ydata()[seen])) * np.abs(expected[seen])
+            np.testing.assert_allclose(turns, expected[seen], rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_peaks_and_notches_are_resolved():
+    fit = result(1)
+    frequency, gain = phc.frf_plot(fit).lines[0, 0][0].get_data()
+    fine = np.linspace(15.0, 90.0, 2_000_001)
+    truth = 20 * np.log10(np.abs(exact(fit, 2 * np.pi * fine)[0, 0]))
+    for extreme in (np.argmax, np.argmin):
+        assert abs(gain[extreme(gain)] - truth[extreme(truth)]) < 0.1
+        assert abs(frequency[extreme(gain)] - fine[extreme(truth)]) < 0.02
+
+
+def test_measured_phases_are_beside_the_model_and_no_model_jumps_in_the_middle():
+    """Noise about 180 degrees must not throw dots to the other end."""
+    fit = result(3, 1)
+    plot = phc.frf_plot(fit, measured(fit, noise=0.02))
+    for column in range(3):
+        model, dots = plot.lines[1, column]
+        phase = np.interp(dots.get_xdata(), model.get_xdata(), np.nan_to_num(model.get_ydata()))
+        near = np.abs(dots.get_ydata() - phase) < 20.0
+        assert near.mean() > 0.95
+        low, high = plot.axes[1, column].get_ylim()
+        assert low < dots.get_ydata().min() and dots.get_ydata().max() < high
+    np.testing.assert_allclose(plot.lines[0, 1][1].get_ydata(), 20 * np.log10(np.abs(measured(fit, 0.02).frdata[1, 0])))
+
+
+PANELS = {(1, 1): (2, 1), (9, 1): (6, 3), (4, 1): (4, 2), (5, 1): (4, 3), (9, 2): (18, 2), (1, 3): (2, 3)}
+
+
+@pytest.mark.parametrize("p, m", PANELS)
+def test_panels_stay_wide_enough_to_read(p, m):
+    shape = PANELS[p, m]
+    plot = phc.frf_plot(result(p, m))
+    assert plot.axes.shape == shape
+    shown = [axis for axis in plot.axes.flat if axis.get_visible()]
+    assert len(shown) == 2 * p * m
+    width, height = plot.figure.get_size_inches()
+    assert width <= 11 and height <= 16 and width / shape[1] >= 3
+    assert not plot.figure.canvas.draw()
+    if p * m > 1:
+        titles = [axis.get_title(loc="left") for axis in shown if axis.get_title(loc="left")]
+        assert titles == [f"u{j + 1} to y{i + 1}" for i in range(p) for j in range(m)]
+
+
+def test_of_many_channels_the_first_are_drawn_and_the_title_says_so():
+    fit = result(28, 4)
+    plot = phc.frf_plot(fit)
+    assert plot.axes.shape == (18, 3)
+    assert "outputs 1 to 9 of 28, inputs 1 to 3 of 4" in plot.figure.get_suptitle()
+    some = phc.frf_plot(fit, outputs=["y28", 2], inputs=[3])
+    expected = exact(fit, 2 * np.pi * some.lines[0, 0][0].get_xdata())[27, 3]
+    np.testing.assert_allclose(some.lines[0, 0][0].get_ydata(), 20 * np.log10(np.abs(expected)), rtol=1e-9)
+    assert "2 of 28 outputs, 1 of 4 inputs" in some.figure.get_suptitle()
+
+
+def test_systems_modal_forms_and_fits_have_the_same_picture():
+    fit = result(2, 1)
+    participation = (fit.residues[:, 0, :] / fit.shapes[:, :1]).reshape(3, 1)
+    form = phc.modes(fit.poles, fit.shapes, participation)
+    plots = [phc.frf_plot(one, omega_limits=[10, 90], time_unit="s") for one in (fit, form, form.state_space())]
+    for plot in plots[1:]:
+        for row in (0, 1):
+            x, y = plot.lines[row, 1][0].get_data()
+            x0, y0 = plots[0].lines[row, 1][0].get_data()
+            off = np.abs(np.interp(x0, x, y) - y0)
+            assert np.nanquantile(off, 0.98) < 1e-6  # grids differ where a phase turns
+
+
+def test_a_fit_is_drawn_with_its_own_data_and_units_of_time_reach_the_axis():
+    rng, plant = np.random.default_rng(0), phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5]))
+    u = rng.standard_normal(400)
+    y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh").outputs
+    fit = phc.pem((u, y + 0.01 * rng.standard_normal(400)), 2, dt=0.1)
+    plot = phc.frf_plot(fit, Hz=False, segments=2)
+    assert [line.get_label() for line in plot.lines[0, 0]][:2] == ["fit (2 modes)", "measured (spectral estimate)"]
+    assert plot.axes[1, 0].get_xlabel() == "Frequency [rad/time]"
+    gain = plot.lines[0, 0][0]
+    assert np.isfinite(plot.axes[0, 0].get_ylim()).all() and plot.axes[0, 0].get_ylim()[1] < 60
+    np.testing.assert_allclose(10 ** (gain.get_ydata() / 20), np.abs(fit.system(1j * gain.get_xdata())), rtol=1e-6)
+
+
+def test_recordings_are_estimated_together_also_of_roving_hammers_and_sensors():
+    fit, h = result(2, 2), 2e-3
+    T, rng = 6000, np.random.default_rng(1)
+    form = [
+        phc.modes(fit.poles, fit.shapes, fit.residues[:, 0, j, None] / fit.shapes[:, :1]).state_space() for j in (0, 1)
+    ]
+    plants = [ct.sample_system(one, h, "zoh") for one in form]
+
+    def recorded(u):
+        y = sum(ct.forced_response(plant, h * np.arange(T), one).outputs for plant, one in zip(plants, u, strict=True))
+        return ct.TimeResponseData(h * np.arange(T), y, inputs=u)
+
+    noise = recorded(rng.standard_normal((2, T)))
+    hits = [recorded(np.outer([k == 0, k == 1], np.arange(T) == 5).astype(float)) for k in (0, 1)]
+    hits[1].y[1] = np.nan
+    for data, within in ((noise, 0.35), (hits, 0.02)):
+        plot = phc.frf_plot(fit, data, omega_limits=[10, 95])
+        dots = next(line for line in plot.lines[0, 0] if line.get_linestyle() == "None")
+        expected = exact(fit, 2 * np.pi * dots.get_xdata())[0, 0]
+        assert np.quantile(np.abs(10 ** (dots.get_ydata() / 20) / np.abs(expected) - 1), 0.9) < within
+    assert [len(cell) for cell in plot.lines[::2].ravel()] == [2, 2, 2, 1]  # what was never measured has no dots
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: phc.frf_plot(3), "a int; pass what pem gives"),
+        (lambda: phc.frf_plot(result(2), measured(result(3))), "3 outputs and 1 inputs, the model 2 and 1"),
+        (lambda: phc.frf_plot(result(2), outputs=["z"]), "outputs has 'z'; there are 2: y1, y2"),
+        (lambda: phc.frf_plot(result(2), inputs=[1]), "inputs has 1; there are 1"),
+        (lambda: phc.frf_plot(result(2), outputs=[]), "outputs is empty"),
+        (lambda: phc.frf_plot(result(2), data=[3]), "data hold a int"),
+        (lambda: phc.frf_plot(result(2), omega_limits=[3, 1]), "omega_limits is"),
+        (lambda: phc.frf_plot(result(2), gain_unit=["m"]), "1 labels for 2 outputs"),
+        (lambda: phc.frf_plot(result(1), ax=plt.subplots(3)[1]), "ax has 3 axes; needed 2"),
+        (lambda: phc.frf_plot(result(1), intersample="none"), "intersample is 'none'"),
+        (lambda: phc.frf_plot(SimpleNamespace(poles=[1j], residues=np.ones((2, 1, 1)))), "residues have shape"),
+        (lambda: phc.frf_plot(SimpleNamespace(poles=[1j], residues=np.ones((1, 2, 0)))), "no input, as that of a free"),
+        (
+            lambda: phc.frf_plot(result(1), ct.TimeResponseData([0.0, 1.0, 2.0], np.ones((1, 3)), issiso=True)),
+            "free motions",
+        ),
+        (lambda: phc.circle_plot(phc.ph(phc.modes([1.0], [1.0]))), "no mode of the model oscillates with damping"),
+        (lambda: phc.circle_plot(phc.ph(phc.modes([1.0], [1.0])), modes=[0]), "is a line, not a circle"),
+        (lambda: phc.circle_plot(result(1), modes=[5]), "modes has 5; there are 3"),
+    ],
+)
+def test_what_has_no_picture_of_responses_is_refused(call, words):
+    with pytest.raises(StructureError, match=words):
+        call()
+
+
+# --- circles ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_single_mode_draws_a_circle_of_its_diameter_through_its_points():
+    p = -0.5 + 60j
+    fit = SimpleNamespace(poles=[p], residues=np.array([[[2.0 - 1.0j]]]), feedthrough=np.zeros((1, 1)))
+    omega = np.linspace(55, 65, 101)
+    data = ct.frd(exact(fit, omega), omega)
+    plot = phc.circle_plot(fit, data, Hz=False)
+    curve, dots, cross = (line.get_xdata() + 1j * line.get_ydata() for line in plot.lines[0, 0])
+    # but for its conjugate, far away
+    rest = np.conj(fit.residues[0, 0, 0]) / (1j * 60 - np.conj(p))
+    centre = rest + fit.residues[0, 0, 0] / abs(p.real) / 2
+    radius = abs(fit.residues[0, 0, 0] / p.real) / 2
+    for points in (curve, dots, cross):
+        np.testing.assert_allclose(np.abs(points - centre), radius, rtol=2e-3)
+    inside = np.abs(omega - 60) <= 4 * 0.5
+    assert len(dots) == inside.sum()
+    assert plot.axes[0, 0].get_title(loc="left") == "60 rad/time, 0.83 %"
+
+
+def test_each_mode_is_drawn_where_it_moves_most_or_where_it_is_asked_for():
+    fit = result(3, 1)
+    plot = phc.circle_plot(fit, measured(fit, count=2000))
+    assert [axis.get_title(loc="left") for axis in plot.axes.flat] == [
+        "20 Hz, 1.00 %",
+        "45 Hz, 0.50 %",
+        "80 Hz, 2.00 %",
+    ]
+    for l, axis in enumerate(plot.axes.flat):
+        most = int(np.abs(fit.residues[l, :, 0]).argmax())
+        assert axis.texts[0].get_text() == f"u1 to y{most + 1}"
+    (axis,) = phc.circle_plot(fit, modes=[1], output="y1").axes.flat
+    assert axis.texts[0].get_text() == "u1 to y1" and axis.get_title(loc="left") == "45 Hz, 0.50 %"
+
+
+# --- mode shapes -----------------------------------------------------------------------------------------------------
+
+
+def test_a_panel_shows_the_real_part_of_a_turned_shape_over_sorted_positions():
+    fit = result(5)
+    places = np.array([0.3, 0.1, 0.9, 0.5, 0.7])
+    turned = SimpleNamespace(**{**vars(fit), "shapes": fit.shapes * np.exp(2.1j)})
+    plot = phc.shape_plot(turned, places, position_unit="m", shape_unit="1/kg")
+    assert [axis.get_title(loc="left") for axis in plot.axes.flat] == [
+        "20 Hz, 1.00 %",
+        "45 Hz, 0.50 %",
+        "80 Hz, 2.00 %",
+    ]
+    assert {axis.get_title(loc="right") for axis in plot.axes.flat} == {"MPC 1.000"}
+    assert plot.axes[0, 0].get_xlabel() == "Position [m]" and plot.axes[0, 0].get_ylabel() == "Mode shape [1/kg]"
+    for psi, (line,) in zip(fit.shapes.real, plot.lines.flat, strict=True):
+        expected = psi * np.sign(psi[np.abs(psi).argmax()])
+        assert line.get_xdata().tolist() == sorted(places)
+        np.testing.assert_allclose(line.get_ydata(), expected[np.argsort(places)], atol=20 * EPS)
+
+
+def test_intervals_of_a_shape_are_those_of_the_part_that_is_drawn():
+    fit = result(4)
+    ends = {}
+    for angle in (0.0, 0.5 * np.pi):
+        turned = SimpleNamespace(**{**vars(fit), "shapes": fit.shapes * np.exp(1j * angle)})
+        axis = phc.shape_plot(turned, level=0.95).axes[0, 0]
+        (bars,) = [part for part in axis.collections if len(part.get_segments()) == 4]
+        ends[angle] = np.array([np.ptp(segment[:, 1]) / 2 for segment in bars.get_segments()])
+        assert axis.get_figure().legends[0].get_texts()[-1].get_text() == "95 % interval"
+    np.testing.assert_allclose(ends[0.0], 1.959964 * 0.02, rtol=1e-6)
+    np.testing.assert_allclose(ends[0.5 * np.pi], 1.959964 * 0.03, rtol=1e-6)
+
+
+def test_a_complex_shape_shows_its_imaginary_part_and_its_collinearity():
+    shape = np.array([[1.0, 0.8 + 0.3j, -0.5 + 0.2j, 0.1 - 0.4j]])
+    (axis,) = phc.shape_plot(shape).axes.flat
+    real, imaginary = (line.get_ydata() for line in axis.get_lines()[1:])
+    np.testing.assert_allclose(np.abs(real + 1j * imaginary), np.abs(shape[0]), rtol=1e-12)
+    found = float(axis.get_title(loc="right").split()[1])
+    assert abs(found - np.abs(np.sum(shape**2)) ** 2 / np.sum(np.abs(shape) ** 2) ** 2) < 6e-4 and found < 0.9
+
+
+def test_sensors_have_numbers_or_names():
+    fit = result(4)
+    labels = [text.get_text() for text in phc.shape_plot(fit).axes[0, 0].get_xticklabels()]
+    assert labels == ["y1", "y2", "y3", "y4"]
+    (axis,) = phc.shape_plot(np.ones((1, 30))).axes.flat
+    assert axis.get_xlabel() == "Sensor" and axis.get_lines()[1].get_xdata().tolist() == list(range(1, 31))
+    assert axis.get_title(loc="left") == "Mode 1"
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_marks_in_the_plane_have_the_size_and_sign_of_the_entries(dimensions):
+    places = np.random.default_rng(0).uniform(size=(6, dimensions))
+    shape = np.array([[1.0, -0.5, 0.25, -1.0, 0.5, 0.1]])
+    (marks,) = phc.shape_plot(shape, places).lines.flat
+    areas = [part.get_sizes() for part in marks]
+    np.testing.assert_allclose(areas[0] / areas[0].max(), [1, 1 / 16, 1 / 4, 1 / 100])
+    np.testing.assert_allclose(areas[1] / areas[0].max(), [1 / 4, 1])
+    assert len(marks[0].get_facecolor()) and not len(marks[1].get_facecolor())
+    if dimensions == 2:
+        np.testing.assert_allclose(marks[1].get_offsets(), places[[1, 3]])
+
+
+def test_modal_forms_have_shapes_and_many_modes_are_shared_out():
+    fit = result(3)
+    form = phc.modes(fit.poles, fit.shapes, np.ones((3, 1)))
+    assert phc.shape_plot(form, modes=[2]).axes[0, 0].get_title(loc="left") == "80 Hz, 2.00 %"
+    plot = phc.shape_plot(np.eye(20))
+    assert plot.axes.shape == (4, 3) and plot.figure.get_suptitle() == "Mode shapes (12 of 20)"
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: phc.shape_plot("text"), "shapes are a str"),
+        (lambda: phc.shape_plot([1.0, 2.0]), r"shapes have shape \(2,\); needed"),
+        (lambda: phc.shape_plot([[1.0, np.nan]]), "shapes is not finite"),
+        (lambda: phc.shape_plot(np.eye(3), [1.0, 2.0]), r"positions have shape \(2,\); those of 3 sensors"),
+        (lambda: phc.shape_plot(np.eye(3), np.ones((3, 4))), "positions have shape"),
+        (lambda: phc.shape_plot(np.eye(3), poles=[1j]), "1 poles for 3 shapes"),
+        (lambda: phc.shape_plot(np.eye(3), modes=[3]), "modes has 3; there are 3"),
+        (lambda: phc.shape_plot(np.eye(3), level=2), "level is 2"),
+        (lambda: phc.shape_plot(np.eye(3), ax=plt.subplots()[1]), "ax has 1 axes; needed 3"),
+        (lambda: phc.mac_plot(np.eye(3), np.eye(2)), "shapes of 3 and of 2 outputs"),
+        (lambda: phc.mac_plot(np.eye(3), label=["one"]), "1 labels for 2 sets of shapes"),
+    ],
+)
+def test_what_has_no_picture_of_shapes_is_refused(call, words):
+    with pytest.raises(StructureError, match=words):
+        call()
+
+
+# --- modal assurance -------------------------------------------------------------------------------------------------
+
+
+def test_the_matrix_of_modal_assurance_has_its_numbers_in_the_cells():
+    one = result(4)
+    other = SimpleNamespace(shapes=one.shapes[:2] + 0.2, natural_frequencies=one.natural_frequencies[:2])
+    plot = phc.mac_plot(one, other, label=["test", "model"])
+    axis, image = plot.axes[0, 0], plot.lines[0, 0][0]
+    c, b = one.shapes, other.shapes
+    expected = np.abs(c.conj() @ b.T) ** 2 / np.outer(np.sum(np.abs(c) ** 2, 1), np.sum(np.abs(b) ** 2, 1))
+    np.testing.assert_allclose(image.get_array(), expected, rtol=1e-12)
+    assert [text.get_text() for text in axis.texts] == [f"{value:.2f}" for value in expected.ravel()]
+    assert axis.get_xlabel() == "Mode of model [Hz]" and axis.get_ylabel() == "Mode of test [Hz]"
+    assert [text.get_text() for text in axis.get_yticklabels()] == ["20", "45", "80"]
+
+
+def test_of_many_modes_the_cells_are_empty():
+    axis = phc.mac_plot(np.eye(30)).axes[0, 0]
+    assert not axis.texts and len(axis.get_xticks()) <= 24 and axis.get_xlabel() == "Mode"
