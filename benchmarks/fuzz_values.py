@@ -298,6 +298,10 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "frf_plot.outputs": _choice(None, [0], [-1, 0]), "frf_plot.inputs": _choice(None, [0]),
     "circle_plot.output": _choice(None, 0), "circle_plot.input": _choice(None, 0),
     "frf_plot.model": Draw.any_system, "circle_plot.model": Draw.any_system,
+    "stabilisation_plot.poles": lambda draw: [1j * draw.frequencies()[:k] - 0.01 for k in range(1, draw.n + 1)],
+    "stabilisation_plot.orders": _choice(None), "chosen": _choice(None, 1), "stabilisation_plot.data": _of("response"),
+    "frequency_tolerance": _choice(0.01, 0.1), "damping_tolerance": _choice(0.05), "least_mac": _choice(0.9, 1.0),
+    "tests": _of("PEMResult"),
     "position_label": _choice(None, "Place"), "position_unit": _choice(None, "m"), "shape_unit": _choice(None, "1/kg"),
     "omega_limits": _choice(None, [0.1, 10.0]), "omega_num": _integers(20, 50),
     **{name: _choice(False, True) for name in (

@@ -87,6 +87,8 @@ from .plotting.shape_plot import mac_plot as mac_plot
 from .plotting.shape_plot import shape_plot as shape_plot
 from .plotting.time_plot import impulse_plot as impulse_plot
 from .plotting.time_plot import step_plot as step_plot
+from .plotting.validation_plot import hypothesis_plot as hypothesis_plot
+from .plotting.validation_plot import stabilisation_plot as stabilisation_plot
 from .symplectic.darboux_and_casimirs import CasimirSplit as CasimirSplit
 from .symplectic.darboux_and_casimirs import darboux as darboux
 from .symplectic.darboux_and_casimirs import split_casimirs as split_casimirs

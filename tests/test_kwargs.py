@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import control as ct
@@ -52,6 +52,9 @@ OPEN = sorted(name for name, function in public_callables().items() if takes_any
 @functools.cache
 def plant() -> phc.PortHamiltonian:
     return phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
+
+
+TESTED = SimpleNamespace(hypothesis="lossless", likelihood_ratio=1.0, dof=2, p=0.6)
 
 
 @functools.cache
@@ -101,6 +104,8 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "compare_plot": [lambda **k: phc.compare_plot(phc.compare(fitted().record, plant()), **k)],
     "energy_plot": [lambda **k: phc.energy_plot(phc.energy_balance(recording(), plant()), **k)],
     "frf_plot": [lambda **k: phc.frf_plot(plant(), **k)],
+    "hypothesis_plot": [lambda **k: phc.hypothesis_plot([TESTED], **k)],
+    "stabilisation_plot": [lambda **k: phc.stabilisation_plot([[1j], [1j]], **k)],
     "mac_plot": [lambda **k: phc.mac_plot(np.eye(2), **k)],
     "shape_plot": [lambda **k: phc.shape_plot(np.eye(2), **k)],
     "fit_plot": [lambda **k: phc.fit_plot(T, T, T, **k), lambda **k: phc.fit_plot(fitted(), **k)],

@@ -349,3 +349,128 @@ def test_the_matrix_of_modal_assurance_has_its_numbers_in_the_cells():
 def test_of_many_modes_the_cells_are_empty():
     axis = phc.mac_plot(np.eye(30)).axes[0, 0]
     assert not axis.texts and len(axis.get_xticks()) <= 24 and axis.get_xlabel() == "Mode"
+
+
+# --- poles of several orders -----------------------------------------------------------------------------------------
+
+
+def path(orders=8, sensors=4, seed=0):
+    """Poles and shapes of models of ascending order: three true modes first, then any others."""
+    fit, rng, rows = result(sensors), np.random.default_rng(seed), []
+    for n in range(1, orders + 1):
+        k = min(n, 3)
+        d = 2 * np.pi * rng.uniform(5, 100, n - k)
+        strays = d * (-rng.uniform(0.05, 0.3, n - k) + 1j)
+        noise = 1e-4 * rng.standard_normal(k)
+        poles = np.concatenate([fit.poles[:k] * (1 + noise), strays])
+        rows.append((poles, np.concatenate([fit.shapes[:k], rng.standard_normal((n - k, sensors))])))
+    return rows
+
+
+def test_true_modes_are_stable_from_the_second_order_that_has_them():
+    plot = phc.stabilisation_plot(path())
+    new, _, _, shape = plot.lines[0, 0]
+    for l, hertz in enumerate(HERTZ):
+        x, order = shape.get_data()
+        assert set(order[np.abs(x / hertz - 1) < 1e-3]) >= set(range(l + 2, 9))
+        assert l + 1 in new.get_ydata()[np.abs(new.get_xdata() / hertz - 1) < 1e-3]
+    assert sum(len(line.get_xdata()) for line in plot.lines[0, 0]) == sum(range(1, 9))
+    assert plot.axes[0, 0].get_xlabel() == "Natural frequency [Hz]"
+    wanted = ["new", "stable frequency (1 %)", "and damping (5 %)", "and shape (MAC 0.95)"]
+    assert [line.get_label() for line in plot.lines[0, 0]] == wanted
+    assert len({line.get_marker() for line in plot.lines[0, 0]}) == 4  # told apart in grey
+
+
+def test_tolerances_decide_and_stand_in_the_legend():
+    rows = [(np.array([-1 + 100j]), np.array([[1.0, 1.0]])), (np.array([-1.1 + 102j]), np.array([[1.0, 0.9]]))]
+    for options, counts in (
+        ({}, [2, 0, 0, 0]),
+        ({"frequency_tolerance": 0.03}, [1, 1, 0, 0]),
+        ({"frequency_tolerance": 0.03, "damping_tolerance": 0.1}, [1, 0, 0, 1]),
+        ({"frequency_tolerance": 0.03, "damping_tolerance": 0.1, "least_mac": 0.999}, [1, 0, 1, 0]),
+    ):
+        plot = phc.stabilisation_plot(rows, orders=[3, 4], **options)
+        assert [len(line.get_xdata()) for line in plot.lines[0, 0]] == counts
+        assert f"({100 * options.get('frequency_tolerance', 0.01):g} %)" in plot.lines[0, 0][1].get_label()
+
+
+def test_results_bring_their_orders_and_data_and_responses_stand_behind():
+    fit = result(4)
+    data = measured(fit)
+    made = SimpleNamespace(
+        stabilisation=lambda: path(), order=3, time_unit="s", experiments=[SimpleNamespace(record=data)]
+    )
+    plot = phc.stabilisation_plot(made)
+    (twin,) = [axis for axis in plot.figure.axes if axis is not plot.axes[0, 0]]
+    (curve,) = twin.lines
+    expected = np.abs(data.frdata[:, 0])
+    expected = np.sum(expected / np.sqrt(np.mean(expected**2, axis=1, keepdims=True)), axis=0)
+    np.testing.assert_allclose(10 ** (curve.get_ydata() / 20), expected, rtol=1e-9)
+    assert twin.get_ylabel() == "Sum of |FRF| [dB]" and twin.get_zorder() < plot.axes[0, 0].get_zorder()
+    assert "order 3" in legend_texts(plot.legend)
+
+
+def test_spectra_of_recordings_have_their_peaks_at_the_modes():
+    t = 2e-3 * np.arange(20_000)
+    motion = np.stack([1e-6 * np.sin(2 * np.pi * 20 * t), np.sin(2 * np.pi * 45 * t)])
+    plot = phc.stabilisation_plot(path(), ct.TimeResponseData(t, motion, inputs=t))
+    (twin,) = [axis for axis in plot.figure.axes if axis is not plot.axes[0, 0]]
+    frequency, level = twin.lines[0].get_data()
+    highest = frequency[np.argsort(level)[-2:]]
+    assert np.abs(np.sort(highest) - [20, 45]).max() < 0.3 and twin.get_ylabel() == "Output spectra [dB]"
+
+
+@pytest.mark.parametrize(
+    "call, words",
+    [
+        (lambda: phc.stabilisation_plot(3), "poles is a int"),
+        (lambda: phc.stabilisation_plot([]), "there are no orders"),
+        (lambda: phc.stabilisation_plot([[-1 - 2j]]), "lower half-plane"),
+        (lambda: phc.stabilisation_plot([[1j], [np.nan]]), "not numbers"),
+        (lambda: phc.stabilisation_plot([([1j], [[1.0], [2.0]])]), r"shapes of order 0, counted from 0, has shape"),
+        (lambda: phc.stabilisation_plot([([1j], [[1.0, 2.0]]), [1j]]), "differ in the outputs of their shapes"),
+        (lambda: phc.stabilisation_plot(path(), orders=[1]), "1 orders for the poles of 8"),
+        (lambda: phc.stabilisation_plot(path(), least_mac=2), "least_mac is 2"),
+        (lambda: phc.stabilisation_plot(path(), frequency_tolerance=np.nan), "frequency_tolerance is nan"),
+        (lambda: phc.stabilisation_plot(path(), chosen=0), "chosen is 0"),
+        (lambda: phc.stabilisation_plot(path(), data=3), "data hold a int"),
+        (lambda: phc.hypothesis_plot([]), "a list without tests"),
+        (lambda: phc.hypothesis_plot([1]), "a list without tests"),
+        (lambda: phc.hypothesis_plot([], level=2), "level is 2"),
+    ],
+)
+def test_what_has_no_diagram_or_table_is_refused(call, words):
+    with pytest.raises(StructureError, match=words):
+        call()
+
+
+# --- tests and residuals ---------------------------------------------------------------------------------------------
+
+
+def test_the_table_says_which_hypotheses_the_data_reject():
+    rows = [("lossless", 812.25, 20, 1e-150), ("classical", 18.3, 16, 0.31), ("rank one", 33.1, 12, 0.00093)]
+    names = ("hypothesis", "likelihood_ratio", "dof", "p")
+    tests = [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
+    for given, level, said in ((tests, 0.05, 2), (SimpleNamespace(tests=tests), 0.5, 3)):
+        table = phc.hypothesis_plot(given, level=level).lines[0, 0][0]
+        texts = {place: cell.get_text().get_text() for place, cell in table.get_celld().items()}
+        assert [texts[0, j] for j in range(4)] == ["hypothesis", "likelihood ratio", "dof", "p-value"]
+        assert texts[0, 4] == f"at {100 * level:g} %"
+        assert [texts[2, j] for j in range(4)] == ["classical", "18.3", "16", "0.31"]
+        assert sum(texts[i, 4] == "rejected" for i in (1, 2, 3)) == said
+
+
+def test_residuals_of_a_fit_are_those_of_each_channel_with_the_band_of_white_noise():
+    rng, plant = np.random.default_rng(0), phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5]))
+    u = rng.standard_normal(2000)
+    y = phc.forced_response(plant, 0.1 * np.arange(2000), u, intersample="zoh").outputs
+    fit = phc.pem((u, y + 0.1 * rng.standard_normal(2000)), 2, dt=0.1)
+    plot = phc.residual_plot(fit)
+    inside, outside = plot.lines[0, 0]
+    e = fit.residuals - np.mean(fit.residuals)
+    expected = [np.mean(e[k:] * e[:-k]) / np.mean(e**2) for k in range(1, 26)]
+    found = np.concatenate([line.get_ydata() for line in (inside, outside)])
+    order = np.argsort(np.concatenate([line.get_xdata() for line in (inside, outside)]))
+    np.testing.assert_allclose(found[order], expected, rtol=1e-9, atol=1e-12)
+    assert len(outside.get_xdata()) <= 2
+    assert plot.axes[0, 0].get_title(loc="left") == "y"

@@ -70,6 +70,8 @@ PICTURES = {
     "responses": (lambda **k: phc.frf_plot(fitted(), segments=2, **k), (2, 1)),
     "circles": (lambda **k: phc.circle_plot(structure(), ct.frd(structure(), np.arange(1.0, 90.0)), **k), (1, 2)),
     "shapes": (lambda **k: phc.shape_plot(np.array([[1.0, 0.5j, 0.3], [1.0, 0.2, -1.0]]), **k), (1, 2)),
+    "stabilisation": (lambda **k: phc.stabilisation_plot([[1j], [1j, -1 + 2j]], chosen=2, **k), (1, 1)),
+    "residuals of a fit": (lambda **k: phc.residual_plot(fitted(), **k), (1, 1)),
     "order": (lambda **k: phc.order_plot(phc.order_selection(record(), 3), **k), (1, 2)),
 }
 all_pictures = pytest.mark.parametrize("picture, shape", PICTURES.values(), ids=PICTURES)

@@ -1,4 +1,4 @@
-"""Pictures of validation: models beside a frequency response, correlations of residuals, and the choice of the order.
+"""Pictures of validation: models beside a response, residuals, the choice of the order, and tests of hypotheses.
 
 Each function returns a `control.ControlPlot`, and draws on given axes or a new figure, which `heading` entitles.
 """
@@ -13,11 +13,19 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+from scipy.special import ndtri
 
+from .. import _checks
+from .._display import p_value
 from .._types import Array, ComplexArray, Indices, Mask
+from .._units import unit_for
+from ..exceptions import StructureError
+from ..numerics.mode_shapes import stable_poles
 from .bode_data import decibels
 from .fit_plot import line_of_model
-from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_label, labelled, picture, plain
+from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_label, labelled, panels, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -197,7 +205,7 @@ def residual_panels_plot(
 # --- the order -------------------------------------------------------------------------------------------------------
 
 
-def stabilisation_plot(
+def order_selection_plot(
     orders: Indices,
     frequencies: Sequence[Array],
     stable: Sequence[Mask],
@@ -210,14 +218,14 @@ def stabilisation_plot(
     ax: Any = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:
-    """Stabilisation diagram: natural frequencies of each order, and what each criterion has above its least value."""
+    """Natural frequencies of each order, and what each criterion has above its least value."""
     look = Look.of(style, FrameStyle)
     unit, unit_name = frequency_axis(Hz, time_unit)
     frequencies = [row / unit for row in frequencies]
     with look.context():
         drawn = picture(look, ax, (1, 2), (7.8, 4.4), sharey=True, width_ratios=[1.7, 1.0])
         modes, above = drawn.axes[0]
-        drawn.lines[0, 0] = _draw_stabilisation(modes, orders, frequencies, stable)
+        drawn.lines[0, 0] = _draw_orders(modes, orders, frequencies, stable)
         drawn.lines[0, 1] = _draw_criteria(above, orders, criteria)
         for frequency in frequencies[list(orders).index(chosen)]:
             modes.axvline(frequency, color="C3", linestyle=":", linewidth=0.8, zorder=0)
@@ -232,7 +240,7 @@ def stabilisation_plot(
         return drawn.finished("Choice of the order", drawn.legends())
 
 
-def _draw_stabilisation(axis: Axes, orders: Indices, frequencies: Sequence[Array], stable: Sequence[Mask]) -> list[Any]:
+def _draw_orders(axis: Axes, orders: Indices, frequencies: Sequence[Array], stable: Sequence[Mask]) -> list[Any]:
     d = np.concatenate([np.zeros(0), *frequencies])
     order = np.repeat(orders, [len(row) for row in frequencies])
     kept = np.concatenate([np.zeros(0, bool), *stable])
@@ -257,3 +265,390 @@ def _draw_criteria(axis: Axes, orders: Indices, criteria: Mapping[str, Array]) -
     axis.set_xscale("symlog", linthresh=_FLAT)
     axis.set_xlim(left=-0.08 * _FLAT)
     return lines
+
+
+# --- poles of several orders -----------------------------------------------------------------------------------------
+
+
+def stabilisation_plot(
+    poles: Any,
+    data: Any = None,
+    *,
+    orders: ArrayLike | None = None,
+    chosen: int | None = None,
+    frequency_tolerance: float = 0.01,
+    damping_tolerance: float = 0.05,
+    least_mac: float = 0.95,
+    omega_limits: ArrayLike | None = None,
+    Hz: bool = True,
+    time_unit: str | None = None,
+    ax: Any = None,
+    **style: Unpack[FrameStyle],
+) -> ct.ControlPlot:
+    """Stabilisation diagram: natural frequencies of models of several orders, and which of them stay.
+
+    Parameters
+    ----------
+    poles : PEMResult, or sequence of pairs (poles, shapes) or of arrays of poles
+        For each order the poles, shape (k,), rad per unit time, one of each pair, and mode shapes, shape (k, p); or a
+        result whose `stabilisation()` gives these.
+    data : control.FrequencyResponseData, control.TimeResponseData, or list of them, optional
+        Measurement to draw behind: the sum of the sizes of all responses, or the power spectrum of all outputs; by
+        default what a result was fitted to.
+    orders : array_like, shape (K,), optional
+        What the models are called; by default their numbers of poles.
+    chosen : int, optional
+        Order to mark; by default that of a result.
+    frequency_tolerance, damping_tolerance : float
+        Relative change up to which a frequency, or a damping ratio, counts as the same.
+    least_mac : float
+        Modal assurance criterion from which on a shape does.
+    omega_limits : array_like, shape (2,), optional
+        Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
+    Hz : bool
+        Frequency axis in Hz instead of rad per unit time; where no unit of time is known, times are taken for seconds.
+    time_unit : str, optional
+        Unit of time, for the label; by default that of the result or the data.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw on.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`.
+
+    Returns
+    -------
+    control.ControlPlot
+        `lines` and `axes` of shape (1, 1): poles that are new, stable in frequency, also in damping, also in shape;
+        `figure`, `legend`.
+
+    Raises
+    ------
+    StructureError
+        If poles, shapes, orders or tolerances are not of this form, or the data have no spectrum.
+
+    Notes
+    -----
+    A pole is compared with those of the order before; each of these confirms one pole at most, that of the most in
+    common, then the nearest.  Poles of a single output are not asked for their shape.  Real poles have no place here.
+
+    Spectra and responses are those of each channel over its root mean square, so that units do not choose among them.
+
+    O(sum k^3) for orders k.
+
+    Examples
+    --------
+    >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
+    >>> one, two = np.array([-0.1 + 10j]), np.array([-0.1 + 10.01j, -3 + 44j])
+    >>> plot = phc.stabilisation_plot([one, two], Hz=False)
+    >>> [line.get_label() for line in plot.lines[0, 0] if len(line.get_xdata())]
+    ['new', 'and damping (5 %)']
+    >>> plt.close(plot.figure)
+    """
+    table = stabilisation_data(
+        poles, orders=orders, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance,
+        least_mac=least_mac,
+    )  # fmt: skip
+    given = data if data is not None else [getattr(one, "record", one) for one in getattr(poles, "experiments", ())]
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, poles, given))
+    behind = _behind(given)
+    marked = getattr(poles, "order", None) if chosen is None else _checks.whole_number("chosen", chosen, 1)
+    look = Look.of(style, FrameStyle)
+    with look.context():
+        drawn = picture(look, ax, (1, 1), (7.6, 4.8))
+        axis = drawn.axes[0, 0]
+        drawn.lines[0, 0] = _draw_levels(axis, table, unit)
+        _draw_behind(axis, behind, unit)
+        axis.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Order")
+        axis.set_xlim(*_frequency_ends(table, behind, omega_limits, unit))
+        low, high = float(table.orders.min()), float(table.orders.max())
+        if marked is not None and low <= marked <= high:
+            axis.axhline(marked, color="C3", linewidth=6.0, alpha=0.15, zorder=0, label=f"order {marked}")
+        axis.set_ylim(low - 0.5 - 0.02 * (high - low), high + 0.5 + 0.02 * (high - low))
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+        look.lattice(axis)
+        return drawn.finished("Stabilisation diagram", drawn.legend_of_all())
+
+
+@dataclass(frozen=True)
+class StabilisationData:
+    """Poles that oscillate of each order, what they have in common with the order before, and what that is called."""
+
+    orders: Array
+    frequencies: list[Array]
+    stability: list[NDArray[np.int8]]
+    names: list[str]
+
+    def points(self, level: int) -> tuple[Array, Array]:
+        """Natural frequencies in rad per unit time, and orders, of the poles of one level."""
+        kept = [row == level for row in self.stability]
+        d = np.concatenate([row[mask] for row, mask in zip(self.frequencies, kept, strict=True)])
+        return d, np.repeat(self.orders, [int(mask.sum()) for mask in kept])
+
+
+def stabilisation_data(
+    given: Any, *, orders: Any = None, frequency_tolerance: float = 0.01, damping_tolerance: float = 0.05,
+    least_mac: float = 0.95,
+) -> StabilisationData:  # fmt: skip
+    """Compute what `stabilisation_plot` draws, of its arguments."""
+    for name, value in (
+        ("frequency_tolerance", frequency_tolerance), ("damping_tolerance", damping_tolerance), ("least_mac", least_mac)
+    ):  # fmt: skip
+        if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 <= value <= 1):
+            raise StructureError(f"{name} is {_checks.shown(value)}; it must be a number from 0 to 1")
+    found = given.stabilisation() if hasattr(given, "stabilisation") else given
+    try:
+        rows = [_one_order(k, one) for k, one in enumerate(found)]
+    except (TypeError, OSError):  # python-control raises the last on being iterated
+        raise StructureError(
+            f"poles is a {type(found).__name__}; pass a sequence with poles, or (poles, shapes), of each order"
+        ) from None
+    if not rows:
+        raise StructureError("there are no orders; pass the poles of one at least")
+    sensors = {shapes.shape[1] for _, shapes in rows if shapes is not None}
+    if len(sensors) > 1 or (sensors and any(shapes is None for _, shapes in rows)):
+        raise StructureError("the orders differ in the outputs of their shapes; give shapes of the same ones with each")
+    poles = [row for row, _ in rows]
+    shapes = [row for _, row in rows if row is not None]
+    levels = stable_poles(
+        poles, shapes or None, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance,
+        least_mac=least_mac,
+    )  # fmt: skip
+    names = _checks.real_array("orders", [len(row) for row in poles] if orders is None else orders, 1)
+    if len(names) != len(rows):
+        raise StructureError(f"there are {len(names)} orders for the poles of {len(rows)}; give one for each")
+    moving = [row.imag > 0 for row in poles]
+    words = [
+        "new",
+        f"stable frequency ({100 * frequency_tolerance:g} %)",
+        f"and damping ({100 * damping_tolerance:g} %)",
+    ]
+    words += [f"and shape (MAC {least_mac:g})"] if shapes and sensors != {1} else []
+    return StabilisationData(
+        names, [np.abs(row)[mask] for row, mask in zip(poles, moving, strict=True)],
+        [row[mask] for row, mask in zip(levels, moving, strict=True)], words,
+    )  # fmt: skip
+
+
+def _one_order(k: int, given: Any) -> tuple[ComplexArray, ComplexArray | None]:
+    """Poles and, where there are some, shapes of one order; of more than a vector of poles the second part."""
+    pair = isinstance(given, tuple | list) and len(given) == 2 and np.ndim(given[0]) == 1
+    row, shapes = given if pair else (given, None)
+    name = f"of order {k}, counted from 0,"
+    poles = _checks.complex_points(f"the poles {name}", row) if np.size(row) else np.zeros(0, complex)
+    _checks.finite(f"the list of poles {k}", poles)
+    if (poles.imag < 0).any():
+        raise StructureError(
+            f"pole {poles[poles.imag < 0][0]:.6g} is in the lower half-plane; give one of each pair of conjugates, "
+            "that with a positive imaginary part"
+        )
+    if shapes is not None:
+        shapes = np.reshape(shapes, (0, 1)) if not len(poles) and not np.size(shapes) else shapes
+        shapes = _checks.complex_matrix(f"the shapes {name}", shapes, len(poles))
+    return poles, shapes
+
+
+def _behind(data: Any) -> list[tuple[Array, Array, str]]:
+    """Frequencies and decibels of what is drawn behind the poles, and its name."""
+    given = list(data) if isinstance(data, list | tuple) else [data]
+    curves = []
+    for one in given:
+        if isinstance(one, ct.FrequencyResponseData) or (hasattr(one, "omega") and hasattr(one, "response")):
+            table = one.frdata if isinstance(one, ct.FrequencyResponseData) else one.response
+            size = np.abs(np.asarray(table).reshape(-1, np.shape(table)[-1]))
+            omega, name = np.asarray(one.omega, float), "Sum of |FRF| [dB]"
+        elif hasattr(one, "y") and np.size(getattr(one, "y", ())):
+            y = np.asarray(one.y, float)
+            y = y.reshape(-1, y.shape[-1])
+            step = one.dt if not isinstance(one, ct.TimeResponseData) else _checks.time_vector(one.t)[1]
+            omega, size = output_spectra(y, float(step))
+            name = "Output spectra [dB]"
+        else:
+            raise StructureError(
+                f"data hold a {type(one).__name__}; pass control.FrequencyResponseData, control.TimeResponseData, or a "
+                "list of them"
+            )
+        size = size[np.isfinite(size).any(axis=1)]
+        level = np.sqrt(np.nanmean(size**2, axis=1, keepdims=True))
+        total = np.nansum(size / np.where(level > 0, level, 1.0), axis=0)
+        curves.append((omega, decibels(total), name))
+    return curves
+
+
+def output_spectra(y: Array, step: float, segments: int = 8) -> tuple[Array, Array]:
+    """Amplitude spectra (p, K) of outputs (p, T), of Hann windows; missing samples count as the mean."""
+    y = y[np.isfinite(y).any(axis=1)]
+    y = y - np.nanmean(y, axis=1, keepdims=True)
+    length = 2 * max(4, y.shape[1] // (segments + 1))
+    omega, power = signal.welch(np.nan_to_num(y), 2 * np.pi / step, nperseg=min(length, y.shape[1]))
+    return omega, np.sqrt(power)
+
+
+def _frequency_ends(
+    table: StabilisationData, behind: list[tuple[Array, Array, str]], given: Any, unit: float
+) -> tuple[float, float]:
+    """Ends of the axis: those given, as far as data reach, or all poles."""
+    if given is not None:
+        ends = _checks.real_array("omega_limits", given, 1)
+        if len(ends) != 2 or not 0 <= ends[0] < ends[1]:
+            raise StructureError(f"omega_limits is {_checks.shown(given)}; give the lowest and the highest frequency")
+        return float(ends[0]), float(ends[1])
+    if behind:
+        low, high = min(one[0][0] for one in behind) / unit, max(one[0][-1] for one in behind) / unit
+        return max(0.0, low - 0.02 * (high - low)), high
+    d = np.concatenate(table.frequencies)
+    return 0.0, 1.05 * float(d.max(initial=0.0)) / unit or 1.0
+
+
+_LEVELS: list[dict[str, Any]] = [
+    {"marker": "x", "color": "0.65", "markersize": 4.0, "markeredgewidth": 0.9},
+    {"marker": "^", "color": "0.35", "markersize": 5.0, "markerfacecolor": "white"},
+    {"marker": "s", "color": "C1", "markersize": 4.5, "markerfacecolor": "white"},
+    {"marker": "o", "color": "C0", "markersize": 5.0},
+]
+
+
+def _draw_levels(axis: Axes, table: StabilisationData, unit: float) -> list[Any]:
+    lines: list[Any] = []
+    for level, (name, look) in enumerate(zip(table.names, _LEVELS, strict=False)):
+        d, order = table.points(level)
+        lines += axis.plot(d / unit, order, linestyle="none", label=name, zorder=3 + 0.1 * level, **look)
+    return lines
+
+
+def _draw_behind(axis: Axes, behind: list[tuple[Array, Array, str]], unit: float) -> None:
+    """Curves to a scale of their own at the right, beneath the poles."""
+    if not behind:
+        return
+    twin = axis.twinx()
+    twin.set_zorder(axis.get_zorder() - 1)
+    twin.patch.set_visible(True)
+    axis.patch.set_visible(False)
+    twin.set_facecolor(axis.get_facecolor())
+    for omega, level, _ in behind:
+        twin.plot(omega / unit, level, color="0.78", linewidth=1.0)
+    twin.set_ylabel(", ".join(dict.fromkeys(name for _, _, name in behind)), color="0.45")
+    twin.tick_params(axis="y", colors="0.45")
+    twin.grid(False)
+
+
+# --- residuals of several channels, tests of hypotheses --------------------------------------------------------------
+
+
+def channel_correlations(
+    residuals: NDArray[Any], labels: Sequence[str], lags: int = 25, confidence: float = 0.99
+) -> list[CorrelationPanel]:
+    """Autocorrelation of each row of residuals (c, T), NaN where missing, and the band of white noise.
+
+    Of complex ones it is the real part, from point to point.
+    """
+    found = []
+    for row, label in zip(residuals, labels, strict=True):
+        seen = np.isfinite(row)
+        e = np.where(seen, row - (np.mean(row[seen]) if seen.any() else 0.0), 0.0)
+        count = max(1, min(lags, int(seen.sum()) // 5))
+        k = np.arange(1, count + 1)
+        sums = np.array([np.sum(e[j:] * e[:-j].conj()).real for j in k])
+        pairs = np.array([np.count_nonzero(seen[j:] & seen[:-j]) for j in k])
+        power = np.sum(np.abs(e) ** 2) / max(1, int(seen.sum()))
+        values = sums / np.maximum(pairs, 1) / (power or 1.0)
+        degrees = pairs * (2 if np.iscomplexobj(row) else 1)
+        band = float(ndtri(0.5 + 0.5 * confidence)) / np.sqrt(np.maximum(degrees, 1))
+        unit = "points" if np.iscomplexobj(row) else "samples"
+        found.append(CorrelationPanel(k, values, band, confidence, label, f"Lag [{unit}]"))
+    return found
+
+
+def channel_residuals_plot(
+    correlations: Sequence[CorrelationPanel], heading: str, ax: Any = None, **style: Unpack[FrameStyle]
+) -> ct.ControlPlot:
+    """Correlations of the residuals of several channels, in rows of three panels."""
+    look = Look.of(style, FrameStyle)
+    with look.context():
+        drawn = panels(look, ax, len(correlations), (3.2, 2.1))
+        for k, one in enumerate(correlations):
+            axis = drawn.axes.flat[k]
+            drawn.lines.flat[k] = one.draw(axis, look)
+            axis.set_title(plain(one.title), loc="left")
+            axis.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+        return drawn.finished(heading, drawn.legend_of_all())
+
+
+def hypothesis_plot(tests: Any, *, level: float = 0.05, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.ControlPlot:
+    """Table of the tests of a fit: hypothesis, likelihood ratio, degrees of freedom, p-value, and what follows.
+
+    Parameters
+    ----------
+    tests : PEMResult, or sequence of tests
+        A result, or its `tests`: each with `hypothesis`, `likelihood_ratio`, `dof` and `p`.
+    level : float
+        p-value below which a hypothesis is rejected, between 0 and 1.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw on.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`.
+
+    Returns
+    -------
+    control.ControlPlot
+        `lines` and `axes` of shape (1, 1), the lines a list with the table; `figure`.
+
+    Raises
+    ------
+    StructureError
+        If there are no tests, or the level is out of range.
+
+    Notes
+    -----
+    A likelihood ratio is twice the log-likelihood that the wider model gains.  Rejected hypotheses are in bold type.
+
+    Examples
+    --------
+    >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
+    >>> plant, rng = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0)
+    >>> u = rng.standard_normal(500)
+    >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+    >>> plot = phc.hypothesis_plot(phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1))
+    >>> plot.lines[0, 0][0][1, 0].get_text().get_text()
+    'lossless'
+    >>> plt.close(plot.figure)
+    """
+    _checks.level("level", level)
+    rows = hypothesis_table(tests, level)
+    look = Look.of(style, FrameStyle)
+    with look.context():
+        drawn = picture(look, ax, (1, 1), (6.6, 0.9 + 0.3 * (1 + len(rows))))
+        axis = drawn.axes[0, 0]
+        axis.set_axis_off()
+        cells = [[plain(text) for text in row] for row in rows]
+        columns = ["hypothesis", "likelihood ratio", "dof", "p-value", f"at {100 * level:g} %"]
+        table = axis.table(
+            cells, colLabels=columns, loc="center", cellLoc="right", edges="horizontal", colWidths=_WIDTHS
+        )
+        table.auto_set_font_size(False)
+        table.scale(1.0, 1.4)
+        for (i, j), cell in table.get_celld().items():
+            cell.set_edgecolor("0.75")
+            cell.get_text().set_horizontalalignment("left" if j in (0, 4) else "right")
+            if i == 0 or rows[i - 1][4].startswith("rejected"):
+                cell.get_text().set_fontweight("bold")
+        drawn.lines[0, 0] = [table]
+        return drawn.finished("Tests of the model against wider ones")
+
+
+_WIDTHS = [0.3, 0.22, 0.1, 0.18, 0.2]
+
+
+def hypothesis_table(tests: Any, level: float) -> list[list[str]]:
+    """Rows of `hypothesis_plot`, as texts."""
+    found = list(getattr(tests, "tests", tests)) if hasattr(tests, "tests") or isinstance(tests, list | tuple) else []
+    needed = ("hypothesis", "likelihood_ratio", "dof", "p")
+    if not found or not all(hasattr(one, name) for one in found for name in needed):
+        raise StructureError(
+            f"this is a {type(tests).__name__} without tests; pass a result of pem that has some, or its tests"
+        )
+    return [
+        [
+            str(one.hypothesis), f"{one.likelihood_ratio:.5g}", f"{one.dof:g}", p_value(one.p).replace("p = ", ""),
+            "rejected" if one.p < level else "not rejected",
+        ]
+        for one in found
+    ]  # fmt: skip

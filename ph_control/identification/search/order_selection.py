@@ -16,7 +16,7 @@ from ..._frozen import Frozen
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, unit_for
 from ...exceptions import IdentificationError, StructureError
-from ...plotting.validation_plot import stabilisation_plot
+from ...plotting.validation_plot import order_selection_plot
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.time_rows import RecordRows, Rows
 from ..regression.variable_projection import Problem, refine
@@ -138,7 +138,7 @@ class OrderSelection(Report, Frozen):
             least = max(float(self.holdout.min()), np.finfo(float).tiny)
             above["hold-out"] = self.held_out * np.log(np.maximum(self.holdout, least) / least)
         kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
-        return stabilisation_plot(
+        return order_selection_plot(
             self.orders, self.frequencies, self.stable, above,
             chosen=self.chosen(criterion), criterion=_WRITTEN[criterion], **kwargs,
         )  # fmt: skip

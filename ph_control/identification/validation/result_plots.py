@@ -5,11 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import control as ct
+import numpy as np
 
 from ...exceptions import StructureError
+from ...plotting.validation_plot import channel_correlations, channel_residuals_plot
+from ..fit.result import PEMResult
+from ..regression.prediction import chosen_experiment
 from ..search.order_selection import OrderSelection
 from .comparison import Comparison
 from .residual_analysis import ResidualAnalysis
+
+_CHANNELS = 12  # of one picture
 
 
 def compare_plot(comparison: Comparison, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
@@ -51,22 +57,23 @@ def compare_plot(comparison: Comparison, experiment: int = 0, **kwargs: Any) -> 
     return _expected(comparison, Comparison, "compare(data, *models)").plot(experiment, **kwargs)
 
 
-def residual_plot(analysis: ResidualAnalysis, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
+def residual_plot(analysis: ResidualAnalysis | PEMResult, experiment: int = 0, **kwargs: Any) -> ct.ControlPlot:
     """Autocorrelation of the residuals of a model above their correlation with the input, with bands.
 
     Parameters
     ----------
-    analysis : ResidualAnalysis
-        What `residual_analysis` gives.
+    analysis : ResidualAnalysis or PEMResult
+        What `residual_analysis` gives, or a fit, of which the residuals of each channel are drawn.
     experiment : int
-        Of several responses, the one whose residual is drawn, counted from 0.
+        Of several responses, the one whose residual is drawn, counted from 0.  Of a fit, the experiment.
     **kwargs
         `ax`, and `title`, `grid`, `show_legend`, `legend_loc`, `rcParams`, as in `ResidualAnalysis.plot`.
 
     Returns
     -------
     control.ControlPlot
-        `lines` and `axes` of shape (2, 1), or (1, 1) for free motions; `figure`, `legend`.
+        `lines` and `axes` of shape (2, 1), or (1, 1) for free motions; of a fit a panel for each channel, in rows of
+        three; `figure`, `legend`.
 
     Raises
     ------
@@ -75,7 +82,9 @@ def residual_plot(analysis: ResidualAnalysis, experiment: int = 0, **kwargs: Any
 
     Notes
     -----
-    Lags outside the band are drawn in another colour.
+    Lags outside the band are drawn in another colour.  Of a fit the bands hold white noise with a probability of 99 %,
+    at most the first twelve channels are drawn, and residuals of frequency responses are correlated from point to
+    point, with their weights.
 
     Examples
     --------
@@ -89,7 +98,27 @@ def residual_plot(analysis: ResidualAnalysis, experiment: int = 0, **kwargs: Any
     ['Lag [samples]', 'Lag of the residual behind the input [samples]']
     >>> plt.close(plot.figure)
     """
+    if isinstance(analysis, PEMResult):
+        return _residuals_of_channels(analysis, experiment, kwargs)
     return _expected(analysis, ResidualAnalysis, "residual_analysis(data, model)").plot(experiment, **kwargs)
+
+
+def _residuals_of_channels(result: PEMResult, experiment: int, style: dict[str, Any]) -> ct.ControlPlot:
+    """Autocorrelation of the residuals of each channel of a fit."""
+    one = chosen_experiment(result.experiments, experiment)
+    record, residuals = one.record, np.asarray(one.residuals)
+    weights = getattr(record, "weights", None)
+    if weights is not None:
+        residuals = residuals * np.sqrt(weights)
+    outputs = getattr(record, "output_labels", None) or (record.output_label,)
+    names = list(outputs)
+    if residuals.ndim == 3:
+        inputs = record.input_labels
+        names = [f"{source} to {sensor}" for sensor in outputs for source in inputs]
+    rows = residuals.reshape(-1, residuals.shape[-1])
+    panels = channel_correlations(rows[:_CHANNELS], names[:_CHANNELS])
+    part = f" ({_CHANNELS} of {len(rows)} channels)" * (len(rows) > _CHANNELS)
+    return channel_residuals_plot(panels, f"Autocorrelation of the residuals{part}", **style)
 
 
 def order_plot(selection: OrderSelection, criterion: str = "bic", **kwargs: Any) -> ct.ControlPlot:
