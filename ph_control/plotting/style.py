@@ -161,13 +161,16 @@ class Picture:
         return ct.ControlPlot(self.lines, self.axes, self.figure, legend=legend)
 
     def legend_of_all(self) -> Any:
-        """One legend below all axes of a new figure, of those that are like the first; on given axes that of these."""
-        first = self.axes[0, 0]
-        handles, labels = first.get_legend_handles_labels()
+        """One legend below all axes of a new figure, of all that is in any; on given axes, or placed, of the first."""
+        found: dict[str, Any] = {}
+        for axis in self.axes.flat:
+            for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+                found.setdefault(label, handle)
         silent = self.look.show_legend is False or (self.look.legend_loc is False and not self.look.show_legend)
-        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(labels) < 2:
-            return self.look.legend(first)
-        return self.figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+        if not self.new or isinstance(self.look.legend_loc, str) or silent or len(found) < 2:
+            return self.look.legend(self.axes[0, 0])
+        place: dict[str, Any] = {"loc": "outside lower center", "ncols": len(found), "frameon": False}
+        return self.figure.legend(list(found.values()), list(found), **place)
 
     def legends(self) -> NDArray[Any]:
         """Legends of all axes."""
