@@ -60,21 +60,22 @@ class LosslessSystem(ct.StateSpace):
     _current_params: dict[str, Any]
     _state_index: dict[str, int] | None
 
-    def _setup(self, nstates: int, nports: int, names: dict[str, Any]) -> None:
+    def _setup(self, nstates: int, nports: int, names: dict[str, Any], noutputs: int | None = None) -> None:
+        noutputs = nports if noutputs is None else noutputs
         if "dt" in names:
             raise StructureError(
                 "dt cannot be given: a port-Hamiltonian system is continuous-time; use sample() of the system"
             )
         self._views = {}
         if names:
-            sizes = {"inputs": nports, "outputs": nports, "states": nstates}
+            sizes = {"inputs": nports, "outputs": noutputs, "states": nstates}
             _checks.signal_names(names, **sizes)
             for kind, count in sizes.items():
                 single = names.pop(kind[:-1], None)
                 if names.get(kind) is None:
                     names[kind] = count if single is None else single
         # the constructors between would build dense matrices, and functions that hold the system
-        InputOutputSystem.__init__(self, dt=0, **(names or {"inputs": nports, "outputs": nports}))
+        InputOutputSystem.__init__(self, dt=0, **(names or {"inputs": nports, "outputs": noutputs}))
         self.params, self._current_params = {}, {}
         if not names:
             self.nstates, self._state_index = nstates, None

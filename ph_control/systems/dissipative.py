@@ -6,13 +6,12 @@ from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
-from control.nlsys import NonlinearIOSystem
-from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
 from .. import _checks
 from .._checks import EPS
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal
+from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
@@ -21,9 +20,6 @@ from ..symplectic.forms_and_williamson import symplectic_form
 from .base import LosslessSystem, View, inherited_names, refuse_losses
 from .passive_form import Conversion, PortRows, passive_parts
 from .port_hamiltonian import PortHamiltonian
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
 PARTS = ("Q", "G", "J", "R", "P", "S", "N", "sensor_rows", "sensor_feedthrough")
@@ -116,15 +112,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
         self._parts = {name: _checks.readonly(parts[name]) for name in PARTS}
         self._given, self._modes = None, None
         n, m = self._parts["G"].shape
-        if "dt" in names:
-            raise StructureError("dt cannot be given: a port-Hamiltonian system is continuous-time; use sample()")
-        self._views = {}
-        sizes = {"inputs": m, "outputs": m + len(self._parts["sensor_rows"]), "states": n}
-        if names:
-            _checks.signal_names(names, **sizes)
-        missing = {kind: count for kind, count in sizes.items() if names.get(kind, names.get(kind[:-1])) is None}
-        NonlinearIOSystem.__init__(self, type(self).updfcn, type(self).outfcn, dt=0, **(names | missing))
-        del self.updfcn, self.outfcn
+        self._setup(n, m, names, m + len(self._parts["sensor_rows"]))
 
     # --- matrices ------------------------------------------------------------------------------------------------
 
@@ -217,9 +205,9 @@ class DissipativePortHamiltonian(PortHamiltonian):
             found.append("a structure matrix J of its own")
         return found + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
 
-    def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
-        """Transfer function at complex points, shape (p, m, N); `inf` at a pole, never NaN.  O(n) a point."""
-        return self.modes.evaluate(x)
+    @property
+    def _spectrum(self) -> ModalForm:
+        return self.modes
 
     def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> ct.FrequencyResponseData:
         """Frequency response as data, from the modes."""
@@ -229,24 +217,10 @@ class DissipativePortHamiltonian(PortHamiltonian):
         """Eigenvalues of A, shape (n,)."""
         return self.modes.poles
 
-    def zeros(self) -> ComplexArray:
-        """Invariant zeros."""
-        return self.modes.zeros.copy()
-
-    def hamiltonian(self, z: ArrayLike) -> Any:
-        """Stored energy `z^T Q z / 2`, as for every `PortHamiltonian`."""
-        states = _checks.real_array("z", z)
-        if states.ndim not in (1, 2) or states.shape[0] != self.nstates:
-            raise StructureError(f"z has shape {states.shape}; it must be ({self.nstates},) or ({self.nstates}, T)")
-        with np.errstate(over="ignore", invalid="ignore"):
-            energy = 0.5 * np.sum((self._root @ states) ** 2, axis=0)
-        _checks.representable("the energies", energy)
-        return float(energy) if states.ndim == 1 else energy
-
     @View
-    def _root(self) -> Array:
+    def _squares(self) -> tuple[Array, ...]:
         k, U = eigh(self.Q)
-        return np.sqrt(np.maximum(k, 0.0))[:, None] * U.T
+        return (np.sqrt(np.maximum(k, 0.0))[:, None] * U.T,)
 
     d = property(_lossless_only("d", "the frequencies d and weights r are"))
     r = property(_lossless_only("r", "the frequencies d and weights r are"))

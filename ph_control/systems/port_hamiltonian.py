@@ -167,6 +167,11 @@ class PortHamiltonian(LosslessSystem):
         return d, E, E0
 
     @property
+    def _squares(self) -> tuple[Array | ComplexArray, ...]:
+        """Rows whose products with a state have the energy as half the sum of their squares."""
+        return self._energy[1:]
+
+    @property
     def modes(self) -> ModalForm:
         """Modal form: the truth behind the matrices, computed once (O(n^3)) and kept."""
         if self._modes is None:
@@ -337,9 +342,8 @@ class PortHamiltonian(LosslessSystem):
         states = _checks.real_array("z", z)
         if states.ndim not in (1, 2) or states.shape[0] != self.nstates:
             raise StructureError(f"z has shape {states.shape}; it must be ({self.nstates},) or ({self.nstates}, T)")
-        _, E, E0 = self._energy
         with np.errstate(over="ignore", invalid="ignore"):
-            energy = 0.5 * (np.sum(np.abs(E @ states) ** 2, axis=0) + np.sum((E0 @ states) ** 2, axis=0))
+            energy = 0.5 * sum(np.sum(np.abs(rows @ states) ** 2, axis=0) for rows in self._squares)
         if not np.isfinite(energy).all():
             raise StructureError(
                 f"z is out of range: its largest entry is {np.max(np.abs(states)):.3g}, whose energy exceeds the range "
