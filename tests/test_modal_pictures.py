@@ -171,9 +171,69 @@ def test_recordings_are_estimated_together_also_of_roving_hammers_and_sensors():
     assert [len(cell) for cell in plot.lines[::2].ravel()] == [2, 2, 2, 1]  # what was never measured has no dots
 
 
+def drawn_around(fit, spread):
+    """Models as those that `sample` of a result draws: of residues larger and smaller by the same share."""
+    factors = 1 + spread * np.linspace(-1, 1, 101)
+
+    def scaled(omega, output, input):
+        return factors[:, None] * exact(fit, omega)[output, input]
+
+    return SimpleNamespace(
+        residues=factors[:, None, None, None] * fit.residues,
+        magnitude_band=lambda omega, level, output, input: np.quantile(
+            np.abs(scaled(omega, output, input)), [0.5 - level / 2, 0.5 + level / 2], axis=0
+        ),
+        phase_band=lambda omega, level, output, input: (
+            np.degrees(np.angle(exact(fit, omega)[output, input])) + np.array([[-10.0], [20.0]])
+        ),
+    )
+
+
+def test_a_band_is_that_of_the_models_drawn_around_a_fit_and_its_phase_beside_the_curve():
+    fit = result(2, 2)
+    fit.sample = lambda k, rng: drawn_around(fit, 0.1)
+    plot = phc.frf_plot(fit, confidence=True, level=0.8)
+    for (i, j), (gain, angle) in {(0, 1): plot.axes[:2, 1], (1, 0): plot.axes[2:, 0]}.items():
+        (band,), curve = gain.collections, plot.lines[2 * i, j][0]
+        low = band.get_paths()[0].vertices[:, 1].min() - curve.get_ydata().min()
+        assert abs(low - 20 * np.log10(1 - 0.8 * 0.1)) < 1e-6
+        middle = plot.lines[2 * i + 1, j][0].get_ydata()
+        assert len(angle.collections[0].get_paths())
+        vertices = np.concatenate([path.vertices[:, 1] for path in angle.collections[0].get_paths()])
+        assert np.nanmin(middle) - 10.01 <= vertices.min() and vertices.max() <= np.nanmax(middle) + 20.01
+    assert "80 % band" in legend_texts(plot.legend)
+
+
+def test_the_band_of_a_lossless_fit_is_that_of_what_was_measured():
+    rng, plant = np.random.default_rng(0), ct.ss(ct.tf([1.0], [1, 0, 1.0]) + ct.tf([1.08], [1, 0, 7.29]))
+    u = rng.standard_normal(300)
+    y = ct.forced_response(ct.sample_system(plant, 0.1), 0.1 * np.arange(300), u).outputs
+    fit = phc.pem((u, y + 0.01 * rng.standard_normal(300)), 2, dt=0.1, quantity="displacement")
+    plot = phc.frf_plot(fit, confidence=True, segments=2, Hz=False, omega_limits=[0.3, 3.0])
+    curve, (band,) = plot.lines[0, 0][0], plot.axes[0, 0].collections
+    expected = 20 * np.log10(fit.sample(300, 0).magnitude_band([0.31], 0.95)[:, 0] / 0.31)
+    vertices = np.concatenate([path.vertices for path in band.get_paths()])
+    near = vertices[np.abs(vertices[:, 0] - 0.31) < 0.003]
+    np.testing.assert_allclose([near[:, 1].min(), near[:, 1].max()], expected, atol=0.2)
+    assert near[:, 1].min() <= np.interp(0.31, *curve.get_data()) <= near[:, 1].max()
+
+
+def test_panels_have_short_names_and_names_tell_the_unit_of_a_response():
+    fit = result(2, 1)
+    fit.output_labels = ["acceleration of the first storey [m/s^2]", "tilt [rad]"]
+    fit.input_labels = ["force of the hammer [N]"]
+    plot = phc.frf_plot(fit)
+    names = [plot.axes[0, column].get_title(loc="left") for column in (0, 1)]
+    assert names == ["acceleration of the first storey", "force of the hammer to tilt"]
+    assert plot.axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s^2/N]"
+    fit.input_labels = ["force"]
+    assert phc.frf_plot(fit).axes[0, 0].get_ylabel() == "Magnitude [dB]"
+
+
 @pytest.mark.parametrize(
     "call, words",
     [
+        (lambda: phc.frf_plot(result(1), confidence=True), "confidence is True, but a SimpleNamespace"),
         (lambda: phc.frf_plot(3), "a int; pass what pem gives"),
         (lambda: phc.frf_plot(result(2), measured(result(3))), "3 outputs and 1 inputs, the model 2 and 1"),
         (lambda: phc.frf_plot(result(2), outputs=["z"]), "outputs has 'z'; there are 2: y1, y2"),

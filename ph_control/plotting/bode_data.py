@@ -33,6 +33,7 @@ _PER_BIN = 256  # levels of which a median is taken
 _SEEN = 1e-6  # relative distance of samples on both sides of a pole or zero that no picture resolves
 _BEYOND = 1e4  # decibels
 _LONE = 40.0  # decibels by which a few samples may stick out of all others before they leave the picture
+POWERS = {"displacement": -1, "velocity": 0, "acceleration": 1}  # of s, from the velocity
 _COHERENT = 0.5  # coherence below which dots are pale
 
 
@@ -212,7 +213,7 @@ def bode_data(
     for k, (one, curve, drawn) in enumerate(zip(subjects, curves, models, strict=True)):
         if drawn is not None:
             near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
-            around = _band(drawn, near if grid is None else grid, level, _power_of_s(one))
+            around = band_of(drawn, near if grid is None else grid, level, _power_of_s(one))
             curves[k] = replace(curve, band=around)
     observed = [one.given.observed_system if isinstance(one.given, FitResult) else one.system for one in subjects]
     title = title_of("Bode plot", subjects, label is not None)
@@ -228,11 +229,10 @@ def decibels(values: ComplexArray) -> Array:
 
 def _power_of_s(subject: Subject) -> int:
     """Power of s that leads from the velocity of a port to the quantity that a fit is of."""
-    quantity = subject.given.quantity if isinstance(subject.given, FitResult) else "velocity"
-    return {"displacement": -1, "velocity": 0, "acceleration": 1}[quantity]
+    return POWERS[subject.given.quantity if isinstance(subject.given, FitResult) else "velocity"]
 
 
-def _band(models: Any, omega: Array, level: float, power: int) -> BodeBand:
+def band_of(models: Any, omega: Array, level: float, power: int) -> BodeBand:
     """Band of models drawn around a system, each times a power of s."""
     with np.errstate(divide="ignore"):
         size = 20.0 * np.log10(models.magnitude_band(omega, level)) + 20.0 * power * np.log10(omega)

@@ -19,8 +19,8 @@ from .._units import unit_for
 from ..analysis.spectral_estimate import INTERSAMPLE, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
-from .bode_data import decibels, timebase
-from .style import DOTS, LineStyle, Look, frequency_axis, gain_label, labelled, picture, plain
+from .bode_data import POWERS, band_of, decibels, timebase
+from .style import BAND, DOTS, LineStyle, Look, frequency_axis, gain_label, labelled, picture, plain
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -34,6 +34,8 @@ _DECADES = 30.0  # ratio of natural frequencies beyond which their scale is loga
 _BEYOND = 45.0  # degrees beyond a turn of the phase in which measured ones stay beside the model
 _DEEPEST = 0.02  # share of a curve in its antiresonances that may leave the picture
 _CIRCLE = 4.0  # half widths of a resonance of which its circle is drawn
+_LETTERS = 34  # of the name of a panel
+_DRAWS = 300  # models of a band
 _CUTS = np.arange(-360.0, 0.0, 45.0) + 45.0
 
 MODEL_LINE: dict[str, Any] = {"color": "C0", "linewidth": 1.2, "zorder": 3}
@@ -50,6 +52,8 @@ def frf_plot(
     Hz: bool = True,
     segments: int = 8,
     intersample: str | None = None,
+    confidence: bool = False,
+    level: float = 0.95,
     time_unit: str | None = None,
     gain_unit: str | Sequence[str] | None = None,
     ax: Any = None,
@@ -75,10 +79,15 @@ def frf_plot(
         tenths of it, as a hammer does, has one: the whole recording.
     intersample : {'zoh', 'foh', 'bandlimited'}, optional
         What the inputs of recordings did between samples; by default what the result says of it, or held.
+    confidence : bool
+        Whether to shade where the models lie that a result does not exclude, of 300 drawn by its `sample`.
+    level : float
+        Share of these models inside the band, between 0 and 1.
     time_unit : str, optional
         Unit of time, for the labels; by default that of the model or the data.
     gain_unit : str or sequence of str, optional
-        Unit of the responses, output over input, such as "m/s/N"; one for each output if they differ.
+        Unit of the responses, output over input, such as "m/s/N"; one for each output if they differ.  By default that
+        of names such as "force [N]" where all have one.
     ax : array of matplotlib.axes.Axes, shape (2p, m), optional
         Axes to draw on, magnitude above phase for each response.  By default a new figure.
     **style
@@ -117,7 +126,7 @@ def frf_plot(
     """
     numbers = frf_data(
         model, data, outputs=outputs, inputs=inputs, omega_limits=omega_limits, Hz=Hz, segments=segments,
-        intersample=intersample, time_unit=time_unit,
+        intersample=intersample, confidence=confidence, level=level, time_unit=time_unit,
     )  # fmt: skip
     units = _gain_units(gain_unit, numbers)
     look = Look.of(style)
@@ -350,6 +359,8 @@ class FRFData:
     unit_name: str
     label: str
     title: str
+    bands: dict[tuple[int, int], tuple[Array, Array]]
+    band_label: str
 
     def cells(self, wide: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
         """Responses in the order of their panels, and the shape of these: a single row or column is folded."""
@@ -366,6 +377,13 @@ class FRFData:
         """Degrees from `cut` on, NaN where they jump by a turn."""
         phase = _turned(self.response[i, j], self.cut)
         return np.where(np.abs(np.diff(phase, prepend=phase[:1])) > 180.0, np.nan, phase)
+
+    def phase_band(self, i: int, j: int) -> Array:
+        """Ends of the band of phases beside the curve, shape (2, N)."""
+        phase = self.phase(i, j)
+        off = self.bands[i, j][1] - phase
+        low = np.mod(off[0] + 180.0, 360.0) - 180.0
+        return np.asarray(phase + np.stack([low, low + off[1] - off[0]]))
 
     def measured_phase(self, k: int, i: int, j: int) -> Array:
         """Degrees of measured responses, those within half a turn of the model, unless these leave the picture."""
@@ -405,9 +423,12 @@ class FRFData:
 
 def frf_data(
     model: Any, data: Any = None, *, outputs: Any = None, inputs: Any = None, omega_limits: Any = None, Hz: bool = True,
-    segments: int = 8, intersample: str | None = None, time_unit: str | None = None,
+    segments: int = 8, intersample: str | None = None, confidence: bool = False, level: float = 0.95,
+    time_unit: str | None = None,
 ) -> FRFData:  # fmt: skip
     """Compute what `frf_plot` draws, of its arguments."""
+    _checks.flags(confidence=confidence)
+    _checks.level("level", level)
     source = model_source(model)
     unit, unit_name = frequency_axis(Hz, unit_for(time_unit, model, listed(data)))
     measured = measured_by(model, data, source, segments, intersample)
@@ -421,15 +442,13 @@ def frf_data(
     low, high = _limits(source, measured, omega_limits, unit)
     d = np.abs(source.poles)
     inside = d[(d >= low) & (d <= high)]
-    logarithmic = len(inside) > 0 and (
-        inside[-1] > _DECADES * inside[0] or (low < inside[0] / 10.0 and high > 100 * low)
-    )
+    logarithmic = len(inside) > 0 and bool(inside[-1] > _DECADES * inside[0])
     chosen = np.ix_(rows, columns)
 
     def response(omega: Array) -> ComplexArray:
         return np.asarray(source.response(omega)[chosen])
 
-    grid, even, bounded = _grid(source, low, high, bool(logarithmic), response)
+    grid, even, bounded = _grid(source, low, high, logarithmic, response)
     values = response(grid)
     measured = [MeasuredMatrix(a.omega, a.response[chosen], a.doubtful[rows], a.label, a.recorded) for a in measured]
     parts = [
@@ -439,9 +458,30 @@ def frf_data(
     return FRFData(
         grid, values, measured, [response(one.omega) for one in measured], rows,
         [source.output_labels[k] for k in rows], [source.input_labels[k] for k in columns], low, high,
-        bool(logarithmic), even, bounded, _phase_cut(values[:, :, even]), unit, unit_name, source.label,
+        logarithmic, even, bounded, _phase_cut(values[:, :, even]), unit, unit_name, source.label,
         title + (f" ({', '.join(parts)})" if parts else ""),
+        _bands(model, grid, level, rows, columns) if confidence else {}, f"{100 * level:g} % band",
     )  # fmt: skip
+
+
+def _bands(
+    model: Any, omega: Array, level: float, rows: Indices, columns: Indices
+) -> dict[tuple[int, int], tuple[Array, Array]]:
+    """Ends of the decibels and degrees of models drawn around a result, shapes (2, N), of each response drawn."""
+    if not hasattr(model, "sample"):
+        raise StructureError(f"confidence is True, but a {type(model).__name__} is no result of a fit; leave it out")
+    models, found = model.sample(_DRAWS, 0), {}
+    for i, row in enumerate(rows):
+        for j, column in enumerate(columns):
+            if hasattr(models, "residues"):
+                entry = {"output": int(row), "input": int(column)}
+                with np.errstate(divide="ignore"):
+                    gain = 20.0 * np.log10(models.magnitude_band(omega, level, **entry))
+                found[i, j] = gain, models.phase_band(omega, level, **entry)
+            else:
+                band = band_of(models, omega, level, POWERS[model.quantity])
+                found[i, j] = band.magnitude, band.phase
+    return found
 
 
 def chosen_channels(what: str, given: Any, names: Sequence[str], most: int | None = None) -> Indices:
@@ -537,10 +577,26 @@ def _turned(values: ComplexArray, cut: float) -> Array:
 
 def _gain_units(given: Any, numbers: FRFData) -> dict[int, str | None]:
     """Unit of the responses of each output, by its number."""
-    if given is None or isinstance(given, str):
+    if given is None:
+        above, below = (
+            [one.partition(" [")[2].removesuffix("]") for one in names]
+            for names in (numbers.output_labels, numbers.input_labels)
+        )
+        told = all(above) and all(below) and len(set(below)) == 1
+        units = [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]
+        return dict(zip(map(int, numbers.outputs), units if told else [None] * len(above), strict=True))
+    if isinstance(given, str):
         return dict.fromkeys(map(int, numbers.outputs), given)
     units = _checks.labels(given, len(numbers.outputs), "outputs")
     return dict(zip(map(int, numbers.outputs), units, strict=True))
+
+
+def _named(source: str, sensor: str, single: bool) -> str:
+    """What a panel is called: without units, and without the only input where the name would not fit."""
+    source, sensor = (one.partition(" [")[0] for one in (source, sensor))
+    name = f"{source} to {sensor}"
+    name = sensor if single and len(name) > _LETTERS else name
+    return name if len(name) <= _LETTERS else name[: _LETTERS - 1] + "…"
 
 
 # --- drawing ---------------------------------------------------------------------------------------------------------
@@ -554,6 +610,9 @@ def _draw_response(pair: Any, numbers: FRFData, i: int, j: int, look: Look) -> l
     curve = {"label": plain(numbers.label), **MODEL_LINE, **look.line}
     for row, values in enumerate((decibels(numbers.response[i, j]), numbers.phase(i, j))):
         lines[row] += pair[row].plot(frequency, values, **curve)
+    if numbers.bands:
+        for axis, ends in zip(pair, (numbers.bands[i, j][0], numbers.phase_band(i, j)), strict=True):
+            axis.fill_between(frequency, *ends, label=numbers.band_label, color=lines[0][0].get_color(), **BAND)
     for k, one in enumerate(numbers.measured):
         seen = (one.omega >= numbers.low) & (one.omega <= numbers.high) & np.isfinite(one.response[i, j])
         for row, values in enumerate((decibels(one.response[i, j]), numbers.measured_phase(k, i, j))):
@@ -574,6 +633,6 @@ def _draw_response(pair: Any, numbers: FRFData, i: int, j: int, look: Look) -> l
         axis.set_xlim(numbers.omega[0] / numbers.unit, numbers.high / numbers.unit)
         look.lattice(axis, minor="both" if numbers.logarithmic else "y")
     if numbers.response.shape[:2] != (1, 1):
-        name = plain(f"{numbers.input_labels[j]} to {numbers.output_labels[i]}")
-        gain.set_title(name, loc="left", fontsize="small", pad=2.0)
+        name = _named(numbers.input_labels[j], numbers.output_labels[i], numbers.response.shape[1] == 1)
+        gain.set_title(plain(name), loc="left", fontsize="small", pad=2.0)
     return lines
