@@ -323,6 +323,8 @@ def test_frequency_responses_of_matlab():
         mat(f=f, a=H[:2, 0].T, b=H[2, 0]), frequency="f", response=["a[1]", "b"], frequency_unit="rad/s"
     )
     assert np.allclose(columns.frdata[:, 0], H[[1, 2], 0][:, [1, 2, 0]]) and columns.output_labels == ["a[1]", "b"]
+    with pytest.raises(phc.StructureError, match="frequency_unit="):
+        phc.read_frequency_mat(mat(f=f, H=H), "f", "H")
     with pytest.raises(phc.StructureError, match="3 frequencies"):
         phc.read_frequency_mat(mat(f=f, H=np.ones(4)), frequency="f", response="H", frequency_unit="Hz")
 

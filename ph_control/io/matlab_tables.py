@@ -128,10 +128,10 @@ def read_mat(
 
 def read_frequency_mat(
     path: str | os.PathLike[str] | BinaryIO | TextIO,
-    *,
     frequency: str,
     response: str | Sequence[str],
-    frequency_unit: str,
+    *,
+    frequency_unit: str | None = None,
 ) -> FrequencyResponseData:
     r"""Read measured frequency responses from a MATLAB file: complex arrays, also those in structures, by their names.
 
@@ -145,7 +145,7 @@ def read_frequency_mat(
         Variables of the response: K complex numbers, a matrix with K rows and a column for each output, or an array
         (p, m, K) as MATLAB's `frd` keeps it.  Those of a list are outputs one after the other.
     frequency_unit : {'rad/s', 'Hz', 'kHz', 'MHz', 'GHz'}
-        Unit of the frequencies.
+        Unit of the frequencies; it must be given, since such files tell none.
 
     Returns
     -------
@@ -175,12 +175,17 @@ def read_frequency_mat(
     >>> file, f = io.BytesIO(), np.arange(1.0, 4.0)
     >>> scipy.io.savemat(file, {"f": f, "H": np.stack([1 / (4.1 - f**2), 1j * f], axis=1)})
     >>> _ = file.seek(0)
-    >>> data = phc.read_frequency_mat(file, frequency="f", response="H", frequency_unit="Hz")
+    >>> data = phc.read_frequency_mat(file, "f", "H", frequency_unit="Hz")
     >>> data.frdata.shape, data.output_labels
     ((2, 1, 3), ['H[0]', 'H[1]'])
     """
-    size = FREQUENCY_UNITS[_checks.choice("frequency_unit", frequency_unit, tuple(FREQUENCY_UNITS))]
-    name = source_name(path)
+    name, known = source_name(path), tuple(FREQUENCY_UNITS)
+    if frequency_unit is None:
+        raise StructureError(
+            f"{name}: the unit of {_checks.shown(frequency)} is not known; give frequency_unit=, one of "
+            f"{', '.join(map(repr, known))}"
+        )
+    size = FREQUENCY_UNITS[_checks.choice("frequency_unit", frequency_unit, known)]
     variables = _Variables(read_bytes(path), name)
     ((label, f, column),) = variables.named("frequency", [frequency])
     hertz = _real(np.ravel(f) if column is None else f[:, column], label, name)
