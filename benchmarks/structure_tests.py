@@ -25,6 +25,8 @@ from ph_control.modal.discretization import Hold
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+Plant = tuple[ComplexArray, ComplexArray, tuple[tuple[int, int], ...]]  # poles, residues, ports
+
 SAMPLES = 1000
 NOISE = 0.1  # 20 dB
 LEVEL = 0.05
@@ -43,9 +45,24 @@ def velocities(p: ComplexArray, matrices: NDArray[Any]) -> ComplexArray:
     return (p / (2j * p.imag))[:, None, None] * matrices
 
 
-def plant(kind: str) -> tuple[ComplexArray, ComplexArray, tuple[tuple[int, int], ...]]:
+def with_dashpot(
+    masses: int, place: int, size: float
+) -> tuple[ComplexArray, ComplexArray, tuple[tuple[int, int], ...]]:
+    """Force and velocity at the first mass of a chain whose only damper is at another one: modes are complex."""
+    stiffness = 2 * np.eye(masses) - np.eye(masses, k=1) - np.eye(masses, k=-1)
+    none, unit, damping = np.zeros((masses, masses)), np.eye(masses), np.zeros((masses, masses))
+    damping[place, place] = size
+    poles, shapes = np.linalg.eig(np.block([[none, unit], [-stiffness, -damping]]))
+    weights, upper = np.linalg.inv(shapes), poles.imag > 0
+    residues = shapes[masses, upper] * weights[upper, masses]
+    return poles[upper], residues[:, None, None], ((0, 0),)
+
+
+def plant(kind: str) -> Plant:
     """Poles, residues and ports."""
     half, one, three = np.array([0.005, 0.01]), np.array([5e-4, 5e-4]), np.array([0.005, 0.01, 0.01])
+    if kind == "dashpot":
+        return with_dashpot(3, 2, 0.3)
     if kind in ("lossless", "classical", "lightly damped", "sensor beside"):
         p, shapes = chain(2, {"lossless": 0 * half, "lightly damped": one}.get(kind, half))
         sensor = shapes[:, 1] if kind == "sensor beside" else shapes[:, 0]
@@ -89,11 +106,12 @@ def free_fit(u: Array, y: Array, p: ComplexArray, through: bool = False) -> tupl
 
 # which hypotheses hold, and which have to be found false
 CASES: dict[str, tuple[list[str], list[str]]] = {
-    "lossless": (["lossless", "classical"], []),
-    "classical": (["classical"], ["lossless"]),
-    "lightly damped": (["classical"], ["lossless"]),
-    "sensor beside": ([], ["lossless", "classical"]),
-    "two ports": (["classical", "rank one", "reciprocal"], ["lossless"]),
+    "lossless": (["lossless", "classical", "passive"], []),
+    "classical": (["classical", "passive"], ["lossless"]),
+    "lightly damped": (["classical", "passive"], ["lossless"]),
+    "dashpot": (["passive"], ["lossless", "classical"]),
+    "sensor beside": ([], ["lossless", "classical", "passive"]),
+    "two ports": (["classical", "passive", "rank one", "reciprocal"], ["lossless"]),
     "rank one": (["rank one"], ["lossless", "classical"]),
     "reciprocal": (["rank one", "reciprocal"], ["lossless", "classical"]),
     "gyroscope": ([], ["lossless", "classical", "rank one", "reciprocal"]),

@@ -21,6 +21,7 @@ from ..regression.free import FreeProjection, GivenResidues, PoleRegion
 from ..regression.variable_projection import refine
 from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates
 from .layout import ChannelLayout
+from .passive import made_passive, nearest_passive
 
 STRUCTURES = {
     "lossless": "lossless", "classical": "classical", "passive": "passive", "rank one": "free", "reciprocal": "free",
@@ -50,7 +51,7 @@ class StructuredFit(Frozen):
     loss : float
         Sum of squares in the rows of the projection.
     parameters : int
-        Unknown numbers in poles, residues and feedthrough.
+        Unknown numbers in poles, residues and feedthrough; of a passive model less the constraints that hold it.
     covariance : ndarray
         In the coordinates and units of `FreeProjection.covariance`.
     projection : FreeProjection
@@ -179,8 +180,9 @@ def constrained(
         Minimum of the free fit over all that was measured.
     layout : ChannelLayout
         Inputs and outputs, their units and ports.
-    hypothesis : {'lossless', 'classical', 'rank one', 'reciprocal', 'free'}
-        Poles on the axis and real shapes; real shapes; simple poles; equal responses between ports; nothing.
+    hypothesis : {'lossless', 'classical', 'passive', 'rank one', 'reciprocal', 'free'}
+        Poles on the axis and real shapes; real shapes; no energy from any port; simple poles; equal responses between
+        ports; nothing.
     region : PoleRegion
         Where poles are looked for.
     iterations : int, optional
@@ -189,9 +191,12 @@ def constrained(
     Returns
     -------
     StructuredFit
-        By Levenberg's and Marquardt's method on the loss itself, O(T n^2) an iteration.
+        By Levenberg's and Marquardt's method on the loss itself, O(T n^2) an iteration.  A passive model is the nearest
+        in the metric of the information, there and once more at what it leads to.
     """
     variance = at.loss / max(1, at.rows - at.unknowns)
+    if hypothesis == "passive":
+        return _passive(at, layout, region, variance)
     coordinates = coordinates_of(at, layout, hypothesis)
     x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
@@ -202,6 +207,20 @@ def constrained(
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
         coordinates.dof, end.covariance(variance), end.data, found.converged,
+    )  # fmt: skip
+
+
+def _passive(at: FreeProjection, layout: ChannelLayout, region: PoleRegion, variance: float) -> StructuredFit:
+    """Nearest passive model; that with classical damping where the way from the free one does not lead to any."""
+    point, unknowns = nearest_passive(at, layout, variance), coordinates_of(at, layout, "free").dof
+    if point is None:
+        classical = constrained(at, layout, "classical", region, _ITERATIONS)
+        fewer = unknowns - classical.parameters
+        point = made_passive(at, layout, classical.projection, fewer, classical.covariance)
+    data, parameters = point.data, unknowns - point.active
+    return StructuredFit(
+        "passive", STRUCTURES["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
+        parameters, point.covariance, data, True,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
@@ -55,18 +55,25 @@ def structure_tests(at: FreeProjection, layout: ChannelLayout, region: PoleRegio
     Returns
     -------
     StructureTests
-        Residues of rank one with two inputs and two outputs or more, reciprocity with two ports.
+        Passivity with a port, residues of rank one with two inputs and two outputs, reciprocity with two ports.
 
     Notes
     -----
     Poles of the free model lie on either side of the axis and its residues are of any phase and sign, so that each
     structure lies inside it, and the law of the likelihood ratio is that of as many squares as unknowns are fewer:
-    Fisher's, since the variance is estimated.
+    Fisher's, since the variance is estimated.  Passivity is one-sided, with a mixture of such laws.  The probability
+    given the constraints that hold the nearest passive model is that of as many squares as these are; no such model is
+    held where the free one is passive, and the hypothesis stands.  So a passive plant is rejected at the level of the
+    test at most, and in the middle of passive models never (Wollan and Dykstra 1986; Susko 2013).  Where constraints
+    are curved, their curvature counts as well.  Lossless and classical models are passive: it is not rejected before
+    these, and has their probability where that is larger.
     """
     fits = {"free": constrained(at, layout, "free", region)}
-    tests = []
+    tests: list[HypothesisTest] = []
     for hypothesis in testable(layout):
         test, fits[hypothesis] = _tested(at, layout, hypothesis, region, fits["free"].parameters)
+        if hypothesis == "passive":
+            test = replace(test, p=max(one.p for one in [test, *tests]))
         tests.append(test)
     return StructureTests(tuple(tests), fits)
 
@@ -87,6 +94,7 @@ def testable(layout: ChannelLayout) -> list[str]:
     """Hypotheses that channels and ports allow to test, the simplest first."""
     driven = layout.inputs > 0
     found = [one for one in SIMPLEST_FIRST if driven or one == "lossless"]
+    found += ["passive"] if layout.ports and driven else []
     found += ["rank one"] if min(layout.outputs, layout.inputs) > 1 else []
     return found + (["reciprocal"] if len(layout.ports) > 1 else [])
 
