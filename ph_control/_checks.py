@@ -18,7 +18,7 @@ from ._types import Array
 from .exceptions import StructureError
 
 EPS = float(np.finfo(float).eps)
-_TOGETHER = 1 << 13  # instants looked at together
+_TOGETHER = 1 << 14  # instants looked at together
 LARGEST = 1e153  # so that products of two entries, and sums of them, stay in the range of doubles
 SMALLEST = 1e-300  # so that reciprocals do, and that sixteen digits are kept
 SMALLEST_SQUARED = 1e-153  # so that squares do
@@ -424,7 +424,11 @@ def distance_from_grid(t: Array, step: float) -> float:
     steps, off = np.arange(float(min(t.size, _TOGETHER))), 0.0
     for start in range(0, t.size, _TOGETHER):
         part = t[start : start + _TOGETHER]
-        off = max(off, _largest((steps[: part.size] + start) * step + t[0] - part))
+        grid = steps[: part.size] + start
+        grid *= step
+        grid += t[0]
+        grid -= part
+        off = max(off, _largest(grid))
     return off
 
 
