@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import pickle
+from functools import partial
 
 import control as ct
 import numpy as np
@@ -14,6 +15,8 @@ from scipy.signal import lfilter
 from shell import run
 
 import ph_control as phc
+
+lossless_fit = partial(phc.pem, structure="lossless")
 
 H = 0.1
 D, RATIOS, WEIGHTS = np.array([0.5, 1.9, 2.6]), np.array([0.01, 0.005, 0.02]), np.array([1.0, -0.5, 0.7])
@@ -47,7 +50,7 @@ def hammer(seed=0, *, samples=20_000, noise=0.01, d=(120.0, 310.0, 540.0), ratio
 @pytest.fixture(scope="module")
 def damped_fit():
     u = white(1000)
-    return phc.pem((u, recorded(u, RATIOS, WEIGHTS)), 3, dt=H)
+    return lossless_fit((u, recorded(u, RATIOS, WEIGHTS)), 3, dt=H)
 
 
 # --- a minimum of its own ------------------------------------------------------------------------------------------
@@ -67,7 +70,7 @@ def lossless_loss(u, y, d, intersample):
 def test_a_fit_to_damped_data_is_a_minimum_of_the_lossless_problem(order, seed):
     u = white(1000, seed)
     y = recorded(u, [0.004] * 3, WEIGHTS, seed=seed, noise=0.05)
-    result = phc.pem((u, y), order, dt=H)
+    result = lossless_fit((u, y), order, dt=H)
     own = lossless_loss(u, y, result.d, result.intersample)
     assert result.success and own == pytest.approx(result.loss, rel=1e-10)
     for l in range(result.order):
@@ -83,7 +86,7 @@ def test_parameters_lie_within_their_standard_errors():
     scores = []
     for seed in range(8):
         u = white(1000, seed)
-        model = phc.pem((u, recorded(u, RATIOS, WEIGHTS, seed=seed)), 3, dt=H).damped
+        model = lossless_fit((u, recorded(u, RATIOS, WEIGHTS, seed=seed)), 3, dt=H).damped
         poles = D * (-RATIOS + 1j * np.sqrt(1 - RATIOS**2))
         truth = WEIGHTS * poles / (2j * poles.imag)
         residues, errors = model.residues - truth, model.stderr["residues"]
@@ -103,7 +106,7 @@ def test_parameters_lie_within_their_standard_errors():
 def test_it_survives_a_wrong_quantity_and_its_system_predicts_the_record(taken, said):
     u = white(1000)
     y = recorded(u, RATIOS, WEIGHTS, quantity=taken, noise=0.02)
-    model = phc.pem((u, y), dt=H, quantity=said).damped
+    model = lossless_fit((u, y), dt=H, quantity=said).damped
     assert np.allclose(model.natural_frequencies, D, rtol=2e-3)
     assert np.allclose(model.damping_ratios, RATIOS, rtol=0.1)
     assert model.fit_percent > 97
@@ -118,7 +121,7 @@ def test_records_with_gaps_offsets_and_rest_share_one_model():
     first = recorded(u, RATIOS, WEIGHTS) + 3.0
     second = recorded(v, RATIOS, WEIGHTS, seed=1) - 2.0
     first[np.random.default_rng(0).random(1000) < 0.1] = np.nan
-    result = phc.pem([(u, first), (v, second)], 3, dt=H, offset=True, initial_state="zero")
+    result = lossless_fit([(u, first), (v, second)], 3, dt=H, offset=True, initial_state="zero")
     model = result.damped
     assert np.allclose(model.offsets, [3, -2], atol=0.05)
     assert not np.any(model.free_amplitudes[0]) and len(model.free_amplitudes) == 2
@@ -143,7 +146,7 @@ def test_it_comes_back_from_files_copies_and_answers(damped_fit, tmp_path):
 
 def test_a_lossless_record_has_none():
     u = white(1000)
-    result = phc.pem((u, recorded(u, [0, 0, 0], np.abs(WEIGHTS))), dt=H)
+    result = lossless_fit((u, recorded(u, [0, 0, 0], np.abs(WEIGHTS))), dt=H)
     assert result.damped is None and result.tests[0].p > 1e-3
 
 
@@ -154,7 +157,7 @@ def test_a_lossless_model_is_refused_by_chance_as_often_as_it_should():
     found = []
     for seed in range(60):
         u = white(300, seed)
-        found.append(phc.pem((u, recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed)), 2, dt=1.0).tests[0])
+        found.append(lossless_fit((u, recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed)), 2, dt=1.0).tests[0])
     p = np.array([one.p for one in found])
     assert {one.dof for one in found} == {4}
     assert np.mean(p < 0.05) < 0.15 and p.min() > 1e-4
@@ -167,7 +170,7 @@ def test_damping_that_leaves_residuals_white_is_not_consistent():
     for seed in range(5):
         u = white(2000, seed)
         y = recorded(u, [1e-4] * 3, np.abs(WEIGHTS), d=[0.5, 1.3, 2.2], h=1.0, noise=0.05, seed=seed)
-        result = phc.pem((u, y), 3, dt=1.0)
+        result = lossless_fit((u, y), 3, dt=1.0)
         (test,) = result.tests
         told += test.p < 1e-3
         assert (test.p < 1e-3) == (result.outcome.name != "CONSISTENT")
@@ -182,7 +185,7 @@ def test_other_quantities_and_rest_are_judged_alike(quantity, options):
     for seed in range(15):
         u = white(400, seed)
         y = recorded(u, [0, 0], [1.0, 0.6], d=D[:2], h=1.0, seed=seed, quantity=quantity)
-        p.append(phc.pem((u, y), 2, dt=1.0, quantity=quantity, **options).tests[0].p)
+        p.append(lossless_fit((u, y), 2, dt=1.0, quantity=quantity, **options).tests[0].p)
     assert np.sum(np.array(p) < 0.05) <= 4 and np.mean(p) > 0.25
 
 
@@ -192,7 +195,7 @@ def test_other_quantities_and_rest_are_judged_alike(quantity, options):
 @pytest.mark.parametrize("said", ["velocity", "acceleration"])
 def test_a_hammer_test_ends_with_its_damped_modes(said):
     u, y, h = hammer()
-    result = phc.pem((u, y), dt=h, quantity=said)
+    result = lossless_fit((u, y), dt=h, quantity=said)
     model = result.damped
     assert model.order == result.order == 3 and len(result.order_table) < 9
     assert np.allclose(model.damping_ratios, [0.005, 0.012, 0.02], rtol=0.01)
@@ -203,6 +206,6 @@ def test_a_hammer_test_ends_with_its_damped_modes(said):
 def test_modes_without_damping_that_stand_close_together_are_not_taken_for_one_with():
     d = np.array([0.5, 0.5 + 2 * 2 * np.pi / 2000, 1.4])
     u = white(2000)
-    result = phc.pem((u, recorded(u, [0, 0, 0], [1.0, 0.8, 0.7], d=d, h=1.0, noise=0.03)), dt=1.0)
+    result = lossless_fit((u, recorded(u, [0, 0, 0], [1.0, 0.8, 0.7], d=d, h=1.0, noise=0.03)), dt=1.0)
     assert result.order == 3 and np.allclose(result.d, d, rtol=1e-3)
     assert result.damped is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import control as ct
@@ -10,6 +11,8 @@ import pytest
 from scipy.io import loadmat
 
 import ph_control as phc
+
+lossless_fit = partial(phc.pem, structure="lossless")
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured"
 PLANTS = {
@@ -59,7 +62,7 @@ def test_weights_make_the_estimate_that_of_the_noise_they_belong_to(n):
     errors = []
     for seed in range(4):
         data = ct.frd(exact + noise(size, seed), omega)
-        weighted, plain = phc.pem(data, n, weights=1 / size**2), phc.pem(data, n, weights=np.ones(80))
+        weighted, plain = lossless_fit(data, n, weights=1 / size**2), lossless_fit(data, n, weights=np.ones(80))
         assert is_at_the_optimum(weighted, d, r)
         assert weighted.noise_variance == pytest.approx(1.0, rel=0.4)
         errors.append([np.linalg.norm(weighted.r - r), np.linalg.norm(plain.r - r)])
@@ -104,12 +107,12 @@ def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_e
     noise = rng.standard_normal(300) + 1j * rng.standard_normal(300)
     data = ct.frd(exact * (1 + 0.01 * noise), omega, smooth=False)
     suspicion = "All points were taken as equally sure"
-    alike = phc.pem(data, 2, weights=np.ones(300))
+    alike = lossless_fit(data, 2, weights=np.ones(300))
     assert alike.outcome.name == "DOUBTFUL" and suspicion in alike.message
     assert alike.noise.kind == "constant" and alike.noise.share == 0
-    weighted = phc.pem(data, 2, weights=1 / np.abs(exact) ** 2)
+    weighted = lossless_fit(data, 2, weights=1 / np.abs(exact) ** 2)
     assert weighted.outcome.name == "CONSISTENT" and weighted.noise.kind == "weights"
-    assert suspicion not in weighted.message + phc.pem(data, 1, weights=1 / np.abs(exact) ** 2).message
+    assert suspicion not in weighted.message + lossless_fit(data, 1, weights=1 / np.abs(exact) ** 2).message
 
 
 @pytest.mark.parametrize("order", [3, "auto"])
@@ -278,7 +281,7 @@ def test_damped_response_is_told_with_its_damping():
     d, r = PLANTS[3]
     omega = np.linspace(0.05, 3.2, 200)
     exact = response(d, r, omega, ratio=0.01)
-    result = phc.pem(ct.frd(exact + noise(0.02 * np.median(np.abs(exact)) * np.ones(200), 0), omega))
+    result = lossless_fit(ct.frd(exact + noise(0.02 * np.median(np.abs(exact)) * np.ones(200), 0), omega))
     assert np.allclose(result.damped.natural_frequencies, d, rtol=1e-3)
     assert np.allclose(result.damped.damping_ratios, 0.01, rtol=0.02)
     assert np.allclose(result.d, d, rtol=0.03)
@@ -297,7 +300,7 @@ def test_a_response_is_tested_for_damping_that_leaves_its_residuals_white(weight
             exact = response(d, r, omega, ratio=ratio)
             size = 0.01 * (np.abs(exact) if weighted else np.median(np.abs(exact)))
             data = ct.frd(exact + noise(size * np.ones(80), seed), omega, smooth=False)
-            result = phc.pem(data, 3, weights=1 / size**2 if weighted else None)
+            result = lossless_fit(data, 3, weights=1 / size**2 if weighted else None)
             (test,) = result.tests
             assert test.hypothesis == "lossless" and test.dof == 6
             p.append(test.p)
@@ -342,7 +345,7 @@ def recorded(name):
 @pytest.mark.parametrize("order", [2, "auto"])
 def test_both_modes_of_the_robot_arm_are_found_and_what_contradicts_is_said(order):
     torque, acceleration = np.loadtxt(recorded("robot_arm.dat"), unpack=True)
-    result = phc.pem((torque, acceleration), order, dt=1.0, quantity="acceleration")
+    result = lossless_fit((torque, acceleration), order, dt=1.0, quantity="acceleration")
     # the two large ones; with the order left open the record shows smaller ones between and beyond
     found = result.damped.hertz[result.damped.damping_ratios < 0.006]
     assert np.allclose(found, [0.0583, 0.1267], rtol=0.01)
@@ -357,7 +360,7 @@ def test_both_modes_of_the_robot_arm_are_found_and_what_contradicts_is_said(orde
 def test_all_three_modes_of_the_measured_receptances_are_found(column, order):
     content = loadmat(recorded("mckiddat.mat"))
     data = ct.frd(content["Recep"][:, column], 2 * np.pi * content["Freq"].ravel())
-    result = phc.pem(data, order, quantity="displacement")
+    result = lossless_fit(data, order, quantity="displacement")
     assert np.allclose(result.d / (2 * np.pi), [0.1029, 0.1962, 0.3247], rtol=0.01)
     assert result.outcome.name == "NOT_DESCRIBED"
     assert "(modes 1, 2 and 3)" in result.message and "the plant loses energy" in result.message
@@ -373,7 +376,7 @@ def test_all_six_modes_of_the_free_beam_are_found(order):
     size = np.abs(measured)
     inside = (size[1:-1] > size[:-2]) & (size[1:-1] > size[2:])
     peaks = np.flatnonzero(inside & (size[1:-1] > 10 * np.median(size))) + 1
-    result = phc.pem(ct.frd(measured, 2 * np.pi * frequency), order, quantity="acceleration")
+    result = lossless_fit(ct.frd(measured, 2 * np.pi * frequency), order, quantity="acceleration")
     assert result.order == 6 and np.allclose(
         result.d / (2 * np.pi), [51.5, 142.2, 278.7, 460.4, 687.2, 958.5], rtol=0.001
     )

@@ -27,13 +27,15 @@ def _results():
         phc.pem([(u, y), (u[:200], y[:200])], 2, dt=0.1, offset=True),
         phc.pem(ct.frd(plant(1j * w) + noise, w), 2),
         phc.pem((u, y * np.exp(-0.05 * t)), 2, dt=0.1),
+        phc.pem((u, np.stack([y, -y])), 2, dt=0.1, structure="free"),
     ]
     canonical = phc.ch([1.0, 2.0], [1.0, 1.0, 1.0, 1.0])
     start = [0.52, 1.9], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]
     bootstrap = fits[0].bootstrap(10, rng=1)
     return [
         *fits, bootstrap, bootstrap.stderr, fits[1].bootstrap(10, rng=1).interval(), fits[0].confidence_interval(),
-        fits[0].sample(3, rng=1), fits[0].identifiability, *(fit.experiments[0] for fit in fits),
+        fits[0].sample(3, rng=1), fits[-1].sample(3, rng=1),
+        fits[0].identifiability, *(fit.experiments[0] for fit in fits),
         *(fit.record for fit in fits[2:]), phc.compare((u, y), fits[0], plant, dt=0.1),
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
         phc.excitation((u, None), 1, dt=0.1),

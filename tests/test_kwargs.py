@@ -65,6 +65,12 @@ def fitted() -> Any:
 
 
 @functools.cache
+def damped_fit() -> Any:
+    record = fitted().record
+    return phc.pem((record.u, record.y), order=1, dt=0.1, structure="free")
+
+
+@functools.cache
 def recording() -> ct.TimeResponseData:
     return phc.forced_response(plant(), 0.1 * np.arange(64), np.arange(64) % 7)
 
@@ -76,6 +82,7 @@ SYSTEMS = (plant(), phc.ch([1.0], [1.0, 0.0]), phc.oh([1.0], [1.0, 0.0]), phc.af
 CALLS: dict[str, list[Callable[..., Any]]] = {
     "OrderSelection.plot": [lambda **k: phc.order_selection(fitted().record, 2).plot(**k)],
     "LosslessResult.plot": [lambda **k: fitted().plot(**k)],
+    "DampedResult.plot": [lambda **k: damped_fit().plot(**k)],
     "AffineHamiltonian": [lambda **k: phc.AffineHamiltonian(np.eye(2), [1, 0], **k)],
     "AffineHamiltonian.derivative": [lambda **k: phc.affine(np.eye(2), [1, 0]).derivative(**k)],
     "Comparison.plot": [lambda **k: phc.compare(fitted().record, plant()).plot(**k)],

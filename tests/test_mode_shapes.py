@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ph_control as phc
+from ph_control.identification.fit.scaled_shapes import ModeShapes, shape_jacobian
 from ph_control.numerics.mode_shapes import Stability, aligned_shapes, mac, phase_collinearity, stable_poles
 
 EPS = np.finfo(float).eps
@@ -143,3 +144,19 @@ def test_lossless_and_rigid_modes_and_orders_without_poles_are_classified():
     still = np.array([0.0, 1j, 2j])
     assert stable_poles([still, still])[1].tolist() == [2, 2, 2]
     assert [row.tolist() for row in stable_poles([still[:0], still, still[:0]])] == [[], [0, 0, 0], []]
+
+
+@pytest.mark.parametrize("ports", [(), ((0, 0),), ((1, 0), (2, 1))])
+def test_derivatives_of_shapes_are_those_of_differences(ports):
+    rng, quantities = np.random.default_rng(3), ("velocity", "acceleration", "displacement")
+    residue = rng.standard_normal((3, 2)) + 1j * rng.standard_normal((3, 2))
+    x = np.concatenate([[2.0, 0.05], residue.real.ravel(), residue.imag.ravel()])
+
+    def shape(x):
+        pole = np.array([x[0] * (-x[1] + 1j * np.sqrt(1 - x[1] ** 2))])
+        (found,) = ModeShapes.of(pole, (x[2:8] + 1j * x[8:]).reshape(1, 3, 2), quantities, ports).shapes
+        return np.concatenate([found.real, found.imag])
+
+    differences = np.array([(shape(x + 1e-6 * one) - shape(x - 1e-6 * one)) / 2e-6 for one in np.eye(14)]).T
+    J = shape_jacobian(complex(2 * (-0.05 + 1j * np.sqrt(1 - 0.05**2))), residue, quantities, ports)
+    assert np.allclose(J, differences, rtol=0, atol=1e-7 * np.abs(differences).max())

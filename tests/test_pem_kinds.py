@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import control as ct
 import numpy as np
@@ -20,6 +21,8 @@ from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem, refine
 from ph_control.identification.search.screening import Screen
 from ph_control.modal.discretization import Hold
+
+lossless_fit = partial(phc.pem, structure="lossless")
 
 D, R = np.array([0.7, 2.0, 5.5]), np.array([1.0, 0.4, 0.2])
 QUANTITIES = ("velocity", "displacement", "acceleration")
@@ -306,7 +309,7 @@ def test_noise_free_records_of_every_sensor_give_plant_and_state(quantity, offse
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_wrong_sensor_is_not_called_consistent(quantity):
     u, y, _, _ = recording(600, noise=0.02, quantity=quantity)
-    verdicts = {q: phc.pem((u, y), 3, dt=0.1, quantity=q).outcome for q in QUANTITIES}
+    verdicts = {q: lossless_fit((u, y), 3, dt=0.1, quantity=q).outcome for q in QUANTITIES}
     assert [q for q in QUANTITIES if verdicts[q].name == "CONSISTENT"] == [quantity]
 
 
@@ -316,11 +319,11 @@ def test_each_experiment_has_an_offset_of_its_own_with_its_error():
         experiments = [
             recording(T, seed=2 * seed + k, noise=0.2, offset=constants[k])[:2] for k, T in enumerate((300, 200))
         ]
-        result = phc.pem(experiments, 3, dt=0.1, offset=True, initial_guess=(D, R))
+        result = lossless_fit(experiments, 3, dt=0.1, offset=True, initial_guess=(D, R))
         errors.append((result.offsets - constants) / result.stderr["offset"])
     mean_square = np.mean(np.square(errors), axis=0)
     assert (np.abs(mean_square - 1) <= 4 * np.sqrt(2 / seeds)).all()
-    without = phc.pem(experiments, 3, dt=0.1, offset=False)
+    without = lossless_fit(experiments, 3, dt=0.1, offset=False)
     assert (without.offsets == 0).all() and np.isnan(without.stderr["offset"]).all()
 
 
@@ -466,8 +469,8 @@ def test_modes_without_weight_rest_in_the_controllable_representation():
     u, y, _, _ = recording(500, noise=0.05, d=D[:2], r=R[:2])
     # a motion at 3.3, at which the record asks for a residue below 0
     hidden = output(np.array([3.3]), np.array([-0.02]), np.array([1.0 + 1j]), u, 0.1)
-    moving = phc.pem((u, y + hidden), 3, dt=0.1)
-    resting = phc.pem((u, y + hidden), 3, dt=0.1, representation="controllable", intersample="zoh")
+    moving = lossless_fit((u, y + hidden), 3, dt=0.1)
+    resting = lossless_fit((u, y + hidden), 3, dt=0.1, representation="controllable", intersample="zoh")
     assert moving.active == (2,) and abs(moving.free_amplitudes[2]) > 1
     assert moving.representation == "observable" and resting.representation == "controllable"
     assert resting.loss > 2 * moving.loss

@@ -158,6 +158,7 @@ _CODECS: dict[str, Codec | str] = {
     "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, _dissipative_to_dict, _dissipative_from_dict),
     "AffineHamiltonian": Codec(AffineHamiltonian, _affine_to_dict, _affine_from_dict),
     "PEMResult": "ph_control.identification.fit.serialization",
+    "DampedResult": "ph_control.identification.fit.serialization",
 }
 _KINDS = {"LosslessResult": "PEMResult"}  # classes under another name in documents
 
@@ -165,7 +166,7 @@ _NO_DOCUMENTS = (".mat", ".csv", ".txt")  # suffixes of what other programs expe
 
 
 def _codec(kind: str) -> Codec | None:
-    return import_module(found).CODEC if isinstance(found := _CODECS.get(kind), str) else found
+    return import_module(found).CODECS[kind] if isinstance(found := _CODECS.get(kind), str) else found
 
 
 def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

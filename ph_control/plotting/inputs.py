@@ -24,8 +24,9 @@ _TITLE = 70  # letters that fit above a picture; the legend has the names as wel
 class FitResult(Protocol):
     """What pictures take of the result of a fit; it draws the models of a band itself."""
 
-    system: PortHamiltonian
+    system: Any
     experiments: tuple[Any, ...]
+    order: int
     quantity: str
     covariance: Array
     observed_system: ct.StateSpace
@@ -87,7 +88,9 @@ def _inside(given: Any) -> Any:
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
     """Names of systems; a fit is called one, unless its system was named."""
     names = [
-        f"fit ({counted(sys.n, 'mode')})" if isinstance(one, FitResult) and sys._generic_name_check() else str(sys.name)
+        f"fit ({counted(one.order, 'mode')})"
+        if isinstance(one, FitResult) and sys._generic_name_check()
+        else str(sys.name)
         for one, sys in zip(given, systems, strict=True)
     ]
     if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and systems[0]._generic_name_check():

@@ -167,6 +167,41 @@ def as_channels(
     return _matched(each_experiment(data, dt, weights, _channels))
 
 
+def has_several_channels(data: Any) -> bool:
+    """Whether data have more than one input or output in any experiment, right or wrong."""
+    if isinstance(data, TimeResponseData | FrequencyResponseData):
+        return bool(max(data.ninputs, data.noutputs) > 1)
+    if isinstance(data, Recording | ResponseMatrix):
+        return max(len(data.input_labels), len(data.output_labels)) > 1
+    if isinstance(data, tuple) and len(data) == 2 and not any(map(_is_experiment, data)):
+        return any(len(shape) == 2 and min(shape) > 1 for shape in map(_shape_of, data))
+    if isinstance(data, list | tuple):
+        return any(map(has_several_channels, data)) or _differ(list(map(_named, data)))
+    return False
+
+
+def _differ(names: list[tuple[Any, Any] | None]) -> bool:
+    """Whether experiments, all named, have inputs or outputs of different names; a free motion has no input."""
+    if not all(names):
+        return False
+    inputs, outputs = ({name for one in names if one for name in one[k]} for k in (0, 1))
+    return max(len(inputs), len(outputs)) > 1
+
+
+def _is_experiment(data: Any) -> bool:
+    kinds = TimeResponseData | FrequencyResponseData | Recording | ResponseMatrix | Record | FrequencyRecord
+    return isinstance(data, kinds | tuple) or is_data_frame(data)
+
+
+def _named(data: Any) -> tuple[Any, Any] | None:
+    """Names of the input and the output of an experiment that has one of each, and names."""
+    if isinstance(data, TimeResponseData | FrequencyResponseData):
+        return (tuple(data.input_labels or ()), tuple(data.output_labels or ())) if data.output_labels else None
+    if isinstance(data, Record):
+        return (data.input_label,) * data.driven, (data.output_label,)
+    return ((data.input_label,), (data.output_label,)) if isinstance(data, FrequencyRecord) else None
+
+
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 

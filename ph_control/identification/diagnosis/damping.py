@@ -18,6 +18,7 @@ from scipy.stats import norm
 
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..regression.free import FreeProjection, first_step
+from ..regression.free_prediction import natural_jacobian
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.prediction import fit_percent
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
@@ -250,11 +251,8 @@ def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: s
 def _covariance(at: FreeProjection, variance: float, rank: Indices) -> Array:
     """From imaginary and real parts of the poles to natural frequencies and damping ratios; NaN for what is absent."""
     n, inner = len(at.p), at.covariance(variance)
-    w, x, d = at.p.imag, at.p.real, at.d
     T = np.eye(len(inner))
-    k = np.arange(n)
-    T[k, k], T[k, n + k] = w / d, x / d
-    T[n + k, k], T[n + k, n + k] = x * w / d**3, -(w**2) / d**3
+    T[: 2 * n, : 2 * n] = natural_jacobian(at.p)
     inner = T @ inner @ T.T
     full = np.full((4 * n + 1, 4 * n + 1), np.nan)
     full[: len(inner), : len(inner)] = inner

@@ -13,8 +13,9 @@ from ..._types import Array, ComplexArray, Mask
 from ...modal.discretization import Hold
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
+from ..regression.free import by_poles
 from ..regression.frequency_rows import modal_columns
-from ..regression.time_rows import RecordRows
+from ..regression.time_rows import FreeRecord, RecordRows
 
 
 @dataclass(frozen=True)
@@ -62,3 +63,26 @@ def of_record(
     parts = [cosine[:, moving], sine[:, moving]] if free.any() else []
     parts.append(np.arange(float(record.samples))[:, None] ** np.arange(offset))
     return Directions(np.concatenate([by_d, forced[:, weighted]], axis=1), np.concatenate(parts, axis=1))
+
+
+def of_damped_response(record: FrequencyRecord, p: ComplexArray, rho: ComplexArray) -> Directions:
+    """Of a frequency response and damped modes with residues (n,), complex."""
+    s = 1j * record.omega
+    ahead, behind = 1 / (s - p[:, None]), 1 / (s - p[:, None].conj())
+    slopes, mirrored = rho[:, None] * ahead**2, rho.conj()[:, None] * behind**2
+    pairs = ((ahead, behind), (slopes, mirrored))
+    columns = [part for one, other in pairs for part in (one + other, 1j * (one - other))]
+    return Directions(np.concatenate(columns).T, np.zeros((record.samples, 0)))
+
+
+def of_damped_record(
+    record: Record, p: ComplexArray, rho: ComplexArray, free: ComplexArray, hold: Hold, offset: int, through: bool
+) -> Directions:
+    """Of a record in time and damped modes with residues and free amplitudes (n,); O(T n), and as much memory."""
+    u, everywhere, n = record.u[None], np.ones(record.samples, bool), len(p)
+    rows = FreeRecord(u, 0 * u, everywhere, hold, offset=offset, through=through, driven=record.driven)
+    columns = np.concatenate(list(rows.at(p).blocks()), axis=1)
+    own, shared = rows.own_unknowns(n), rows.inputs * (2 * n + through)
+    motion = np.concatenate([0.5 * free.real, 0.5 * free.imag])
+    moved = by_poles(columns[own + shared : -1].T, rows, motion, rho[:, None])
+    return Directions(np.concatenate([columns[own : own + shared].T, moved], axis=1), columns[:own].T)

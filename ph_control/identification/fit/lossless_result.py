@@ -12,12 +12,11 @@ import numpy as np
 from ... import _checks
 from ..._frozen import ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray
-from ..._units import common_unit, unit_for, with_unit
+from ..._units import common_unit, with_unit
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...plotting.bode_plot import bode_plot
-from ...plotting.fit_plot import fit_plot
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.experiments import as_record
 from ..data.frequency_record import FrequencyRecord
@@ -40,7 +39,7 @@ from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .report import FitReport, residue_errors
-from .result import OrderRow, PEMResult
+from .result import OrderRow, PEMResult, output_plot
 from .scaled_shapes import POWERS
 
 
@@ -507,10 +506,4 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         one = chosen_experiment(self.experiments, experiment)
         if isinstance(one.record, FrequencyRecord):
             return bode_plot(self, data=one.record.as_response(), **kwargs)
-        # a label such as "velocity [m/s]" carries its unit
-        name, bracket, unit = one.record.output_label.partition(" [")
-        kwargs.setdefault("output_label", name)
-        if bracket:
-            kwargs.setdefault("output_unit", unit.removesuffix("]"))
-        kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
-        return fit_plot(one.record.time, one.record.y, one.predicted, fit_percent=one.fit_percent, **kwargs)
+        return output_plot(self, one.record.time, one.record.y, one.predicted, one.record.output_label, **kwargs)

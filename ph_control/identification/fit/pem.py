@@ -10,18 +10,23 @@ import numpy as np
 
 from ... import _checks
 from ..._types import Array
+from ...exceptions import StructureError
+from ...modal.discretization import METHODS
+from ..data.channels import as_channels, has_several_channels
 from ..diagnosis.damping import DampingWatch, beside
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
-from ..search.formulation import Callback, Formulation, check_workers, reporter
+from ..search.formulation import REPRESENTATIONS, Callback, Formulation, check_workers, reporter
 from ..search.free_path import FreeStep
 from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Fit, conclude
-from .result import OrderRow, PEMResult
+from .lossless_result import LosslessResult
+from .modal_fit import asked_of, checked_ports, fit_channels, starting_poles
+from .result import STRUCTURES, OrderRow, PEMResult
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
 
@@ -44,24 +49,29 @@ def pem(
     workers: Any = 1,
     rng: Any = None,
     callback: Callback | None = None,
+    structure: str = "auto",
+    ports: Any = None,
 ) -> PEMResult:
-    """Fit a lossless model to recordings, by prediction-error minimisation.
+    """Fit modes to recordings or frequency responses, by prediction-error minimisation.
 
-    Finds `d`, `r >= 0` and the initial states that minimise the squared output error of a port-Hamiltonian model.
-    With white output noise this is the maximum-likelihood estimate.  No starting guess is needed.
+    Finds natural frequencies, damping ratios and residues, with what belongs to each experiment, that minimise the
+    squared output error: with white output noise, of each output its own, the maximum-likelihood estimate.  No
+    starting guess is needed.  The model is the simplest that the data do not reject, from lossless to free.
 
     Parameters
     ----------
     data : control.TimeResponseData, control.FrequencyResponseData, data frame, pair (u, y), or list of these
-        One input and one output on a uniform grid, or a frequency response; several experiments in a list, each with
-        its own length, step and initial state.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
-        modified.
+        Inputs and outputs on a uniform grid, or frequency responses; several experiments in a list, each with its own
+        length, step and initial state.  Signals of several channels have one row each, (m, T) and (p, T); experiments
+        may have different channels, matched by their labels, or their places where there are none.  `(None, y)` is a
+        free motion.  NaN outputs are missing samples.  Not modified.
     order : int or 'auto'
         Number of modes n; 'auto' takes the one that `criterion` prefers.
     dt : float, or sequence of float, one for each experiment, optional
         Time between samples; needed with arrays.
     method : {'exact', 'midpoint', 'euler'}
-        How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator.
+        How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator,
+        which a lossless model is fitted to.
     intersample : {'auto', 'zoh', 'foh'}
         Input between samples: held, or linear; 'auto' takes what the data prefer, and 'zoh' where they cannot tell.
     initial_state : {'estimate', 'zero'}
@@ -69,12 +79,12 @@ def pem(
     offset : bool or 'auto'
         Whether a constant is added to the output of each record, and estimated; 'auto' adds one, or one that drifts,
         where that explains more than a slow mode does.
-    quantity : {'velocity', 'displacement', 'acceleration'}
-        What was measured of the port.
+    quantity : {'velocity', 'displacement', 'acceleration', 'free'}, or sequence or dict of these
+        What was measured: of all outputs, of each, or by label; 'free' is any other sensor.
     representation : {'observable', 'controllable'}
         Whether a mode without weight may still move at the output, as in the observable form, or not, as in every state
-        of the controllable one.
-    initial_guess : pair (d, r), ModalForm, or system of this package, optional
+        of the controllable one; of lossless models of one input and output.
+    initial_guess : pair (d, r), ModalForm, PEMResult, or system of this package, optional
         Model to start from, in place of the search; with a given order, modes are added to it if it has fewer.
     weights : array_like, shape (K,), or list of these, optional
         What the squared error at each frequency of a response counts; by default all the same, unless the residuals
@@ -89,12 +99,20 @@ def pem(
         Seeds of further starts; always the same by default.
     callback : callable, optional
         Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
-        If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
+        If it raises `StopIteration`, or on `KeyboardInterrupt`, the best lossless model so far is returned, and says
+        so; a search for damped modes is over without one.
+    structure : {'auto', 'lossless', 'classical', 'passive', 'free'}
+        What is assumed: no losses and sensors at the actuators; damping that the real modes of the lossless plant
+        decouple; a plant that gives no energy; nothing.  'auto' takes the simplest that is not rejected at 5 %.
+    ports : list of (output, input), optional
+        Driving points, where an output is measured where and along which an input acts: labels, or numbers from 0.
+        They set the scale of mode shapes.  One input and output are taken for one.
 
     Returns
     -------
-    PEMResult
-        Model, standard errors, order table, residuals and a verdict.
+    LosslessResult or DampedResult
+        Model, standard errors, order table, residuals and a verdict: of one input and output that losses do not show
+        in, or that were fitted as lossless, a `LosslessResult`.
 
     Raises
     ------
@@ -121,7 +139,7 @@ def pem(
 
     Examples
     --------
-    >>> import numpy as np, ph_control as phc
+    >>> import control as ct, numpy as np, ph_control as phc
     >>> plant = phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
     >>> rng = np.random.default_rng(0)
     >>> t, u = 0.1 * np.arange(1000), rng.standard_normal(1000)
@@ -129,8 +147,85 @@ def pem(
     >>> result = phc.pem((u, y), dt=0.1)
     >>> result.d.round(3)
     array([0.5, 2. ])
+
+    A damped structure, two inputs and three outputs, the first of which is a driving point:
+
+    >>> poles, shapes = [-0.01 + 1j, -0.02 + 2j], rng.standard_normal((2, 3))
+    >>> frame = phc.modes(poles, shapes, shapes[:, :2]).state_space()
+    >>> u = rng.standard_normal((2, 1000))
+    >>> y = ct.forced_response(ct.c2d(frame, 0.1), t, u).outputs
+    >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(y.shape)), dt=0.1, structure="free", ports=[(0, 0)])
+    >>> result.order, result.shapes.shape, result.shapes_scaled
+    (2, (2, 3), True)
     """
     _checks.choice("criterion", criterion, CRITERIA)
+    _checks.choice("structure", structure, ("auto", *STRUCTURES))
+    if structure not in ("auto", "lossless") or has_several_channels(data):
+        _refuse_lossless_options(structure, method, representation, initial_state, criterion)
+        channels = as_channels(data, dt, weights=weights)
+        asked = asked_of(channels, structure, ports, quantity)
+        return fit_channels(
+            channels, asked, order, intersample=intersample, offset=offset, max_order=max_order, criterion=criterion,
+            callback=callback, start=starting_poles(initial_guess),
+        )  # fmt: skip
+    if ports is not None:
+        checked_ports(ports, *_labels_of(data, dt, weights))
+    result = _lossless_fit(
+        data, order, dt, method, intersample, initial_state, offset, quantity, representation, initial_guess, weights,
+        criterion, max_order, workers, rng, callback,
+    )  # fmt: skip
+    if structure == "lossless" or result.damped is None or method != "exact" or not result.success:
+        return result
+    return _damped_instead(result, order, ports, criterion, max_order, intersample)
+
+
+def _refuse_lossless_options(
+    structure: str, method: str, representation: str, initial_state: str, criterion: str
+) -> None:
+    """Refuse what only fits of lossless models of one input and output have."""
+    options = {
+        "method": (method, METHODS), "representation": (representation, REPRESENTATIONS),
+        "initial_state": (initial_state, ("estimate", "zero")),
+    }  # fmt: skip
+    for name, (value, allowed) in options.items():
+        _checks.choice(name, value, allowed)
+    refused = [(name, value, allowed[0]) for name, (value, allowed) in options.items() if value != allowed[0]]
+    refused += [("criterion", criterion, "bic")] * (criterion == "holdout")
+    if refused:
+        name, value, instead = refused[0]
+        what = "several inputs or outputs" if structure in ("auto", "lossless") else f"structure={structure!r}"
+        raise StructureError(
+            f"{name}={value!r} is for lossless models of one input and one output, and this fit has {what}: use "
+            f"{name}={instead!r}"
+        )
+
+
+def _labels_of(data: Any, dt: Any, weights: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    one = as_channels(data, dt, weights=weights)[0]
+    return one.output_labels, one.input_labels
+
+
+def _damped_instead(
+    result: LosslessResult, order: int | str, ports: Any, criterion: str, max_order: int, intersample: str
+) -> PEMResult:
+    """The damped model of data that reject a lossless one; this one where none of the structures is simpler."""
+    channels = as_channels([one.record for one in result.experiments])
+    assert result.damped is not None
+    asked = asked_of(channels, "auto", ports, result.quantity)
+    found = fit_channels(
+        channels, asked, result.damped.order if isinstance(order, str) else order, intersample=intersample,
+        offset=bool(np.isfinite(result.offset_stderr).any()), max_order=max_order,
+        criterion="bic" if criterion == "holdout" else criterion, start=result.damped.poles, findings=result.findings,
+    )  # fmt: skip
+    return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
+
+
+def _lossless_fit(
+    data: Any, order: int | str, dt: Any, method: str, intersample: str, initial_state: str, offset: bool | str,
+    quantity: str, representation: str, initial_guess: Any, weights: Any, criterion: str, max_order: int, workers: Any,
+    rng: Any, callback: Callback | None,
+) -> LosslessResult:  # fmt: skip
+    """A lossless model of one input and one output."""
     check_workers(workers)
     rng = None if rng is None else _checks.random_generator(rng)
     posed = Formulation.of(

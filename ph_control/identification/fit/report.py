@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..._display import Report, aligned, html_heading, html_report, html_table, percent, to_its_error
+from ..._display import Report, aligned, counted, html_heading, html_report, html_table, p_value, percent, to_its_error
 from ..._types import Array
 from ..._units import hertz_size, rate, step_of
 from ...exceptions import shortened
 from ..data.time_record import Record
-from ..diagnosis.damped_model import damped_lines
+from ..diagnosis.damped_model import damped_lines, damped_table
 
 _SHOWN = 6  # experiments listed one by one
+_NAMED = 4  # channels
 
 
 class FitReport(Report):
@@ -117,3 +118,75 @@ def _data_lines(result: Any, missing: int) -> list[str]:
         )
         lines.append(f"  offset          {shown}")
     return lines
+
+
+# --- damped modes ----------------------------------------------------------------------------------------------------
+
+
+class DampedReport(Report):
+    """What the result of a fit of damped modes shows of itself."""
+
+    def __str__(self) -> str:
+        return damped_summary(self)
+
+    def _headline(self: Any) -> str:
+        return f"{_modes(self.order)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
+
+    def _repr_html_(self: Any) -> str:
+        """HTML for notebooks: the summary, its modes as a table."""
+        above, _, _ = damped_summary(self).partition("\n\n")
+        title, _, lines = above.partition("\n")
+        head, *rows = damped_table(self)
+        head = [text.replace("+-", "±") for text in head]
+        return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(self.message)
+
+
+def damped_summary(result: Any) -> str:
+    """Report of a fit of damped modes, at most 100 characters wide."""
+    inputs, outputs = result.input_labels, result.output_labels
+    source = f" from {_listed(inputs)}" if inputs else " in free motion"
+    ports = [f"  ports           {_listed([f'{outputs[o]}:{inputs[i]}' for o, i in result.ports])}"] * bool(
+        result.ports
+    )
+    scale = "unit modal mass" if result.shapes_scaled else "the largest entry 1, unscaled"
+    lines = [
+        f"{counted(result.order, 'mode')} of {_listed(outputs)}{source}",
+        f"  verdict         {result.verdict}",
+        f"  structure       {result.structure}",
+        *_channel_lines(result),
+        *ports,
+        *([f"  mode shapes     {scale}"] if len(outputs) > 1 else []),
+        f"  fit             {result.fit_percent:.2f} %",
+        f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})",
+    ]
+    if result.order:
+        lines += ["", *aligned(damped_table(result))]
+    if result.tests:
+        lines += ["", *aligned(_test_table(result.tests))]
+    wrapped = textwrap.wrap(result.message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+    return shortened("\n".join([*lines, "", *wrapped]))
+
+
+def _test_table(tests: Any) -> list[list[str]]:
+    rows = [[one.hypothesis, f"{one.likelihood_ratio:.4g}", str(one.dof), p_value(one.p)] for one in tests]
+    return [["hypothesis", "likelihood ratio", "dof", ""], *rows]
+
+
+def _listed(labels: Any) -> str:
+    shown = ", ".join(repr(label) for label in labels[:_NAMED])
+    return shown + f" and {len(labels) - _NAMED} more" * (len(labels) > _NAMED)
+
+
+def _channel_lines(result: Any) -> list[str]:
+    """What was measured."""
+    records = [one.record for one in result.experiments]
+    missing = sum(int((~record.observed).sum()) for record in records)
+    tail = f", {missing} values missing" * bool(missing)
+    samples = sum(record.samples for record in records)
+    several = f"{len(records)} experiments, " * (len(records) > 1)
+    measured = [f"  measured        {result.quantity}"]
+    if not hasattr(records[0], "dt"):
+        return [f"  response        {several}{samples} frequencies{tail}", *measured]
+    held = {"zoh": "held", "foh": "linear"}[result.intersample]
+    between = f", input {held} between samples" * bool(result.input_labels)
+    return [f"  record          {several}{samples} samples, {step_of(records[0])}{tail}{between}", *measured]

@@ -12,13 +12,15 @@ from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._types import Array, NDArray
-from ..._units import common_unit, hertz_size
+from ..._units import common_unit, hertz_size, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
 from ...modal.modal_form import ModalForm
 from ...numerics.mode_shapes import mac, phase_collinearity
+from ...plotting.fit_plot import fit_plot
+from ..regression.prediction import fit_percent
 
-STRUCTURES = ("lossless", "classical", "passive", "free")
+STRUCTURES = ("lossless", "classical", "passive", "free")  # the simplest first
 
 
 @dataclass(frozen=True)
@@ -237,3 +239,16 @@ class PEMResult(Report, Frozen):
         1
         """
         save(self, path, overwrite=overwrite)
+
+
+def output_plot(result: PEMResult, time: Array, y: Array, predicted: Array, label: str, **kwargs: Any) -> Any:
+    """Picture of a measured and a predicted output."""
+    # a label such as "velocity [m/s]" carries its unit
+    name, bracket, unit = label.partition(" [")
+    kwargs.setdefault("output_label", name)
+    if bracket:
+        kwargs.setdefault("output_unit", unit.removesuffix("]"))
+    kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), result)
+    kept = ~np.isnan(y)
+    fitted = fit_percent(y[kept], (y - predicted)[kept])
+    return fit_plot(time, y, predicted, fit_percent=fitted, **kwargs)

@@ -17,26 +17,29 @@ from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict, system_to_dict
 from ...io.json_format import Fields
 from ...modal.discretization import INTERSAMPLE, METHODS
+from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.damped_model import DampedModel
+from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment
 from ..search.formulation import REPRESENTATIONS
 from ..search.path import Start
 from ..search.response_noise import NoiseKind, NoiseLaw
 from ..uncertainty.fisher import Information
+from .damped_result import DampedResult
 from .lossless_result import LosslessResult
-from .result import OrderRow
+from .result import STRUCTURES, OrderRow
 
 _KEYS = {"u": "input", "y": "output", "outcome": "verdict"}  # fields under another name in a document
 _WORDS = {
     "method": METHODS, "intersample": INTERSAMPLE, "quantity": QUANTITIES, "representation": REPRESENTATIONS,
-    "time_unit": SECONDS,
+    "time_unit": SECONDS, "structure": STRUCTURES,
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {"drift", "outliers", "noise", "findings", "tests", "damped", "time_unit", "title"}
-_MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response"}
+_MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response", "shape_stderr"}
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
 Shapes = Mapping[str, tuple[int | None, ...]]
@@ -228,4 +231,59 @@ def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:
     return _read(DampedModel, fields, shapes, **of_experiments)
 
 
-CODEC = Codec(LosslessResult, _to_dict, _from_dict)
+# --- a result of damped modes ----------------------------------------------------------------------------------------
+
+
+def _modal_to_dict(result: DampedResult) -> dict[str, Any]:
+    return _written(result, "experiments", "order_table", "ports") | {
+        "experiments": _counted(map(_written, result.experiments)),
+        "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
+        "ports": {"output": [o for o, _ in result.ports], "input": [i for _, i in result.ports]},
+    }
+
+
+def _modal_from_dict(fields: Fields) -> Any:
+    n = len(fields.complex_array("poles", (None,)))
+    experiments = tuple(_fitted(one, n) for one in _all_of(fields.nested("experiments")))
+    if not experiments:
+        raise StructureError("there are no experiments; a fit has at least one")
+    outputs, inputs = fields.complex_array("residues", (n, None, None)).shape[1:]
+    size = 2 * n + (2 * n + 1) * outputs * inputs
+    table, ports = fields.nested("order_table"), fields.nested("ports")
+    orders = _places(table, "order")
+    numbers = [table.array(name, (len(orders),)).tolist() for name in ("loss", "aic", "bic")]
+    per_entry = isinstance(experiments[0].record, ResponseMatrix | FrequencyRecord)
+    shapes: Shapes = {
+        "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs), "covariance": (size, size),
+        "shapes": (n, outputs), "shape_stderr": (n, outputs), "participation": (n, inputs),
+        "noise_variance": (outputs, inputs) if per_entry else (outputs,),
+    }  # fmt: skip
+    pairs = zip(_places(ports, "output", outputs), _places(ports, "input", inputs), strict=True)
+    return _read(
+        DampedResult, fields, shapes, experiments=experiments, ports=tuple(pairs),
+        order_table=tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True)),
+    )  # fmt: skip
+
+
+def _fitted(fields: Fields, n: int) -> Any:
+    """An experiment of one input and output, or of several channels."""
+    if "output_label" in fields.content.get("record", {}):
+        return _experiment(fields, n)
+    record = fields.nested("record")
+    p, m = len(record.texts("output_labels")), len(record.texts("input_labels"))
+    in_time = "time" in record
+    samples = len(record.array("time" if in_time else "omega", (None,)))
+    entries = (p, m, samples)
+    shapes: Shapes = {"u": (m, samples), "y": (p, samples), "response": entries, "weights": entries}
+    kind = Recording if in_time else ResponseMatrix
+    predicted = (fields.array if in_time else fields.complex_array)(
+        "predicted", (p, samples) if in_time else entries, finite=False
+    )
+    own: Shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
+    return _read(FittedChannels, fields, own, record=_read(kind, record, shapes), predicted=predicted)
+
+
+CODECS = {
+    "PEMResult": Codec(LosslessResult, _to_dict, _from_dict),
+    "DampedResult": Codec(DampedResult, _modal_to_dict, _modal_from_dict),
+}

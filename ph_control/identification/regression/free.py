@@ -205,12 +205,24 @@ class FreeProjection(LinearProjection):
         pairs = zip(self.experiments, self.own, strict=True)
         return [one.at(self.p).predict(self.shared[:, one.outputs], own) for one, own in pairs]
 
+    def motions(self, experiment: int) -> list[tuple[Array, Array]]:
+        """Of what belongs to an experiment without inputs, for each output: inverse Gram matrix, derivatives by poles.
+
+        Poles by imaginary, then real parts.
+        """
+        rows, (inverse, above, _) = self.experiments[experiment], self._parts[experiment]
+        slopes = [
+            by_poles(above.derivatives, rows, own, np.zeros((len(self.p), 0), complex))
+            for own in self.own[experiment].T
+        ]
+        return [(inverse @ inverse.T, -inverse @ one) for one in slopes]
+
     def _slopes(self, group: _Together, output: int) -> Array:
         """Derivatives of an output by imaginary and real parts of the poles, in the rows of its group."""
         found = []
         for k in group.experiments:
             rows, own = self.experiments[k], self.own[k][:, self._places(k, [output])[0]]
-            found.append(_by_poles(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
+            found.append(by_poles(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
         return np.concatenate(found)
 
     @cached_property
@@ -289,7 +301,7 @@ class GivenResidues(FreeProjection):
         return np.asarray(group.targets - group.columns @ self.shared[:, group.outputs])
 
 
-def _by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexArray) -> Array:
+def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexArray) -> Array:
     """Derivatives of an output by imaginary and real parts of the poles, from those of its columns.
 
     `own` unknowns are those of the output, as are its `residues` (n, inputs).
@@ -317,7 +329,7 @@ def first_step(
     at = FreeProjection(experiments, p)
     for rows, (inverse, above, below) in zip(experiments, at._parts, strict=True):
         own = inverse @ (above.outputs[:, 0] - above.shared @ shared)
-        slopes = _by_poles(below.derivatives, rows, own, residues[:, None])
+        slopes = by_poles(below.derivatives, rows, own, residues[:, None])
         parts.append(np.column_stack([slopes, below.shared, below.outputs[:, 0] - below.shared @ shared]))
         fitted += len(above.outputs)
     moved = np.concatenate(parts)

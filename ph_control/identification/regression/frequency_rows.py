@@ -253,6 +253,7 @@ class FreeResponseEvaluation(Evaluation):
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""
         rows = self._rows
         everywhere = np.full((shared.shape[1], len(rows.frequencies)), np.nan, complex)
-        weights = np.concatenate([own, shared])
+        # other entries may be fed through, and these not
+        weights = np.concatenate([own, shared[: 2 * len(self._p) + rows.through]])
         everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) / rows.weight
         return everywhere

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
+from ..._display import p_value
 from ..._types import Array, ComplexArray, Indices
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
@@ -37,6 +38,17 @@ class Cause(Enum):
     DELAY = "delay of the input"
     COLOURED_NOISE = "coloured noise"
     INPUT_NOISE = "noise on the input"
+    LOSSES = "losses, or residues that no lossless model has"
+    COMPLEX_SHAPES = "damping or sensors that classical damping does not explain"
+    ACTIVITY = "energy that no passive model gives"
+    SEVERAL_SHAPES = "residues of more than one shape"
+    ONE_WAY = "responses that are not reciprocal"
+
+
+REJECTED = {
+    "lossless": Cause.LOSSES, "classical": Cause.COMPLEX_SHAPES, "passive": Cause.ACTIVITY,
+    "rank one": Cause.SEVERAL_SHAPES, "reciprocal": Cause.ONE_WAY,
+}  # fmt: skip  # what the data show where they reject a hypothesis
 
 
 @dataclass(frozen=True)
@@ -51,7 +63,8 @@ class Finding:
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
         which the output lags; of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of a hold
-        0 for an input that was held, 1 for a linear one.
+        0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
+        freedom.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one.
     """
@@ -316,6 +329,9 @@ def sentence_of(finding: Finding, intersample: str) -> str:
             f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} what the input would cause "
             f"({certain}): a delay of the recording; fit {remedy}."
         )
+    if finding.cause in REJECTED.values():
+        hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
+        return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(values[0])})."
     if finding.cause is Cause.COLOURED_NOISE:
         return (
             f"The noise is coloured ({certain}): an autoregression with the coefficient{'s' * (len(values) != 1)} "

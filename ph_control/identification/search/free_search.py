@@ -277,8 +277,11 @@ class Responses:
     def left(self, at: FreeProjection) -> Left:
         """What a model leaves, in the scale of the weights."""
         pairs = zip(self.responses, at.own, strict=True)
-        return [rows.target - np.concatenate([own, at.shared[:, rows.outputs]]).T @ rows.columns(at.p)
-                for rows, own in pairs]  # fmt: skip
+        found = []
+        for rows, own in pairs:
+            shared = at.shared[: 2 * len(at.p) + rows.through, rows.outputs]
+            found.append(rows.target - np.concatenate([own, shared]).T @ rows.columns(at.p))
+        return found
 
     def losses(self, left: Left) -> Array:
         """Weighted sum of squares of each entry."""

@@ -23,8 +23,17 @@ from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
-from ..diagnosis.fitted_directions import Directions, of_record, of_response, same_data
+from ..diagnosis.fitted_directions import (
+    Directions,
+    of_damped_record,
+    of_damped_response,
+    of_record,
+    of_response,
+    same_data,
+)
+from ..fit.damped_result import DampedResult
 from ..fit.lossless_result import LosslessResult
+from ..fit.result import PEMResult
 from ..regression.frequency_rows import modal_columns
 from ..regression.prediction import response_on
 
@@ -92,15 +101,23 @@ def answers_to(
 
 
 def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
-    """What a `LosslessResult`, a system of this package, or a linear system of python-control says of an experiment."""
-    places = range(len(model.experiments)) if isinstance(model, LosslessResult) else []
+    """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
+    if isinstance(model, DampedResult) and model.residues.shape[1:] != (1, 1):
+        raise StructureError(
+            f"model {label!r} has {len(model.input_labels)} inputs and {len(model.output_labels)} outputs; its predict "
+            "tells what it says of new data"
+        )
+    places = range(len(model.experiments)) if isinstance(model, PEMResult) else []
     place = next((k for k in places if same_data(record, model.experiments[k].record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
-        return Simulation(model.experiments[place].predicted, lambda: _fitted_directions(model, place), True)
+        directions = _damped_directions if isinstance(model, DampedResult) else _fitted_directions
+        return Simulation(model.experiments[place].predicted, lambda: directions(model, place), True)
     if isinstance(record, FrequencyRecord):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
     if isinstance(model, LosslessResult):
         return _fitted_model(model, place, label, record, rules)
+    if isinstance(model, DampedResult):
+        return _damped_model(model, label, record, rules)
     if rules.initial_state == "fitted":
         raise StructureError(
             f"initial_state='fitted' is that of a PEMResult; model {label!r} is a {type(model).__name__}, which keeps "
@@ -202,6 +219,28 @@ def _fitted_model(model: LosslessResult, place: int | None, label: str, record: 
     return replace(found, directions=directions, own=True)
 
 
+def _damped_model(model: DampedResult, label: str, record: Record, rules: Rules) -> Simulation:
+    """A fit of damped modes on other data, or from another state on its own."""
+    constant = bool(model.offsets.any())
+    rules = Rules("exact", model.intersample, rules.initial_state, constant)
+    if rules.initial_state == "fitted":
+        found = model.predict(record.as_response(), initial_state="fitted").outputs
+        return Simulation(np.reshape(found, -1), lambda: _no_directions(record))
+    motions = _linear_motions(model.observed_system, label, record, rules.hold(record.dt))
+    return _completed(motions, label, record, rules)
+
+
+def _damped_directions(model: DampedResult, place: int) -> Directions:
+    """Derivatives of the prediction of one experiment by poles and residues, and by its free motion and offset."""
+    one: Any = model.experiments[place]
+    rho = model.residues[:, 0, 0]
+    if isinstance(one.record, FrequencyRecord):
+        return of_damped_response(one.record, model.poles, rho)
+    hold, offset = Hold(one.record.dt, "exact", model.intersample), int(model.offsets.any())
+    through = bool(model.feedthrough.any())
+    return of_damped_record(one.record, model.poles, rho, one.free_amplitudes, hold, offset, through)
+
+
 def _kept_state(model: LosslessResult, label: str) -> tuple[Array, float]:
     fitted = [one.record for one in model.experiments]
     if len(fitted) > 1 or not isinstance(fitted[0], Record):
@@ -301,6 +340,8 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 
 def _response(model: Any, label: str, record: FrequencyRecord) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
+    if isinstance(model, DampedResult):
+        model = model.observed_system
     if isinstance(model, LosslessResult):
         live = model.r > 0
         infinite = np.isin(record.omega, model.d[live])

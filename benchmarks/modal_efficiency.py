@@ -1,0 +1,166 @@
+"""Monte Carlo of fits of damped structures: errors over the Cramer-Rao bound, and how often intervals cover the truth.
+
+python -m benchmarks.modal_efficiency [--seeds N] [--kind time|response|decay] [--structure free|classical]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+
+import ph_control as phc
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+SAMPLES = 800
+NOISE = 0.1  # 20 dB
+QUIET = 1e-3  # of the noise, with which a fit has the bound at the truth
+LEVEL = 0.95
+PARAMETERS = ("natural_frequencies", "damping_ratios", "residues", "shapes")
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Poles, and shapes of unit modal mass at the sensors; the first sensors are at the actuators."""
+
+    poles: ComplexArray
+    shapes: Array
+    inputs: int
+
+    @classmethod
+    def of(cls, modes: int = 3, outputs: int = 4, inputs: int = 2, seed: int = 0) -> Plant:
+        """One with real modes, well apart."""
+        rng = np.random.default_rng(seed)
+        d = np.linspace(0.5, 2.4, modes) + rng.uniform(-0.1, 0.1, modes)
+        zeta = rng.uniform(0.005, 0.02, modes)
+        shapes = rng.standard_normal((modes, outputs))
+        shapes *= np.sign(shapes[:, :1])
+        shapes[:, 0] += 0.5
+        return cls(d * (-zeta + 1j * np.sqrt(1 - zeta**2)), shapes, inputs)
+
+    @property
+    def residues(self) -> ComplexArray:
+        """Of velocities by forces."""
+        factor = self.poles / (2j * self.poles.imag)
+        return factor[:, None, None] * self.shapes[:, :, None] * self.shapes[:, None, : self.inputs]
+
+    @property
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """The parameters that are estimated."""
+        d = np.abs(self.poles)
+        return {
+            "natural_frequencies": d, "damping_ratios": -self.poles.real / d, "residues": self.residues,
+            "shapes": self.shapes + 0j,
+        }  # fmt: skip
+
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """Transfer functions (p, m, K)."""
+        gaps = s - self.poles[:, None], s - self.poles[:, None].conj()
+        pairs = zip((self.residues, self.residues.conj()), gaps, strict=True)
+        return np.asarray(sum(np.einsum("lpm,lk->pmk", rho, 1 / gap) for rho, gap in pairs))
+
+    def velocities(self, u: Array) -> Array:
+        """Outputs (p, T) under held inputs (m, T) from rest, one sample a unit of time."""
+        form = phc.modes(
+            self.poles, self.shapes, (self.poles / (2j * self.poles.imag))[:, None] * self.shapes[:, : len(u)]
+        )
+        sampled = ct.c2d(form.state_space(), 1.0)
+        return np.asarray(ct.forced_response(sampled, np.arange(u.shape[1]) * 1.0, u, squeeze=False).outputs)
+
+
+def data_of(plant: Plant, kind: str, samples: int, seed: int, noise: float) -> Any:
+    """Data of a kind with white noise, as `pem` takes them."""
+    rng = np.random.default_rng([seed, 7])
+    if kind == "response":
+        omega = np.linspace(0.2, 2.8, samples // 2)
+        clean = plant.response(1j * omega)
+        size = noise * np.std(clean, axis=2, keepdims=True)
+        errors = rng.standard_normal((2, *clean.shape))
+        return ct.frd(clean + size * (errors[0] + 1j * errors[1]), omega)
+    if kind == "decay":
+        start = plant.shapes[:, :, None] * np.exp(np.outer(plant.poles, np.arange(samples)) + 0.3j)[:, None]
+        u, clean = None, 2 * start.real.sum(axis=0)
+    else:
+        u = np.random.default_rng(11).standard_normal((plant.inputs, samples))
+        clean = plant.velocities(u)
+    return u, clean + noise * np.std(clean, axis=1, keepdims=True) * rng.standard_normal(clean.shape)
+
+
+@dataclass(frozen=True)
+class Efficiency:
+    """Of one kind of parameter: mean squared error over the bound, mean error, share of intervals that cover."""
+
+    ratio: float
+    bias: float
+    cover: float
+
+
+def study(
+    kind: str = "time", structure: str = "free", seeds: int = 200, samples: int = SAMPLES, plant: Plant | None = None
+) -> dict[str, Efficiency]:
+    """Fits to the same plant with noise of different seeds."""
+    plant = plant or Plant.of()
+    ports = [] if kind == "decay" else [(k, k) for k in range(plant.inputs)]
+    options: dict[str, Any] = {"structure": structure, "ports": ports, "order": len(plant.poles)}
+    options |= {} if kind == "response" else {"dt": 1.0, "intersample": "zoh"}
+    quiet = phc.pem(data_of(plant, kind, samples, 0, NOISE * QUIET), **options)
+    truth = plant.truth
+    if kind == "decay":
+        lead = np.abs(plant.shapes).argmax(axis=1)
+        truth["shapes"] = plant.shapes / plant.shapes[np.arange(len(lead)), lead][:, None] + 0j
+        truth.pop("residues")
+    errors: dict[str, list[Array]] = {name: [] for name in truth}
+    covers: dict[str, list[NDArray[Any]]] = {name: [] for name in truth}
+    for seed in range(1, seeds + 1):
+        found = phc.pem(data_of(plant, kind, samples, seed, NOISE), initial_guess=quiet, **options)
+        intervals = found.confidence_interval(LEVEL)
+        for name, true in truth.items():
+            bound = _parts(quiet.stderr[name]) / QUIET
+            shown = bound > 1e-6 * np.abs(true).max()  # some are fixed by the scale, or by the structure
+            errors[name].append((_parts(getattr(found, name)) - _parts(true))[shown] / bound[shown])
+            low, high = _parts(intervals[name][..., 0]), _parts(intervals[name][..., 1])
+            covers[name].append(((low <= _parts(true)) & (_parts(true) <= high))[shown])
+    return {
+        name: Efficiency(
+            float(np.mean(np.square(errors[name]))),
+            float(np.abs(np.mean(errors[name], axis=0)).max()),
+            float(np.mean(covers[name])),
+        )
+        for name in truth
+    }
+
+
+def _parts(values: NDArray[Any]) -> Array:
+    """Real and imaginary parts."""
+    return np.stack([values.real, values.imag]) if np.iscomplexobj(values) else np.asarray(values)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--kind", action="append", choices=("time", "response", "decay"))
+    parser.add_argument("--structure", action="append", choices=("free", "classical"))
+    options = parser.parse_args()
+    print("3 modes, 4 outputs, 2 inputs, 20 dB; mean squared error over the Cramer-Rao bound, share of 95 % intervals")
+    for kind in options.kind or ("time", "response", "decay"):
+        for structure in options.structure or (("free",) if kind == "decay" else ("free", "classical")):
+            begin = time.perf_counter()
+            found = study(kind, structure, options.seeds)
+            took = time.perf_counter() - begin
+            print(f"{kind}, {structure}: {options.seeds} seeds in {took:.0f} s")
+            for name, one in found.items():
+                print(
+                    f"  {name:20s} ratio {one.ratio:5.3f}, largest bias {one.bias:5.3f}, cover {100 * one.cover:5.1f} %"
+                )
+
+
+if __name__ == "__main__":
+    main()

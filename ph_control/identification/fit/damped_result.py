@@ -1,0 +1,525 @@
+"""The result of a fit of damped modes, of any number of inputs and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ... import _checks
+from ..._frozen import ReadOnlyMapping
+from ..._types import Array, ComplexArray
+from ..._units import common_unit, hertz_size, with_unit
+from ...exceptions import NotPassiveError, StructureError
+from ...modal.discretization import Hold
+from ...modal.general_form import from_vectors, real_matrices
+from ...plotting.bode_plot import bode_plot
+from ...systems.port_hamiltonian import ph
+from ..data.channels import Recording, ResponseMatrix, as_channels
+from ..diagnosis.damped_model import HypothesisTest
+from ..diagnosis.verdict import Outcome
+from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
+from ..regression.prediction import FittedExperiment, chosen_experiment
+from ..search.circumstances import Finding
+from ..uncertainty.draws import draw, intervals
+from ..uncertainty.modal_draws import ModalSamples
+from .report import DampedReport
+from .result import OrderRow, PEMResult, output_plot
+from .scaled_shapes import ModeShapes, Ports, in_velocity_units
+
+_NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of its own does not stand for
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DampedResult(DampedReport, PEMResult):
+    """Result of `pem`: damped modes of m inputs and p outputs.
+
+    Attributes
+    ----------
+    structure : {'lossless', 'classical', 'passive', 'free'}
+        What the model assumes of losses and sensors.
+    poles : ndarray of complex, shape (n,)
+        Those of positive imaginary part, by their natural frequencies.
+    residues : ndarray of complex, shape (n, p, m)
+        Of the outputs as measured, at these poles.
+    feedthrough : ndarray, shape (p, m)
+        Response at infinity.
+    covariance : ndarray, shape (N, N)
+        Of natural frequencies, damping ratios, real and imaginary parts of the residues and the feedthrough, matrices
+        row by row, N = 2n + (2n + 1) p m; rows and columns of what was not estimated are NaN.
+    shapes, participation : ndarray of complex, shapes (n, p) and (n, m)
+        As of every `PEMResult`.
+    shape_stderr : ndarray of complex, shape (n, p)
+        Standard errors of real and imaginary parts of the shapes.
+    shapes_scaled : bool
+        Whether a driving point sets the scale of all shapes.
+    ports : tuple of (int, int)
+        Output and input of each driving point.
+    quantities : tuple of str
+        What each output is: 'velocity', 'displacement', 'acceleration', or 'free' for any other.
+    noise_variance : ndarray, shape (p,) or (p, m)
+        Estimated variance of the noise of each output; of each entry of a frequency response, of real and imaginary
+        parts at unit weight.
+    experiments : tuple of FittedChannels, or of FittedExperiment
+        What the fit says of each experiment: data, free motions, offsets, prediction and residuals; of one input and
+        one output as in a lossless fit, `initial_state` that of `observed_system`.
+    loss : float
+        Mean squared residual in units of the noise of each output.
+    loglik, aic, bic : float
+        Gaussian log-likelihood and the criteria made of it.
+    fit_percent : float
+        `100 (1 - sqrt(mean |y - yhat|^2 / |y - mean(y)|^2))`, the mean over outputs.
+    unknowns : int
+        Number of estimated numbers, noise variances included.
+    whiteness : float
+        p-value of the Ljung-Box test on the residuals of all outputs.
+    order_table : tuple of OrderRow
+        Loss and criteria for each order tried.
+    tests : tuple of HypothesisTest
+        Structures against wider ones: hypothesis, likelihood ratio, degrees of freedom, p-value.
+    findings : tuple of Finding
+        What the data show beside the modes, and which assumptions they reject.
+    success : bool
+        Whether the refinement converged, uninterrupted.
+    outcome : Outcome
+        What the fit amounts to; `verdict` is its text.
+    message : str
+        What it rests on, in sentences.
+    intersample : str
+        Input between the samples: 'zoh' or 'foh'.
+    stderr : mapping
+        Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'residues', 'shapes' and
+        'feedthrough'; those of complex numbers are complex, of real and imaginary part.
+    """
+
+    structure: str
+    poles: ComplexArray
+    residues: ComplexArray
+    feedthrough: Array
+    covariance: Array
+    shapes: ComplexArray
+    participation: ComplexArray
+    shape_stderr: ComplexArray
+    shapes_scaled: bool
+    ports: tuple[tuple[int, int], ...]
+    quantities: tuple[str, ...]
+    noise_variance: Array
+    experiments: tuple[FittedChannels, ...] | tuple[FittedExperiment, ...]
+    loss: float
+    loglik: float
+    aic: float
+    bic: float
+    fit_percent: float
+    unknowns: int
+    whiteness: float
+    order_table: tuple[OrderRow, ...]
+    tests: tuple[HypothesisTest, ...]
+    findings: tuple[Finding, ...]
+    success: bool
+    outcome: Outcome
+    message: str
+    intersample: str
+    stderr: Mapping[str, Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        n, shape = self.order, self.residues.shape
+        deviation = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        count = 2 * n + self.residues.size
+        parts = {
+            "natural_frequencies": deviation[:n],
+            "hertz": deviation[:n] / hertz_size(self.time_unit),
+            "damping_ratios": deviation[n : 2 * n],
+            "residues": _complex(deviation[2 * n : count], deviation[count : count + self.residues.size], shape),
+            "shapes": self.shape_stderr,
+            "feedthrough": deviation[count + self.residues.size :].reshape(shape[1:]),
+        }
+        object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
+        super().__post_init__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What was estimated; systems are made again."""
+        return {name: value for name, value in vars(self).items() if name not in ("system", "observed_system")}
+
+    # --- channels --------------------------------------------------------------------------------------------------
+
+    @property
+    def input_labels(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        record = self.experiments[0].record
+        if isinstance(record, Recording | ResponseMatrix):
+            return record.input_labels
+        return (record.input_label,) if getattr(record, "driven", True) else ()
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        record = self.experiments[0].record
+        return record.output_labels if isinstance(record, Recording | ResponseMatrix) else (record.output_label,)
+
+    @property
+    def quantity(self) -> str:
+        """What the outputs are, joined by commas where they differ."""
+        return ", ".join(dict.fromkeys(self.quantities))
+
+    @property
+    def damping_ratios(self) -> Array:
+        """Damping ratios `-Re p / |p|`, shape (n,); negative where a mode grows."""
+        return 0.0 - self.poles.real / np.abs(self.poles)
+
+    @property
+    def d(self) -> Array:
+        """Natural frequencies: `natural_frequencies`."""
+        return self.natural_frequencies
+
+    @property
+    def damped(self) -> DampedResult:
+        """The damped model, which a lossless fit has beside it: this one."""
+        return self
+
+    # --- models ----------------------------------------------------------------------------------------------------
+
+    @property
+    def modes(self) -> Any:
+        """Modal form of what was measured, of residues of rank one."""
+        return from_vectors(self.poles, *self._factors)
+
+    @property
+    def _factors(self) -> tuple[ComplexArray, ComplexArray]:
+        """Factors (n, p) and (n, m) of the rank-one matrices next to the residues."""
+        U, s, V = np.linalg.svd(self.residues, full_matrices=False)
+        return U[:, :, 0], s[:, :1] * V[:, 0]
+
+    @cached_property
+    def observed_system(self) -> ct.StateSpace:
+        """Linear system from the inputs to what was measured, in real modal coordinates.
+
+        Two states for each mode, and for each singular value of its residue that is not 0.
+        """
+        return self._state_space(self.residues, self.feedthrough, self.output_labels)
+
+    def _state_space(self, residues: ComplexArray, through: Array, outputs: tuple[str, ...]) -> ct.StateSpace:
+        n, p, m = residues.shape
+        poles, shapes, participation = [], [np.zeros((0, p), complex)], [np.zeros((0, m), complex)]
+        if min(p, m) == 1:
+            # the states of one output are the contributions to it
+            c, b = (np.ones((n, 1), complex), residues[:, 0]) if p == 1 else (residues[:, :, 0], np.ones((n, 1)) + 0j)
+            poles, shapes, participation = list(self.poles), [c], [b]
+        elif m:
+            U, s, V = np.linalg.svd(residues, full_matrices=False)
+            for l, rank in enumerate(np.sum(s > _NO_SIZE * s[:, :1], axis=1)):
+                poles += [self.poles[l]] * int(rank)
+                shapes.append(U[l, :, :rank].T)
+                participation.append(s[l, :rank, None] * V[l, :rank])
+        else:
+            poles, shapes = list(self.poles), [self.shapes]
+            participation = [np.zeros((n, 0), complex)]
+        A, B, C = real_matrices(np.array(poles, complex), 2 * np.concatenate(participation), np.concatenate(shapes).T)
+        names = {"inputs": _plain(self.input_labels), "outputs": _plain(outputs)} if m else {"outputs": _plain(outputs)}
+        return with_unit(ct.StateSpace(A, B, C, through, remove_useless_states=False, **names), self.time_unit)
+
+    @cached_property
+    def system(self) -> Any:
+        """The model: with ports and losses that are 0, classical or passive a `PortHamiltonian`, else a `StateSpace`.
+
+        The port outputs are velocities; what was measured otherwise are sensors beside them.  Where that is not
+        passive, or an input has no port, it is `observed_system`.
+        """
+        inputs = [i for _, i in self.ports]
+        if self.structure == "free" or sorted(inputs) != list(range(len(self.input_labels))) or not inputs:
+            return self.observed_system
+        ports = sorted(self.ports, key=lambda port: port[1])
+        velocities = [o for o, _ in ports]
+        factors = in_velocity_units(self.poles, self.quantities)[:, :, None]
+        turned = self.residues * factors * (self.poles / (2j * self.poles.imag))[:, None, None]
+        known = [o for o in velocities if self.quantities[o] in ("velocity", "free")]
+        others = [o for o in range(len(self.output_labels)) if o not in known]
+        labels = [self.output_labels[o] if o in known else f"velocity of {self.output_labels[o]}" for o in velocities]
+        through = np.where(np.isin(velocities, known)[:, None], self.feedthrough[velocities], 0.0)
+        residues = np.concatenate([turned[:, velocities], self.residues[:, others]], axis=1)
+        names = (*labels, *(self.output_labels[o] for o in others))
+        plant = self._state_space(residues, np.concatenate([through, self.feedthrough[others]]), names)
+        try:
+            return with_unit(ph(plant, ports=[(k, k) for k in range(len(inputs))]), self.time_unit)
+        except (NotPassiveError, StructureError):
+            return self.observed_system
+
+    # --- uncertainty -----------------------------------------------------------------------------------------------
+
+    @property
+    def _spare(self) -> int:
+        """Real residuals less what was estimated."""
+        parts = sum(int(one.record.observed.sum()) * (1 + np.iscomplexobj(one.predicted)) for one in self.experiments)
+        return max(1, parts - self.unknowns)
+
+    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Any]:
+        """Confidence intervals of the parameters.
+
+        Parameters
+        ----------
+        level : float
+            Probability of each interval, between 0 and 1.
+
+        Returns
+        -------
+        mapping
+            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`; NaN for what is held.  Of
+            complex numbers the ends are those of real and imaginary part.
+
+        Raises
+        ------
+        StructureError
+            If the level is not between 0 and 1.
+
+        Notes
+        -----
+        From Student's t distribution, as the noise variances are estimated as well; frequencies are cut off at 0.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1, structure="free")
+        >>> (low, high), = result.confidence_interval()["damping_ratios"]
+        >>> bool(low < 0.02 < high)
+        True
+        """
+        values = {name: getattr(self, name) for name in self.stderr}
+        return intervals(values, self.stderr, level, {"natural_frequencies": 0.0, "hertz": 0.0}, self._spare)
+
+    def sample(self, k: int, rng: Any = None) -> ModalSamples:
+        """Models drawn from the distribution of the estimate, for bands and for designs that must hold for all.
+
+        Parameters
+        ----------
+        k : int
+            Number of models.
+        rng : numpy.random.Generator or int, optional
+            Random numbers, or a seed of them; fresh ones by default.
+
+        Returns
+        -------
+        ModalSamples
+            Poles, residues, feedthrough and shapes of each, and the bands of their responses.
+
+        Raises
+        ------
+        StructureError
+            If `k` or `rng` is not of this form.
+
+        Notes
+        -----
+        From the normal distribution with `covariance`; what is held stays.  O(N^3 + k N^2) for N parameters.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1, structure="free")
+        >>> result.sample(200, rng=1).magnitude_band([0.5, 1.0]).shape
+        (2, 2)
+        """
+        n, (_, p, m), size = self.order, self.residues.shape, self.residues.size
+        d, zeta, rho = self.natural_frequencies, self.damping_ratios, self.residues.ravel()
+        mean = np.concatenate([d, zeta, rho.real, rho.imag, self.feedthrough.ravel()])
+        found = draw(mean, self.covariance, k, rng, positive=np.arange(len(mean)) < n)
+        d, zeta = found[:, :n], found[:, n : 2 * n]
+        poles = d * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
+        residues = (found[:, 2 * n :][:, :size] + 1j * found[:, 2 * n + size :][:, :size]).reshape(-1, n, p, m)
+        shapes = np.broadcast_to(self.shapes, (len(found), n, p))
+        if m:
+            shaped = ModeShapes.of(poles.ravel(), residues.reshape(-1, p, m), self.quantities, self._scaling)
+            shapes = shaped.shapes.reshape(-1, n, p)
+        return ModalSamples(poles, residues, found[:, 2 * n + 2 * size :].reshape(-1, p, m), shapes)
+
+    @property
+    def _scaling(self) -> Ports:
+        """Driving points that set the scale of the shapes."""
+        return self.ports if self.shapes_scaled else ()
+
+    # --- prediction ------------------------------------------------------------------------------------------------
+
+    @property
+    def free_amplitudes(self) -> ComplexArray:
+        """Free motion of each mode at each output, `Re(amplitude exp(p t))`, of a fit to one experiment.
+
+        Shape (n, p); (n,) of one input and output.
+        """
+        return np.asarray(self._only("free_amplitudes").free_amplitudes)
+
+    @property
+    def initial_state(self) -> Array:
+        """State of `observed_system` at the first sample, of a fit to one experiment of one input and one output."""
+        one = self._only("initial_state")
+        if not isinstance(one, FittedExperiment):
+            raise StructureError("outputs of several channels move freely each for itself: free_amplitudes has it")
+        return one.initial_state
+
+    @property
+    def offsets(self) -> Array:
+        """Constant added to each output in each experiment, shape (E, p); (E,) of one input and output."""
+        return np.array([getattr(one, "offsets", getattr(one, "offset", 0.0)) for one in self.experiments])
+
+    def predict(self, data: Any, *, initial_state: str | None = None, dt: float | None = None) -> ct.TimeResponseData:
+        """Outputs of the model on another record.
+
+        Parameters
+        ----------
+        data : TimeResponseData, pair (u, y), or array of inputs, shape (T,) or (m, T)
+            Inputs, with the outputs that the free motion is estimated from; `(None, y)` is a free motion.
+        initial_state : {'estimate', 'fitted', 'zero'}, optional
+            Motion at the first sample: 'estimate' fits it to the outputs of `data`, 'fitted' takes that of this result.
+            Default: 'estimate' if `data` has outputs, else 'zero'.
+        dt : float, optional
+            Time between samples, for arrays; by default that of the record that was fitted.
+
+        Returns
+        -------
+        control.TimeResponseData
+            Predicted outputs.
+
+        Raises
+        ------
+        StructureError
+            If the data do not fit the model, or outputs are needed and absent.
+
+        Notes
+        -----
+        A constant is estimated along with the motion if one was in the fit.  O(T n (m + p)).
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), np.random.default_rng(0).standard_normal(800)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(800), u, intersample="zoh").outputs
+        >>> result = phc.pem((u[:500], y[:500]), 1, dt=0.1, structure="free")
+        >>> again = result.predict((u[500:], y[500:]))
+        >>> bool(np.allclose(again.outputs, y[500:], atol=1e-6))
+        True
+        """
+        fitted = self.experiments[0].record
+        p, m = len(self.output_labels), len(self.input_labels)
+        if not isinstance(data, ct.TimeResponseData | Recording) and not (isinstance(data, tuple) and len(data) == 2):
+            data = (data, None)
+        step = getattr(fitted, "dt", None) if dt is None else dt
+        record = _recording(data, step, p)
+        if (len(record.u), len(record.y)) != (m, p):
+            raise StructureError(
+                f"the record has {len(record.u)} inputs and {len(record.y)} outputs; this model has {m} and {p}"
+            )
+        record = replace(
+            record, input_labels=self.input_labels, output_labels=self.output_labels,
+            time_unit=common_unit(record, self),
+        )  # fmt: skip
+        outputs = self._outputs_on(record, initial_state)
+        found = ct.TimeResponseData(
+            record.time, outputs, inputs=record.u if m else None, issiso=p == m == 1, output_labels=self.output_labels,
+            input_labels=list(self.input_labels) if m else None, title=record.title or "Prediction",
+        )  # fmt: skip
+        return with_unit(found, self.time_unit)
+
+    def _outputs_on(self, record: Recording, initial_state: str | None) -> Array:
+        """Outputs on a record, from a motion of some name."""
+        seen = bool(record.observed.any())
+        name = initial_state or ("estimate" if seen else "zero")
+        _checks.choice("initial_state", name, ("estimate", "fitted", "zero"))
+        hold = Hold(record.dt, "exact", self.intersample)
+        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
+        if name == "zero":
+            return forced
+        t = record.dt * np.arange(record.samples)
+        if name == "fitted":
+            one = self._only("free_amplitudes")
+            if np.iscomplexobj(one.predicted):
+                raise StructureError(
+                    "this fit is to a frequency response, which has no motion; use 'estimate' or 'zero'"
+                )
+            motion = one.free_amplitudes.reshape(self.order, -1)
+            level, slope = (one.offsets, one.drifts) if isinstance(one, FittedChannels) else (one.offset, one.drift)
+            free = (motion.T @ np.exp(np.outer(self.poles, t))).real
+            return np.asarray(forced + free + np.reshape(level, (-1, 1)) + np.reshape(slope, (-1, 1)) * t)
+        if not seen:
+            raise StructureError("the record has no outputs to estimate the motion from; pass initial_state='zero'")
+        return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()))
+
+    def plot(self, experiment: int = 0, *, output: int = 0, input: int = 0, **kwargs: Any) -> Any:
+        """Picture of one measured and predicted output with the residual below; of a response, over frequency.
+
+        Parameters
+        ----------
+        experiment : int
+            Which of several experiments, counted from 0.
+        output, input : int
+            Which output, and of a response from which input, counted from 0.
+        **kwargs
+            Passed to the plotting function: labels and units.
+
+        Returns
+        -------
+        control.ControlPlot
+
+        Raises
+        ------
+        StructureError
+            If there is no such experiment, output or input.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1, structure="free")
+        >>> picture = result.plot(output_unit="m/s")
+        >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
+        """
+        one = chosen_experiment(self.experiments, experiment)
+        place = _checks.whole_number("output", output, 0, len(self.output_labels) - 1)
+        if np.iscomplexobj(one.predicted):
+            source = _checks.whole_number("input", input, 0, len(self.input_labels) - 1)
+            data = as_frequency_response(one.record)[place, source]
+            plant = self if self.residues[0].size == 1 else self.observed_system[place, source]
+            return bode_plot(plant, data=data, **kwargs)
+        y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
+        return output_plot(self, one.record.time, y, predicted, self.output_labels[place], **kwargs)
+
+
+def _complex(real: Array, imaginary: Array, shape: tuple[int, ...]) -> ComplexArray:
+    found = np.empty(len(real), complex)
+    found.real, found.imag = real, imaginary
+    return found.reshape(shape)
+
+
+def _plain(labels: tuple[str, ...]) -> list[str]:
+    """Labels without dots, which python-control does not take."""
+    return [label.replace(".", "_") for label in labels]
+
+
+def _recording(data: Any, dt: Any, outputs: int) -> Recording:
+    """One recording; without outputs these are missing throughout."""
+    blind = isinstance(data, tuple) and data[1] is None
+    if blind:
+        u = np.atleast_2d(_checks.real_array("the input", data[0]))
+        data = (u, np.zeros((outputs, u.shape[1])))
+    found: Any = as_channels(data, dt if isinstance(data, tuple) else None)
+    if len(found) > 1 or isinstance(found[0], ResponseMatrix):
+        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; needed one record in time")
+    return replace(found[0], y=np.full_like(found[0].y, np.nan)) if blind else found[0]
+
+
+def as_frequency_response(record: Any) -> ct.FrequencyResponseData:
+    """Response as python-control keeps one."""
+    if not isinstance(record, ResponseMatrix):
+        return record.as_response()
+    found = ct.FrequencyResponseData(
+        record.response, record.omega, inputs=_plain(record.input_labels), outputs=_plain(record.output_labels),
+        title=record.title or None,
+    )  # fmt: skip
+    return with_unit(found, record.time_unit)

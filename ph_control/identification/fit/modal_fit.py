@@ -1,0 +1,487 @@
+"""From channels to a result: free residues, the structures that the data do not reject, parameters with errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ... import _checks
+from ..._display import counted, p_value
+from ..._types import Array, ComplexArray, Indices, NDArray
+from ...exceptions import IdentificationError, StructureError
+from ...modal.discretization import INTERSAMPLE
+from ...modal.modal_form import ModalForm
+from ..data.channels import Recording, ResponseMatrix
+from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import Record
+from ..diagnosis.damped_model import HypothesisTest
+from ..diagnosis.verdict import GOOD_FIT, WHITE, Outcome
+from ..regression.free import FreeProjection
+from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, unexplained
+from ..regression.prediction import FittedExperiment
+from ..regression.tuning import TUNING
+from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
+from ..search.formulation import Callback, Progress
+from ..search.modal_search import FreeFit, free_fit
+from ..structure.constrained import StructuredFit, constrained
+from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
+from ..structure.layout import POWERS, ChannelLayout
+from ..uncertainty.residual_tests import ljung_box
+from .damped_result import DampedResult
+from .result import STRUCTURES, OrderRow, PEMResult
+from .scaled_shapes import ModeShapes, shape_errors
+
+QUANTITIES = tuple(POWERS)
+
+Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a fit of damped modes."""
+
+    structure: str
+    ports: tuple[tuple[int, int], ...]
+    quantities: tuple[str, ...]
+    assumed: bool = False  # whether the ports are those that a lossless fit takes for granted
+
+
+def fit_channels(
+    channels: Channels, asked: Asked, order: int | str, *, intersample: str, offset: bool | str, max_order: int,
+    criterion: str, callback: Callback | None = None, start: ComplexArray | None = None,
+    findings: tuple[Finding, ...] = (),
+) -> DampedResult:  # fmt: skip
+    """Free residues first, then the structure that is asked for, or the simplest that is not rejected."""
+    _refuse_still(channels)
+    wanted = order if isinstance(order, str) else _checks.whole_number("order", order, 1)
+    if isinstance(wanted, str) and wanted != "auto":
+        raise StructureError(f"order is {wanted!r}; it must be 'auto' or a whole number of at least 1")
+    _checks.choice("intersample", intersample, ("auto", *INTERSAMPLE))
+    if not isinstance(offset, str) or offset != "auto":
+        _checks.flags(offset=offset)
+    most = _checks.whole_number("max_order", max_order, 1)
+    if callback is not None and not callable(callback):
+        raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
+    report = None if callback is None else _reporter(channels, callback, most)
+
+    def fit(hold: str, order: int | str, start: ComplexArray | None) -> DampedResult:
+        free = free_fit(
+            channels, order, quantities=asked.quantities, intersample=hold, offset=bool(offset), max_order=most,
+            criterion=criterion, callback=report, start=start,
+        )  # fmt: skip
+        return _structured(free, asked, findings)
+
+    found = fit(intersample, wanted, start)
+    settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
+    in_time = isinstance(channels[0], Recording) and len(channels[0].u) > 0
+    if intersample != "auto" or not in_time or not found.order or found.structure in settled:
+        return found
+    # free residues and a feedthrough are the same models under either hold; only structures tell the two apart
+    other = fit("foh" if found.intersample == "zoh" else "zoh", found.order, found.poles)
+    if asked.structure == "auto":
+        return min(found, other, key=lambda one: STRUCTURES.index(one.structure))
+    return other if other.loglik > found.loglik + TUNING.sure else found
+
+
+def _structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> DampedResult:
+    """The structure that is asked for, or the simplest that is not rejected."""
+    first = free.channels[0]
+    layout = ChannelLayout(
+        len(first.output_labels), len(first.input_labels), free.scales, asked.quantities, asked.ports,
+        per_entry=free.per_entry,
+    )  # fmt: skip
+    tests: tuple[HypothesisTest, ...] = ()
+    if not free.order:
+        fit = _without_modes(free)
+    elif asked.structure == "auto":
+        found = structure_tests(free.projection, layout, free.region)
+        tests, fit = found.tests, choose(found)
+    else:
+        fit = constrained(free.projection, layout, asked.structure, free.region)
+    return _result(free, fit, tests, asked, findings)
+
+
+def _reporter(channels: Channels, callback: Callback, most: int) -> Callable[[int, float], None]:
+    """What tells a callback of each model; its loss is that of outputs in a common unit of noise."""
+    samples, seen = sum(int(one.observed.sum()) for one in channels), [0]
+
+    def told(order: int, loglik: float) -> None:
+        seen[0] += 1
+        callback(Progress(order, most, seen[0], float(np.exp(-2 * loglik / samples - 1) / (2 * np.pi))))
+
+    return told
+
+
+def _refuse_still(channels: Channels) -> None:
+    """Refuse outputs that are zero, and inputs whose response cannot be told from a free motion."""
+    for k, label in enumerate(channels[0].output_labels):
+        values = [one.y[k] if isinstance(one, Recording) else one.response[k] for one in channels]
+        if not any(np.nan_to_num(one).any() for one in values):
+            raise IdentificationError(f"output {label!r} is zero throughout; there is nothing to model: leave it out")
+    recordings = [one for one in channels if isinstance(one, Recording)]
+    for k, label in enumerate(channels[0].input_labels if recordings else ()):
+        if all(np.all(one.u[k] == one.u[k, 0]) for one in recordings):
+            raise IdentificationError(
+                f"input {label!r} is constant in every experiment, so that no response to it can be told from a free "
+                "motion: leave it out, or pass (None, y) if nothing drove the outputs"
+            )
+
+
+def _without_modes(free: FreeFit) -> StructuredFit:
+    """A fit without modes: what is fed through, and constants."""
+    at, entries = free.projection, (len(free.channels[0].output_labels), len(free.channels[0].input_labels))
+    none, through = np.zeros((0, *entries), complex), np.zeros(entries)
+    return StructuredFit(
+        "free",
+        "free",
+        np.zeros(0, complex),
+        none,
+        through,
+        None,
+        None,
+        at.loss,
+        at.unknowns,
+        np.zeros((0, 0)),
+        at,
+        True,
+    )
+
+
+# --- what is asked ---------------------------------------------------------------------------------------------------
+
+
+def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> Asked:
+    """What is asked of a fit to these channels, checked."""
+    outputs, inputs = channels[0].output_labels, channels[0].input_labels
+    assumed = ports is None and len(outputs) == len(inputs) == 1
+    pairs = ((0, 0),) if assumed else () if ports is None else checked_ports(ports, outputs, inputs)
+    if structure == "passive" and not pairs:
+        raise StructureError("a passive structure needs driving points: name them, ports=[(output, input), ..]")
+    return Asked(structure, pairs, checked_quantities(quantity, outputs), assumed)
+
+
+def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
+    """One quantity for each output, of one for all, a sequence, or a mapping by label."""
+    if isinstance(quantity, str):
+        each: Any = [quantity] * len(labels)
+    elif isinstance(quantity, dict):
+        unknown = [name for name in quantity if name not in labels]
+        if unknown:
+            raise StructureError(f"quantity names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
+        each = [quantity.get(name, "velocity") for name in labels]
+    else:
+        each = list(quantity) if isinstance(quantity, tuple | list | np.ndarray) else [quantity]
+    if len(each) != len(labels):
+        raise StructureError(f"quantity has {len(each)} entries for {len(labels)} outputs; give one for each, or one")
+    return tuple(_checks.choice("quantity", one, QUANTITIES) for one in each)
+
+
+def checked_ports(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Pairs of an output and an input, given by labels or numbers."""
+    if isinstance(ports, str) or not hasattr(type(ports), "__iter__"):
+        raise StructureError(
+            f"ports is {_checks.shown(ports)}; pass a list of pairs (output, input), labels or numbers"
+        )
+    found: list[tuple[int, int]] = []
+    for port in ports:
+        if isinstance(port, str) or not hasattr(type(port), "__len__") or len(port) != 2:
+            raise StructureError(f"port {_checks.shown(port)} is no pair (output, input)")
+        found.append((_place("output", port[0], outputs), _place("input", port[1], inputs)))
+    for k, role in enumerate(("output", "input")):
+        sides = [port[k] for port in found]
+        repeated = [one for one in sides if sides.count(one) > 1]
+        if repeated:
+            label = (outputs, inputs)[k][repeated[0]]
+            raise StructureError(f"{role} {label!r} is at {sides.count(repeated[0])} ports; each belongs to one")
+    return tuple(found)
+
+
+def _place(role: str, value: Any, labels: Sequence[str]) -> int:
+    if isinstance(value, str):
+        if value in labels:
+            return list(labels).index(value)
+    elif _checks.is_whole(value) and 0 <= int(value) < len(labels):
+        return int(value)
+    listed = ", ".join(map(repr, labels)) or "none"
+    raise StructureError(
+        f"ports have the {role} {_checks.shown(value)}; the {role}s are {listed}, numbered from 0 to {len(labels) - 1}"
+    )
+
+
+def starting_poles(guess: Any) -> ComplexArray | None:
+    """Poles to start from."""
+    if guess is None:
+        return None
+    if isinstance(guess, PEMResult):
+        return np.asarray(guess.poles)
+    form = guess if isinstance(guess, ModalForm) else getattr(guess, "modes", None)
+    if not isinstance(form, ModalForm):
+        raise StructureError(
+            f"initial_guess is a {type(guess).__name__}; for damped modes pass a result, a ModalForm or a system"
+        )
+    poles = np.asarray(form.mode_poles)
+    return poles[poles.imag > 0]
+
+
+# --- the result ------------------------------------------------------------------------------------------------------
+
+
+def _result(
+    free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], asked: Asked, findings: tuple[Finding, ...]
+) -> DampedResult:
+    """Parameters, experiments and judgement of a fit."""
+    rank = np.argsort(np.abs(fit.p), kind="stable")
+    poles, residues = fit.p[rank], fit.residues[rank]
+    covariance = _covariance(fit, free, rank)
+    experiments = _experiments(fit.projection, free, rank)
+    shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
+    extra = fit.parameters - (2 * free.order + int(free.projection.shown.sum()))
+    unknowns = free.unknowns + min(0, extra) + len(free.scales)
+    counts, losses = _losses(experiments, free.per_entry)
+    floor = np.maximum(losses, np.finfo(float).tiny * np.maximum(counts, 1))
+    known = counts > 0
+    variances = floor / np.maximum(counts, 1)
+    loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
+    samples = int(counts.sum())
+    spare = max(1, samples - unknowns)
+    rows = [row for one in experiments for row in _rows(one) if not np.isnan(row).all()]
+    whiteness = 1.0 if free.rounding else ljung_box(rows, TUNING.lags)
+    fitted = joint_percent(unexplained(experiments))
+    told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
+    findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
+    single = free.scales.size == 1 and len(asked.quantities) == 1
+    shown = tuple(_squeezed(one) for one in experiments) if single else experiments
+    outcome = _outcome(free, fitted, whiteness, spare)
+    return DampedResult(
+        structure=fit.structure,
+        poles=poles,
+        residues=residues,
+        feedthrough=fit.feedthrough,
+        covariance=covariance,
+        shapes=shapes.shapes,
+        participation=shapes.participation,
+        shape_stderr=errors,
+        shapes_scaled=bool(shapes.scaled.all() and len(shapes.scaled)),
+        ports=asked.ports,
+        quantities=asked.quantities,
+        noise_variance=(variances * samples / spare).reshape(fit.feedthrough.shape[: 1 + free.per_entry]),
+        experiments=shown,
+        loss=float(fit.loss / samples),
+        loglik=loglik,
+        aic=2 * unknowns - 2 * loglik,
+        bic=unknowns * float(np.log(samples)) - 2 * loglik,
+        fit_percent=fitted,
+        unknowns=unknowns,
+        whiteness=whiteness,
+        order_table=tuple(
+            OrderRow(row.order, float(np.exp(-2 * row.loglik / samples - 1) / (2 * np.pi)), row.aic, row.bic,
+                     _checks.readonly(np.abs(row.poles)))
+            for row in free.order_table
+        ),
+        tests=tests,
+        findings=findings,
+        success=fit.converged,
+        outcome=outcome,
+        message=_message(free, poles, tests, findings, shapes, whiteness, outcome),
+        intersample="zoh" if free.per_entry else free.intersample,
+    )  # fmt: skip
+
+
+def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
+    """From the coordinates of the projection to those of a result, NaN for what leaves no trace."""
+    n, at = free.order, fit.projection
+    width, count = at.shared.shape[0] if at.shared.size else 0, len(free.scales)
+    places = (2 * n + np.arange(width * count)).reshape(count, width).T
+    scales = np.broadcast_to(free.scales, (width, count))
+    inputs = 0 if not width else at.inputs
+    entries = fit.residues.shape[1:]
+
+    def split(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Real and imaginary parts (n, p, m) and feedthrough (p, m) of numbers of the shared unknowns."""
+        each = values.reshape(inputs, -1 if inputs else 2 * n, count)
+        real, imag = (np.moveaxis(each[:, k * n : (k + 1) * n], 0, 2).reshape(n, *entries) for k in (0, 1))
+        if each.shape[1] > 2 * n:
+            return real, imag, each[:, 2 * n].T.reshape(entries)
+        return real, imag, np.full(entries, -1 if values.dtype.kind in "iu" else 1, values.dtype)
+
+    real, imag, through = split(places)
+    order = np.concatenate([rank, n + rank, real[rank].ravel(), imag[rank].ravel(), through.ravel()]).astype(int)
+    unit = [np.ones(2 * n), *(part.ravel() for part in (split(scales)[0], split(scales)[1], split(scales)[2]))]
+    seen = split(at.shown.astype(float))
+    lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
+    J = np.eye(len(fit.covariance))
+    J[: 2 * n, : 2 * n] = natural_jacobian(fit.p)
+    inner = J @ fit.covariance @ J.T
+    size = np.concatenate(unit)
+    found = inner[np.ix_(order, order)] * np.outer(size, size)
+    # a structure may tell of residues that no experiment shows
+    absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0))
+    found[absent] = np.nan
+    found[:, absent] = np.nan
+    return found
+
+
+def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[FittedChannels, ...]:
+    """Predictions, free motions and offsets of each experiment, from the rows of its outputs."""
+    n, found = free.order, []
+    rows = iter(zip(at.experiments, at.own, at.predictions() if n else [None] * len(at.experiments), strict=True))
+    for one in free.channels:
+        p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
+        in_time = isinstance(one, Recording)
+        left = int(one.observed.reshape(outputs, -1).any(axis=1).sum())
+        predicted = np.full((outputs, one.samples), np.nan, float if in_time else complex)
+        motion, offsets, drifts = np.zeros((n, outputs), complex), np.zeros(outputs), np.zeros(outputs)
+        while left > 0:
+            part, own, values = next(rows)
+            which = part.outputs
+            scale = free.scales[which]
+            left -= len(which)
+            terms = getattr(part, "offset", 0)
+            if part.moving:
+                motion[:, which] = 2 * scale * (own[:n] + 1j * own[n : 2 * n])[rank]
+            offsets[which] = scale * own[-1] if terms else 0.0
+            drifts[which] = scale * own[-2] / one.dt if terms > 1 else 0.0
+            predicted[which] = offsets[which, None] if values is None else values * scale[:, None]
+        if in_time:
+            found.append(FittedChannels(one, motion, offsets, drifts, predicted))
+        else:
+            nothing = np.zeros((n, 0), complex), np.zeros(p), np.zeros(p)
+            found.append(FittedChannels(one, *nothing, predicted.reshape(p, m, one.samples)))
+    return tuple(found)
+
+
+def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
+    """Real residuals, and sums of their weighted squares, of each output or entry."""
+    counts, losses = 0.0, 0.0
+    for one in experiments:
+        weights = np.where(one.record.observed, getattr(one.record, "weights", 1.0), 0.0)
+        counts = counts + one.record.observed.sum(axis=-1) * (1 + per_entry)
+        squares = np.abs(np.where(one.record.observed, one.residuals, 0.0)) ** 2
+        losses = losses + np.sum(weights * squares, axis=-1)
+    return np.ravel(counts), np.ravel(losses)
+
+
+def _rows(one: FittedChannels) -> list[Array]:
+    """Residuals of each output; of each entry of a response weighted real and imaginary parts."""
+    left = one.residuals * np.sqrt(getattr(one.record, "weights", 1.0))
+    flat = left.reshape(-1, left.shape[-1])
+    return [*flat.real, *flat.imag] if np.iscomplexobj(flat) else list(flat)
+
+
+def _shapes(
+    fit: StructuredFit, free: FreeFit, asked: Asked, poles: ComplexArray, residues: ComplexArray, covariance: Array,
+    experiments: tuple[FittedChannels, ...], rank: Indices,
+) -> tuple[ModeShapes, ComplexArray]:  # fmt: skip
+    """Shapes with their standard errors: of residues, or of a free motion."""
+    n, p, m = residues.shape
+    # a port that was not told stands only where the structure does
+    ports = () if asked.assumed and fit.structure == "free" else asked.ports
+    if m:
+        shapes = ModeShapes.of(poles, residues, asked.quantities, ports)
+        entries = np.arange(n * p * m).reshape(n, p * m)
+        places = [[l, n + l, *(2 * n + entries[l]), *(2 * n + n * p * m + entries[l])] for l in range(n)]
+        blocks = [np.nan_to_num(covariance[np.ix_(one, one)]) for one in places]
+        return shapes, shape_errors(poles, residues, asked.quantities, ports, blocks)
+    motions = np.stack([one.free_amplitudes for one in experiments], axis=2)
+    shapes = ModeShapes.of(poles, motions, asked.quantities, ())
+    shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)
+    return shapes, shape_errors(poles, motions, asked.quantities, (), _motion_covariances(fit, free, rank))
+
+
+def _motion_covariances(fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:
+    """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments."""
+    n, at, count, runs = free.order, fit.projection, len(free.scales), len(free.channels)
+    J = natural_jacobian(fit.p)
+    found = []
+    inner = fit.covariance[: 2 * n, : 2 * n]
+    place, left = -1, 0
+    by: dict[int, list[tuple[int, int, Array, Array]]] = {l: [] for l in range(n)}
+    for k, rows in enumerate(at.experiments):
+        while left <= 0:
+            place += 1
+            left = int(free.channels[place].observed.any(axis=-1).sum())
+        left -= len(rows.outputs)
+        for o, (spread, by_poles) in zip(rows.outputs.tolist(), at.motions(k), strict=True):
+            scale = 2 * free.scales[o]
+            for l in range(n):
+                both = [l, n + l]
+                by[l].append((o, place, scale**2 * spread[np.ix_(both, both)], scale * by_poles[both]))
+    for l in rank.tolist():
+        size = count * runs
+        total = np.zeros((2 + 2 * size, 2 + 2 * size))
+        along = np.zeros((2 + 2 * size, 2 * n))
+        along[:2] = J[[l, n + l]]
+        for o, e, spread, slope in by[l]:
+            both = [2 + o * runs + e, 2 + size + o * runs + e]
+            along[both] = slope
+            total[np.ix_(both, both)] += spread * free.variance
+        found.append(total + along @ inner @ along.T)
+    return found
+
+
+def _squeezed(one: FittedChannels) -> Any:
+    """An experiment of one input and one output as one of a lossless fit."""
+    record, labels = one.record, one.record.input_labels
+    if isinstance(record, ResponseMatrix):
+        response = FrequencyRecord(
+            record.omega, record.response[0, 0], record.weights[0, 0], labels[0], record.output_labels[0], record.title,
+            record.time_unit,
+        )  # fmt: skip
+        return FittedExperiment(response, np.zeros(0), np.zeros(0, complex), 0.0, one.predicted[0, 0])
+    motion = one.free_amplitudes[:, 0]
+    state = np.stack([motion.real, motion.imag], axis=1).ravel()
+    named = {"input_label": labels[0]} if labels else {"driven": False}
+    u = record.u[0] if labels else np.zeros(record.samples)
+    kept = Record(
+        record.time, record.dt, u, record.y[0], output_label=record.output_labels[0], title=record.title,
+        time_unit=record.time_unit, **named,
+    )  # fmt: skip
+    return FittedExperiment(kept, state, motion, float(one.offsets[0]), one.predicted[0], float(one.drifts[0]))
+
+
+# --- the judgement ---------------------------------------------------------------------------------------------------
+
+
+def _rejection(test: HypothesisTest) -> Finding:
+    return Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
+
+
+def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int) -> Outcome:
+    if not free.order:
+        return Outcome.NOTHING
+    if whiteness < WHITE:
+        return Outcome.COLOURED if fitted >= GOOD_FIT else Outcome.DOUBTFUL
+    return Outcome.CONSISTENT if spare >= 20 or free.rounding else Outcome.UNJUDGED
+
+
+def _message(
+    free: FreeFit, poles: ComplexArray, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
+    shapes: ModeShapes, whiteness: float, outcome: Outcome,
+) -> str:  # fmt: skip
+    """What the judgement rests on, in sentences."""
+    if outcome is Outcome.NOTHING:
+        return "Nothing to model: no mode improves the BIC."
+    parts = []
+    parts += [sentence_of(one, free.intersample) for one in findings if worth_telling(one, free.intersample)]
+    kept = [one for one in tests if one.p >= LEVEL and one.dof]
+    if kept:
+        parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")
+    growing = np.flatnonzero(poles.real > 0) + 1
+    if len(growing):
+        parts.append(f"{counted(len(growing), 'mode')} grow: {', '.join(map(str, growing))}.")
+    if shapes.shapes.shape[1] > 1:
+        parts.append(
+            "Mode shapes are those of unit modal mass."
+            if shapes.scaled.all()
+            else "Mode shapes are unscaled, as no driving point was named: the largest entry is 1."
+        )
+    if free.rounding:
+        parts.append("The data are reproduced to rounding.")
+    elif whiteness < WHITE:
+        parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): something is left unexplained.")
+    else:
+        parts.append("The residuals are white: the model explains the data.")
+    return " ".join(parts)

@@ -1,0 +1,272 @@
+"""Damped models drawn from the distribution of an estimate, and the bands of their responses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ... import _checks
+from ..._frozen import Frozen
+from ..._types import Array, ArrayLike, ComplexArray, NDArray
+from ...exceptions import StructureError
+from .draws import tail_of
+
+_BLOCK = 1 << 17  # entries of a (point x draw x mode) table held at once
+
+
+@dataclass(frozen=True, eq=False)
+class ModalSamples(Frozen):
+    """Models drawn by `DampedResult.sample`, and the bands of their responses from each input to each output.
+
+    Attributes
+    ----------
+    poles : ndarray of complex, shape (k, n)
+        Those of positive imaginary part: one draw a row, one mode of the estimate a column.
+    residues : ndarray of complex, shape (k, n, p, m)
+        At these poles.
+    feedthrough : ndarray, shape (k, p, m)
+        Responses at infinity.
+    shapes : ndarray of complex, shape (k, n, p)
+        Mode shapes, scaled as those of the result.
+
+    Notes
+    -----
+    `len(samples)` is k.  Bands are pointwise percentiles over the draws, as those of `ModeSamples`.
+    """
+
+    poles: ComplexArray
+    residues: ComplexArray
+    feedthrough: Array
+    shapes: ComplexArray
+
+    def __post_init__(self) -> None:
+        for name in ("poles", "residues", "shapes"):
+            object.__setattr__(self, name, np.array(getattr(self, name), complex))
+        object.__setattr__(self, "feedthrough", np.array(self.feedthrough, float))
+        k, n, p, m = self.residues.shape
+        found = self.poles.shape, self.feedthrough.shape, self.shapes.shape
+        if found != ((k, n), (k, p, m), (k, n, p)):
+            raise StructureError(f"poles, feedthrough, shapes have shapes {found}; needed (k, n), (k, p, m), (k, n, p)")
+        super().__post_init__()
+
+    def __repr__(self) -> str:
+        return f"ModalSamples({len(self)} draws of {self.poles.shape[1]} modes)"
+
+    def __len__(self) -> int:
+        return len(self.poles)
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """Natural frequencies `|p|`, shape (k, n), rad per unit time."""
+        return np.abs(self.poles)
+
+    @property
+    def damping_ratios(self) -> Array:
+        """Damping ratios `-Re p / |p|`, shape (k, n)."""
+        return -self.poles.real / np.abs(self.poles)
+
+    def freqresp(self, omega: ArrayLike, output: int = 0, input: int = 0) -> ComplexArray:
+        """Frequency response of every draw from an input to an output.
+
+        Parameters
+        ----------
+        omega : array_like, shape (K,)
+            Angular frequencies, rad per unit time.
+        output, input : int
+            Which ones, counted from 0.
+
+        Returns
+        -------
+        ndarray of complex, shape (k, K)
+            One draw a row.
+
+        Raises
+        ------
+        StructureError
+            If `omega` is no vector of finite numbers, or there is no such output or input.
+
+        Examples
+        --------
+        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> one = ModalSamples([[-0.1 + 1j]], [[[[0.5 + 0j]]]], [[[0.0]]], [[[1.0 + 0j]]])
+        >>> one.freqresp([0.0]).round(3)
+        array([[0.099+0.j]])
+        """
+        w = self._points("omega", omega)
+        return self._table(w, self._response(*self._entry(output, input)), complex).T
+
+    def magnitude_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
+        """Band of the gain from an input to an output: percentiles of `|G(i omega)|` over the draws.
+
+        Parameters
+        ----------
+        omega : array_like, shape (K,)
+            Angular frequencies, rad per unit time.
+        level : float
+            Share of the draws inside, between 0 and 1.
+        output, input : int
+            Which ones, counted from 0.
+
+        Returns
+        -------
+        ndarray, shape (2, K)
+            Lower and upper end.
+
+        Raises
+        ------
+        StructureError
+            If `omega` is no vector of finite numbers, the level is not between 0 and 1, there is no such output or
+            input, or there are no draws.
+
+        Examples
+        --------
+        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
+        >>> draws.magnitude_band([1.0], level=0.5).round(2)
+        array([[5.27],
+               [5.77]])
+        """
+        return self._band("omega", omega, self._response(*self._entry(output, input)), level, np.abs)
+
+    def phase_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
+        """Band of the phase from an input to an output, in degrees, about the direction of the mean.
+
+        Parameters
+        ----------
+        omega, level, output, input
+            As in `magnitude_band`.
+
+        Returns
+        -------
+        ndarray, shape (2, K)
+            Lower and upper end; they are within 180 degrees of a phase between -180 and 180.
+
+        Raises
+        ------
+        StructureError
+            As `magnitude_band`.
+
+        Examples
+        --------
+        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
+        >>> draws.phase_band([1.0]).round(1)
+        array([[-2.8],
+               [-2.8]])
+        """
+        w, tail = self._points("omega", omega), tail_of(level)
+        G = self._table(w, self._response(*self._entry(output, input)), complex)
+        sizes = np.abs(G)
+        centre = np.angle(np.sum(G / np.where(sizes > 0, sizes, 1.0), axis=1))
+        about = np.angle(G * np.exp(-1j * centre)[:, None])
+        return np.degrees(centre + self._percentiles(about, tail))
+
+    def step_band(self, time: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
+        """Band of the response of an output to a unit step of an input: percentiles over the draws.
+
+        Parameters
+        ----------
+        time : array_like, shape (K,)
+            Instants, in any order; before 0, when the step comes, the response is 0.
+        level, output, input
+            As in `magnitude_band`.
+
+        Returns
+        -------
+        ndarray, shape (2, K)
+            Lower and upper end.
+
+        Raises
+        ------
+        StructureError
+            As `magnitude_band`.
+
+        Examples
+        --------
+        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
+        >>> draws.step_band([0.0]).round(2)
+        array([[0.],
+               [0.]])
+        """
+        residues, through = self._entry(output, input)
+
+        def step(t: Array, p: ComplexArray) -> Array:
+            moved = np.sum((2 * residues / p * np.expm1(p * np.maximum(t, 0.0))).real, axis=-1)
+            return np.where(t[..., 0] < 0, 0.0, moved + through)
+
+        return self._band("time", time, step, level, np.asarray)
+
+    def impulse_band(self, time: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
+        """Band of the response of an output to a unit impulse of an input, without what is fed through at once.
+
+        Parameters
+        ----------
+        time, level, output, input
+            As in `step_band`.
+
+        Returns
+        -------
+        ndarray, shape (2, K)
+            Lower and upper end.
+
+        Raises
+        ------
+        StructureError
+            As `magnitude_band`.
+
+        Examples
+        --------
+        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
+        >>> draws.impulse_band([0.0], level=0.5).round(2)
+        array([[1.05],
+               [1.15]])
+        """
+        residues, _ = self._entry(output, input)
+
+        def impulse(t: Array, p: ComplexArray) -> Array:
+            moved = np.sum((2 * residues * np.exp(p * np.maximum(t, 0.0))).real, axis=-1)
+            return np.where(t[..., 0] < 0, 0.0, moved)
+
+        return self._band("time", time, impulse, level, np.asarray)
+
+    def _entry(self, output: int, input: int) -> tuple[ComplexArray, Array]:
+        """Residues (k, n) and feedthrough (k,) of an entry."""
+        for name, value, count in zip(("output", "input"), (output, input), self.feedthrough.shape[1:], strict=True):
+            if not 0 <= _checks.whole_number(name, value) < count:
+                raise StructureError(f"{name} is {value}; these models have {count}, counted from 0")
+        return self.residues[:, :, output, input], self.feedthrough[:, output, input]
+
+    def _response(self, residues: ComplexArray, through: Array) -> Callable[[Array, ComplexArray], NDArray[Any]]:
+        def response(w: Array, p: ComplexArray) -> ComplexArray:
+            terms = residues / (1j * w - p) + residues.conj() / (1j * w - p.conj())
+            return np.asarray(terms.sum(axis=-1) + through)
+
+        return response
+
+    def _points(self, name: str, values: ArrayLike) -> Array:
+        at = _checks.real_array(name, values, 1)
+        _checks.in_range(name, at)
+        return at
+
+    def _table(self, at: Array, values: Callable[[Array, ComplexArray], NDArray[Any]], kind: type) -> NDArray[Any]:
+        """Values at points (K, k), a block of points at a time."""
+        size = max(1, _BLOCK // max(1, self.poles.size))
+        blocks = [values(at[k : k + size, None, None], self.poles) for k in range(0, len(at), size)]
+        return np.concatenate([np.empty((0, len(self)), kind), *blocks])
+
+    def _band(
+        self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], NDArray[Any]], level: float,
+        size: Callable[[NDArray[Any]], Array],
+    ) -> Array:  # fmt: skip
+        at, tail = self._points(name, points), tail_of(level)
+        return self._percentiles(size(self._table(at, values, complex if size is np.abs else float)), tail)
+
+    def _percentiles(self, table: Array, tail: float) -> Array:
+        if not len(self):
+            raise StructureError("there are no samples, so they have no percentiles; draw at least one")
+        return np.asarray(np.quantile(table, [tail, 1 - tail], axis=1))

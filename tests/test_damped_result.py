@@ -1,0 +1,199 @@
+"""Results of damped modes: parameters with errors that hold, systems, predictions, files, pictures."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import ph_control as phc
+from benchmarks.modal_efficiency import Plant, data_of, study
+
+KINDS = ("time", "response", "decay")
+PLANT = Plant.of(2, 3, 2, seed=1)
+
+
+def fitted(kind, structure="free", *, samples=500, noise=0.1, seed=1, **options):
+    options |= {} if kind == "response" else {"dt": 1.0}
+    ports = [] if kind == "decay" else [(0, 0), ("y2", "u2") if kind == "time" else (1, 1)]
+    return phc.pem(data_of(PLANT, kind, samples, seed, noise), structure=structure, ports=ports, **options)
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def result(request):
+    return fitted(request.param)
+
+
+@pytest.fixture(scope="module")
+def single():
+    """One input and one output, found by itself to be damped."""
+    u, y = data_of(PLANT, "time", 1000, 1, 0.05)
+    return phc.pem((u[0], phc_output(u)[0] + y[0] - PLANT.velocities(u)[0]), dt=1.0)
+
+
+def phc_output(u):
+    return PLANT.velocities(np.stack([u[0], 0 * u[1]]))
+
+
+# --- parameters ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_modes_are_found_and_lie_within_their_errors(kind):
+    found = fitted(kind, "free")
+    truth = PLANT.truth
+    assert found.order == 2 and isinstance(found, phc.DampedResult | phc.PEMResult) and found.structure == "free"
+    for name in ("natural_frequencies", "damping_ratios"):
+        assert np.all(np.abs(getattr(found, name) - truth[name]) < 4.5 * found.stderr[name])
+    assert np.allclose(found.mac(PLANT.shapes).diagonal(), 1, atol=0.01)
+    assert found.outcome.name == "CONSISTENT" and found.whiteness > 1e-3
+
+
+@pytest.mark.parametrize("kind, structure", [("time", "free"), ("response", "classical"), ("decay", "free")])
+def test_errors_are_as_large_as_the_bound_and_intervals_cover(kind, structure):
+    """40 seeds: a mean of 80 squares of 1 has a standard deviation of 0.16, residues have many more."""
+    for name, one in study(kind, structure, 40, 300, PLANT).items():
+        few = name in ("natural_frequencies", "damping_ratios")
+        assert (0.5 if few else 0.7) < one.ratio < (1.6 if few else 1.4), name
+        assert one.cover > (0.86 if few else 0.9), name
+
+
+def test_a_driving_point_sets_the_scale_and_without_one_the_largest_is_1():
+    scaled, unscaled = fitted("time"), phc.pem(data_of(PLANT, "time", 500, 1, 0.1), dt=1.0, structure="free")
+    assert scaled.shapes_scaled and not unscaled.shapes_scaled
+    assert np.allclose(scaled.shapes, PLANT.shapes, atol=0.05)
+    assert np.allclose(np.abs(unscaled.shapes).max(axis=1), 1)
+    assert np.allclose(scaled.mac(unscaled).diagonal(), 1)
+    assert np.allclose(scaled.phase_collinearity, 1, atol=0.01)
+    largest = np.abs(unscaled.shapes).argmax(axis=1)
+    assert np.allclose(np.take_along_axis(unscaled.stderr["shapes"], largest[:, None], 1), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "acceleration", ("velocity", "acceleration", "displacement")])
+def test_shapes_are_the_same_whatever_the_outputs_are(quantity):
+    power = {"displacement": -1, "velocity": 0, "acceleration": 1}
+    each = [quantity] * 3 if isinstance(quantity, str) else quantity
+    omega = np.linspace(0.2, 2.8, 300)
+    response = PLANT.response(1j * omega) * ((1j * omega) ** np.array([[power[q]] for q in each]))[:, None]
+    rng = np.random.default_rng(0)
+    errors = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+    response = response + 0.02 * np.std(response, axis=2, keepdims=True) * errors
+    found = phc.pem(ct.frd(response, omega), 2, structure="classical", ports=[(0, 0), (1, 1)], quantity=quantity)
+    assert np.all(np.abs(found.shapes - PLANT.shapes) < 4.5 * np.abs(found.stderr["shapes"]))
+    factor = found.shapes[:, :, None] * found.participation[:, None, :]
+    same = [o for o in range(3) if each[o] == each[0]]
+    assert np.allclose(factor[:, same], found.residues[:, same], rtol=1e-6)
+
+
+def test_draws_scatter_as_the_errors_say(result):
+    if not result.input_labels:
+        return
+    draws = result.sample(4000, rng=0)
+    assert np.allclose(draws.natural_frequencies.std(axis=0), result.stderr["natural_frequencies"], rtol=0.1)
+    assert np.allclose(draws.damping_ratios.std(axis=0), result.stderr["damping_ratios"], rtol=0.1)
+    assert np.allclose(draws.residues.real.std(axis=0), result.stderr["residues"].real, rtol=0.1)
+    assert np.allclose(draws.shapes.real.std(axis=0), result.stderr["shapes"].real, rtol=0.1)
+    low, high = draws.magnitude_band([0.4, 1.0], output=2, input=1)
+    middle = np.abs(result.observed_system(1j * np.array([0.4, 1.0]))[2, 1])
+    assert np.all((low < middle) & (middle < high))
+    with pytest.raises(phc.StructureError, match="output is 3"):
+        draws.step_band([0.0], output=3)
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_observed_system_has_the_residues(result):
+    if not result.input_labels:
+        return
+    s = 1j * np.array([0.3, 1.1]) + 0.1
+    terms = result.residues[:, :, :, None] / (s - result.poles[:, None, None, None])
+    mirrored = result.residues[:, :, :, None].conj() / (s - result.poles[:, None, None, None].conj())
+    assert np.allclose(result.observed_system(s), (terms + mirrored).sum(axis=0) + result.feedthrough[:, :, None])
+    assert tuple(result.observed_system.input_labels) == tuple(result.input_labels)
+
+
+def test_a_classical_model_with_ports_is_port_hamiltonian_with_sensors():
+    found = fitted("time", "classical")
+    assert isinstance(found.system, phc.PortHamiltonian) and found.system.sensors[0].shape == (1, 4)
+    w = 1j * np.array([0.3, 1.1])
+    assert np.allclose(found.system(w), found.observed_system(w), rtol=1e-8)
+    assert not isinstance(fitted("time", "free").system, phc.PortHamiltonian)
+
+
+def test_the_model_predicts_new_data_from_a_motion_fitted_to_them():
+    found = fitted("time", noise=0.02)
+    u = np.random.default_rng(5).standard_normal((2, 400))
+    y = PLANT.velocities(u)
+    start = (PLANT.shapes[:, :, None] * np.exp(np.outer(PLANT.poles, np.arange(400)))[:, None]).real.sum(axis=0)
+    for moving, given in ((y + start, "estimate"), (y, "zero")):
+        again = found.predict((u, moving), initial_state=given)
+        assert np.linalg.norm(again.outputs - moving) < 0.03 * np.linalg.norm(moving)
+    assert np.allclose(found.predict(u).outputs, found.predict((u, y), initial_state="zero").outputs)
+    assert list(again.output_labels) == list(found.output_labels)
+    own = found.predict(data_of(PLANT, "time", 500, 1, 0.02)[0], initial_state="fitted")
+    assert np.allclose(own.outputs, found.predicted, atol=1e-9)
+    with pytest.raises(phc.StructureError, match="1 inputs and 3 outputs"):
+        found.predict((u[0], y))
+    with pytest.raises(phc.StructureError, match="initial_state"):
+        found.predict(u, initial_state="estimate")
+
+
+# --- one input and one output ----------------------------------------------------------------------------------------
+
+
+def test_one_channel_is_answered_as_by_a_lossless_fit(single):
+    assert isinstance(single, phc.DampedResult) and single.structure == "classical" and single.shapes_scaled
+    assert single.predicted.shape == single.record.y.shape and single.shapes.shape == (2, 1)
+    assert isinstance(single.system, phc.PortHamiltonian) and isinstance(single.experiments[0], phc.FittedExperiment)
+    t, u = single.record.time, single.record.u
+    motion = single.experiments[0].initial_state
+    again = ct.forced_response(ct.c2d(single.observed_system, 1.0), t, u, motion).outputs + single.offsets[0]
+    assert np.allclose(again, single.predicted, atol=1e-6 * np.abs(again).max())
+
+
+def test_it_is_compared_and_drawn_as_other_models_are(single):
+    comparison = phc.compare(single.record, single, single.observed_system)
+    assert np.allclose(comparison.fit_percent, single.fit_percent, atol=0.05)
+    new = np.random.default_rng(8).standard_normal((2, 400)) * np.array([[1.0], [0.0]])
+    fit = phc.compare((new[0], PLANT.velocities(new)[0]), single, dt=1.0).fit_percent[0]
+    assert fit > 90
+    assert phc.residual_analysis(single.record, single).verdict
+    for picture in (
+        single.plot(),
+        phc.bode_plot(single, confidence=True),
+        phc.modes_plot(single),
+        phc.fit_plot(single),
+    ):
+        assert picture.figure is not None
+    plt.close("all")
+
+
+# --- files and text --------------------------------------------------------------------------------------------------
+
+
+def test_it_comes_back_from_files_and_copies(result, single, tmp_path):
+    for k, one in enumerate((result, single)):
+        one.save(tmp_path / f"{k}.json")
+        for other in (phc.load(tmp_path / f"{k}.json"), pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
+            assert type(other) is phc.DampedResult and str(other) == str(one)
+            for name, value in vars(one).items():
+                if isinstance(value, np.ndarray):
+                    assert np.array_equal(value, getattr(other, name), equal_nan=True)
+                    assert not getattr(other, name).flags.writeable
+            assert (other.tests, other.findings, other.ports) == (one.tests, one.findings, one.ports)
+            for name in one.stderr:
+                assert np.array_equal(other.stderr[name], one.stderr[name], equal_nan=True)
+            assert np.array_equal(other.predicted, one.predicted, equal_nan=True)
+
+
+def test_it_tells_hertz_and_percent_in_a_hundred_columns(result, single):
+    for one in (result, single):
+        assert all(len(line) <= 100 for line in one.summary().splitlines())
+        assert "damping [%]" in one.summary() and one.verdict in one.summary()
+        assert repr(one).startswith("<DampedResult: 2 modes") and "<table" in one._repr_html_()
+    plt.close(result.plot().figure)
