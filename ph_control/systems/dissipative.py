@@ -194,14 +194,13 @@ class DissipativePortHamiltonian(PortHamiltonian):
         """
         from .port_hamiltonian import ph
 
-        canonical = len(self.J) % 2 == 0 and np.array_equal(self.J, symplectic_form(len(self.J) // 2))
-        return ph(self.Q, self.G) if canonical else ph(self.Q, self.G, J=self.J)
+        return ph(self.Q, self.G) if is_canonical(self.J) else ph(self.Q, self.G, J=self.J)
 
     def _beyond_lossless(self) -> list[str]:
         matrices = {"R": "losses R", "P": "losses P", "S": "feedthrough S", "N": "feedthrough N"}
         found = [text for name, text in matrices.items() if self._parts[name].any()]
-        n, sensors = len(self.J), len(self._parts["sensor_rows"])
-        if n % 2 or not np.array_equal(self.J, symplectic_form(n // 2)):
+        sensors = len(self._parts["sensor_rows"])
+        if not is_canonical(self.J):
             found.append("a structure matrix J of its own")
         return found + ([f"{sensors} sensor{'s' * (sensors > 1)}"] if sensors else []) or ["room for losses"]
 
@@ -250,10 +249,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     def _shown(self) -> list[str]:
         """Names of the parts beside Q and B that are not what they are by default."""
-        n = len(self.J)
-        shown = [name for name in "RPSN" if self._parts[name].any()]
-        canonical = n % 2 == 0 and np.array_equal(self.J, symplectic_form(n // 2))
-        return shown + ([] if canonical else ["J"])
+        return [name for name in "RPSN" if self._parts[name].any()] + ["J"] * (not is_canonical(self.J))
 
     def _repr_eval_(self) -> str:
         given = [literal(self.Q), literal(self.G)]
@@ -294,6 +290,11 @@ class DissipativePortHamiltonian(PortHamiltonian):
             f"<{type(self).__name__}>: {self.name}\nInputs ({self.ninputs}): {self.input_labels}\n"
             f"Outputs ({self.noutputs}): {self.output_labels}\nStates ({self.nstates})"
         )
+
+
+def is_canonical(J: Array) -> bool:
+    """Whether a structure matrix is `[[0, I], [-I, 0]]`."""
+    return len(J) % 2 == 0 and np.array_equal(J, symplectic_form(len(J) // 2))
 
 
 def parts_of(sys: PortHamiltonian) -> dict[str, Array]:

@@ -15,8 +15,8 @@ from .._types import Array
 from .._units import common_unit
 from ..exceptions import StructureError
 from ..symplectic.darboux_and_casimirs import split_casimirs
-from ..symplectic.forms_and_williamson import direct_sum, symplectic_form
-from .dissipative import PARTS, parts_of, restored
+from ..symplectic.forms_and_williamson import direct_sum
+from .dissipative import PARTS, is_canonical, parts_of, restored
 from .port_hamiltonian import PortHamiltonian, is_number
 
 Ports = tuple[int | str, int | str] | Sequence[tuple[int | str, int | str]]
@@ -422,7 +422,7 @@ def _side_by_side(members: Sequence[PortHamiltonian | Array], canonical: bool = 
     outputs = [label for found, (_, m) in zip(signals["outputs"], counts, strict=True) for label in found[:m]]
     outputs += [label for found, (_, m) in zip(signals["outputs"], counts, strict=True) for label in found[m:]]
     states = [label for found in signals["states"] for label in found]
-    if canonical and all(_is_canonical(part["J"]) for part in each):
+    if canonical and all(is_canonical(part["J"]) for part in each):
         starts = np.concatenate([[0], np.cumsum([n for n, _ in counts])])
         halves = [(start, start + n // 2, start + n) for start, (n, _) in zip(starts, counts, strict=False)]
         order = np.concatenate([np.r_[tuple(slice(a, b) for a, b, _ in halves)],
@@ -480,7 +480,7 @@ def _made(whole: _Whole, names: dict[str, Any]) -> PortHamiltonian:
     named = {kind: _texts(getattr(whole, kind), kind, whole.owners) for kind in _LETTERS}
     Q, G = part["Q"], part["G"]
     lossless = not (any(part[name].any() for name in "RPSN") or len(part["sensor_rows"]))
-    if lossless and not _is_canonical(part["J"]):
+    if lossless and not is_canonical(part["J"]):
         split = split_casimirs(Q, G, part["J"])
         Q, G, named["states"] = split.Q, split.B, None
     named = {kind: labels for kind, labels in named.items() if labels and names.get(kind, names.get(kind[:-1])) is None}
@@ -489,10 +489,6 @@ def _made(whole: _Whole, names: dict[str, Any]) -> PortHamiltonian:
     made = PortHamiltonian._from_matrices(Q, G, **names, **named)
     made.time_unit = whole.time_unit
     return made
-
-
-def _is_canonical(J: Array) -> bool:
-    return len(J) % 2 == 0 and np.array_equal(J, symplectic_form(len(J) // 2))
 
 
 # --- names ---------------------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from .. import _checks
 from .._checks import EPS
 from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
-from ..modal.positive_real import Matrices, Passivity, Split, split_axis, violations
+from ..modal.positive_real import Passivity, Split, split_axis, violations
 from ..modal.storage import NoStorageError, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import equilibrated
 
@@ -77,12 +77,6 @@ class PortRows:
     def ports(self) -> int:
         """Number of ports."""
         return self.B.shape[1]
-
-    @property
-    def of_ports(self) -> Matrices:
-        """The system without sensors."""
-        m = self.ports
-        return self.A, self.B, self.C[:m], self.D[:m]
 
 
 def in_port_order(sys: ct.StateSpace, pairs: Any) -> ct.StateSpace:
