@@ -197,3 +197,17 @@ def test_it_tells_hertz_and_percent_in_a_hundred_columns(result, single):
         assert "damping [%]" in one.summary() and one.verdict in one.summary()
         assert repr(one).startswith("<DampedResult: 2 modes") and "<table" in one._repr_html_()
     plt.close(result.plot().figure)
+
+
+def test_recordings_that_have_other_inputs_keep_the_names_of_all():
+    rng, recordings = np.random.default_rng(4), []
+    for k in range(2):
+        u = np.zeros((2, 400))
+        u[k] = rng.standard_normal(400)
+        y = PLANT.velocities(u)[0] + 0.05 * rng.standard_normal(400)
+        recordings.append(ct.TimeResponseData(
+            np.arange(400.0), y, inputs=u[k], issiso=True, input_labels=[f"hit {k + 1}"], output_labels=["v"]
+        ))  # fmt: skip
+    found = phc.pem(recordings, 2, structure="classical", ports=[("v", "hit 2")])
+    assert found.input_labels == ("hit 1", "hit 2") and found.residues.shape == (2, 1, 2)
+    assert "hit 1" in found.summary() and "v:hit 2" in found.summary().replace("'", "")

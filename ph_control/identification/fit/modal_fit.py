@@ -252,7 +252,7 @@ def _result(
     fitted = joint_percent(unexplained(experiments))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
-    single = free.scales.size == 1 and len(asked.quantities) == 1
+    single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown = tuple(_squeezed(one) for one in experiments) if single else experiments
     outcome = _outcome(free, fitted, whiteness, spare)
     return DampedResult(
