@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import inspect
 import io
 import logging
 from collections.abc import Callable
@@ -144,21 +143,8 @@ def states(pole: complex, u: Array, h: float) -> Any:
 # --- ours ------------------------------------------------------------------------------------------------------------
 
 
-def _free(data: Any, n: int) -> Estimate:
-    from ph_control.identification.data.channels import as_channels
-    from ph_control.identification.search.modal_search import feedthrough_of, free_fit, residues_of
-
-    quantities = [data.quantity] * (len(data.y) if isinstance(data, Record) else len(data.H))
-    given = (data.u, data.y) if isinstance(data, Record) else ct.frd(data.H, data.omega)
-    channels = as_channels(given, dt=data.h if isinstance(data, Record) else None)
-    fit = free_fit(channels, n, quantities=quantities, intersample="zoh")
-    return Estimate(fit.projection.p, Modal(fit.projection.p, residues_of(fit), feedthrough_of(fit)))
-
-
 def _pem(structure: str) -> Callable[[Any, int, None], Estimate]:
     def identify(data: Any, n: int, setting: None) -> Estimate:
-        if "structure" not in inspect.signature(phc.pem).parameters:
-            return _free(data, n)
         keywords: dict[str, Any] = {"structure": structure, "quantity": data.quantity}
         if isinstance(data, Record):
             u, y = (x[0] if len(x) == 1 else x for x in (data.u, data.y))
