@@ -534,3 +534,48 @@ def test_residuals_of_a_fit_are_those_of_each_channel_with_the_band_of_white_noi
     np.testing.assert_allclose(found[order], expected, rtol=1e-9, atol=1e-12)
     assert len(outside.get_xdata()) <= 2
     assert plot.axes[0, 0].get_title(loc="left") == "y"
+
+
+# --- results of fits -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """Two modes of three sensors and one force, fitted from a frequency response."""
+    true = result(3, 1, 0)
+    rng, omega = np.random.default_rng(0), 2 * np.pi * np.linspace(5, 100, 300)
+    values = exact(true, omega)
+    noise = 0.01 * np.abs(values).mean() * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    data = ct.frd(values + noise, omega, outputs=["a", "b", "c"], inputs=["force"])
+    return phc.pem(data, 3, structure="free", quantity="displacement")
+
+
+PICTURES_OF_A_FIT = {
+    "responses": (lambda fit: phc.frf_plot(fit), (2, 3)), "circles": (lambda fit: phc.circle_plot(fit), (1, 3)),
+    "shapes": (lambda fit: phc.shape_plot(fit), (1, 3)), "assurance": (lambda fit: phc.mac_plot(fit), (1, 1)),
+    "residuals": (lambda fit: phc.residual_plot(fit), (1, 3)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PICTURES_OF_A_FIT)
+def test_a_fit_of_several_channels_draws_each_kind_of_picture(fitted, kind):
+    function, shape = PICTURES_OF_A_FIT[kind]
+    one, other = fitted.plot(kind=kind), function(fitted)
+    assert one.axes.shape == other.axes.shape == shape
+    for left, right in zip(one.axes.flat, other.axes.flat, strict=True):
+        assert left.get_title(loc="left") == right.get_title(loc="left")
+        for a, b in zip(left.lines, right.lines, strict=True):
+            np.testing.assert_array_equal(a.get_xydata(), b.get_xydata())
+
+
+def test_the_pictures_of_a_fit_show_its_data_names_and_errors(fitted):
+    responses = fitted.plot(kind="responses", confidence=True)
+    assert [axis.get_title(loc="left") for axis in responses.axes[0]] == [f"force to {name}" for name in "abc"]
+    assert legend_texts(responses.legend) == ["fit (3 modes)", "95 % band", "measured"]
+    shapes = fitted.plot(kind="shapes")
+    for l, axis in enumerate(shapes.axes.flat):
+        assert axis.get_title(loc="left").startswith(f"{fitted.hertz[l]:.4g} Hz, {100 * fitted.damping_ratios[l]:.2f}")
+        assert [text.get_text() for text in axis.get_xticklabels()] == ["a", "b", "c"]
+    assert "95 % interval" in legend_texts(shapes.legend)
+    with pytest.raises(StructureError, match="kind is 'all'; it must be one of 'fit', 'responses'"):
+        fitted.plot(kind="all")

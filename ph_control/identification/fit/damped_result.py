@@ -28,7 +28,7 @@ from ..search.circumstances import Finding
 from ..uncertainty.draws import draw, intervals
 from ..uncertainty.modal_draws import ModalSamples
 from .report import DampedReport
-from .result import OrderRow, PEMResult, output_plot
+from .result import OrderRow, PEMResult, kind_plot, output_plot
 from .scaled_shapes import ModeShapes, Ports, in_velocity_units
 
 _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of its own does not stand for
@@ -449,15 +449,27 @@ class DampedResult(DampedReport, PEMResult):
             raise StructureError("the record has no outputs to estimate the motion from; pass initial_state='zero'")
         return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()))
 
-    def plot(self, experiment: int = 0, *, output: int = 0, input: int = 0, **kwargs: Any) -> Any:
+    def plot(
+        self,
+        experiment: int = 0,
+        *,
+        kind: str = "fit",
+        output: int | None = None,
+        input: int | None = None,
+        **kwargs: Any,
+    ) -> Any:
         """Picture of one measured and predicted output with the residual below; of a response, over frequency.
 
         Parameters
         ----------
         experiment : int
             Which of several experiments, counted from 0.
+        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'residuals', 'tests'}
+            What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
+            `residual_plot` or `hypothesis_plot`.
         output, input : int
-            Which output, and of a response from which input, counted from 0.
+            Which output, and of a response from which input, counted from 0; by default the first, and of 'circles' of
+            each mode those in which it counts most.
         **kwargs
             Passed to the plotting function: labels and units.
 
@@ -468,7 +480,7 @@ class DampedResult(DampedReport, PEMResult):
         Raises
         ------
         StructureError
-            If there is no such experiment, output or input.
+            If there is no such kind, experiment, output or input.
 
         Examples
         --------
@@ -480,10 +492,13 @@ class DampedResult(DampedReport, PEMResult):
         >>> picture = result.plot(output_unit="m/s")
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
+        if kind != "fit":
+            chosen = {"output": output, "input": input} if kind == "circles" else {}
+            return kind_plot(self, kind, experiment, **chosen, **kwargs)
         one = chosen_experiment(self.experiments, experiment)
-        place = _checks.whole_number("output", output, 0, len(self.output_labels) - 1)
+        place = _checks.whole_number("output", 0 if output is None else output, 0, len(self.output_labels) - 1)
         if np.iscomplexobj(one.predicted):
-            source = _checks.whole_number("input", input, 0, len(self.input_labels) - 1)
+            source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
             data = as_frequency_response(one.record)[place, source]
             plant = self if self.residues[0].size == 1 else self.observed_system[place, source]
             return bode_plot(plant, data=data, **kwargs)

@@ -39,7 +39,7 @@ from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .report import FitReport, residue_errors
-from .result import OrderRow, PEMResult, output_plot
+from .result import OrderRow, PEMResult, kind_plot, output_plot
 from .scaled_shapes import POWERS
 
 
@@ -481,19 +481,27 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
             )
         return estimated_state(self.system, record, hold, self.quantity, bool(np.isfinite(self.offset_stderr).any()))
 
-    def plot(self, experiment: int = 0, **kwargs: Any) -> Any:
+    def plot(self, experiment: int = 0, *, kind: str = "fit", **kwargs: Any) -> Any:
         """Picture of measured and predicted output with the residual below; of a response, over frequency.
 
         Parameters
         ----------
         experiment : int
             Which of several experiments, counted from 0.
+        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'residuals', 'tests'}
+            What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
+            `residual_plot` or `hypothesis_plot`.
         **kwargs
             Passed to the plotting function: labels and units.
 
         Returns
         -------
         control.ControlPlot
+
+        Raises
+        ------
+        StructureError
+            If there is no such kind or experiment.
 
         Examples
         --------
@@ -503,6 +511,8 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
         >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
         """
+        if kind != "fit":
+            return kind_plot(self, kind, experiment, **kwargs)
         one = chosen_experiment(self.experiments, experiment)
         if isinstance(one.record, FrequencyRecord):
             return bode_plot(self, data=one.record.as_response(), **kwargs)

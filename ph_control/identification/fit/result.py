@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,9 @@ from ...io.codecs import save
 from ...modal.modal_form import ModalForm
 from ...numerics.mode_shapes import mac, phase_collinearity
 from ...plotting.fit_plot import fit_plot
+from ...plotting.frf_plot import frf_plot
+from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
+from ...plotting.validation_plot import hypothesis_plot
 from ..regression.prediction import fit_percent
 
 STRUCTURES = ("lossless", "classical", "passive", "free")  # the simplest first
@@ -239,6 +243,22 @@ class PEMResult(Report, Frozen):
         1
         """
         save(self, path, overwrite=overwrite)
+
+
+KINDS = ("fit", "responses", "circles", "shapes", "assurance", "residuals", "tests")
+
+
+def kind_plot(result: PEMResult, kind: str, experiment: int, **kwargs: Any) -> Any:
+    """Picture of a result of one of the kinds, 'fit' excepted."""
+    from ..validation.result_plots import residual_plot
+
+    if _checks.choice("kind", kind, KINDS) == "residuals":
+        return residual_plot(result, experiment, **kwargs)
+    pictures: dict[str, Callable[..., Any]] = {
+        "responses": frf_plot, "circles": circle_plot, "shapes": shape_plot, "assurance": mac_plot,
+        "tests": hypothesis_plot,
+    }  # fmt: skip
+    return pictures[kind](result, **kwargs)
 
 
 def output_plot(result: PEMResult, time: Array, y: Array, predicted: Array, label: str, **kwargs: Any) -> Any:
