@@ -57,7 +57,8 @@ TOLD = (phc.IdentifiabilityWarning, phc.ResolutionWarning, phc.ConditioningWarni
 # what only the package makes: plain records of an answer, which nobody else fills in
 ANSWERS = (
     "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "EnergyBalance", "Excitation", "ExpressivePower",
-    "FittedExperiment", "GradientResult", "KalmanDecomposition", "MorphismCheck", "OrderSelection", "PEMResult",
+    "FittedExperiment", "GradientResult", "KalmanDecomposition", "MorphismCheck", "Netlist", "OrderSelection",
+    "PEMResult",
     "PassivityReport", "ResidualAnalysis", "ScaledCoefficients", "Symmetry", "Verdict",
 )  # fmt: skip
 
@@ -67,6 +68,7 @@ SHARES = {
     "gradient_descent": 0.1, "excitation": 0.2, "spectral_estimate": 0.5, "PEMResult.bootstrap": 0.005,
     "load": 3.0, "read_csv": 3.0, "read_frequency_csv": 2.0,
     "read_uff": 1.0, "read_touchstone": 1.0, "read_mat": 1.0, "read_frequency_mat": 1.0,
+    "read_netlist": 2.0,
 }  # fmt: skip
 PICTURE = 0.02
 COMMAND = 0.05

@@ -321,6 +321,8 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "read_uff.path": _file("uff"), "read_touchstone.path": _file("s1p"), "read_mat.path": _file("table"),
     "read_frequency_mat.path": _file("table"), "read_frequency_mat.frequency": _choice("f", "t"),
     "read_frequency_mat.response": _choice("H", ["H", "y"]), "read_frequency_mat.frequency_unit": _choice("Hz"),
+    "read_netlist.source": _file("cir"), "netlist.form": _choice(None, "foster1", "foster2", "cauer1", "cauer2"),
+    "netlist.kind": _choice("admittance", "impedance"),
     "parameter": _choice("Z", "Y", "S"), "read_mat.input": _choice(None, "u", False, ["u"]),
     "read_mat.output": _choice(None, "y", ["y"]), "read_mat.time": _choice(None, "t", False),
     "read_uff.input": _choice(None, "1+Z"), "read_uff.output": _choice(None, ["1+Z"]),
@@ -488,6 +490,7 @@ _POOLS |= {
     ],
     "Verdict": lambda: [phc.are_isomorphic(_systems()[0], _systems()[0]), phc.same_filter(*_systems()[:2])],
     "ExpressivePower": lambda: [phc.expressive_power([1.0, 1.0], [1.0, 0, 0, 0])],
+    "Netlist": lambda: [phc.netlist(phc.modes([1.0, 2.0], [1.0, 0.5]), form) for form in ("foster1", "cauer2")],
     "MorphismCheck": lambda: [phc.is_morphism(np.eye(4), _systems()[0], _systems()[0])],
     "CanonicalMargins": lambda: [phc.canonical_margins(_systems()[0])],
     "KalmanDecomposition": lambda: [phc.kalman_decomposition(_systems()[2]), phc.kalman_decomposition(_systems()[4])],
@@ -524,6 +527,11 @@ def _contents(kind: str) -> list[bytes]:
             "f [kHz],mag,phase [rad]\n",
         )
         return [(head + rows).encode() for head in heads]
+    if kind == "cir":
+        coupled = (
+            "t\nV1 1 0 AC 1\nR1 1 2 4.7k\nL1 2 0 1m\nL2 3 0 2u ; coil\nK1 L1 L2 .5\n+\nC1 3 0 10nF\nI1 0 3\n.end\n"
+        )
+        return [coupled.encode(), *(one.spice().encode() for one in pool("Netlist"))]
     if kind in ("uff", "s1p", "table"):
         return [_measured(kind)]
     buffer = io.BytesIO()
@@ -597,7 +605,7 @@ def written(rng: Rng, kind: str) -> Any:
         return io.BytesIO(content)
     if form == 1:
         return io.StringIO(content.decode("latin-1"))
-    suffix = {"mat": "mat", "table": "mat", "json": "json", "uff": "uff", "s1p": "s1p"}.get(kind, "csv")
+    suffix = {"mat": "mat", "table": "mat", "json": "json", "uff": "uff", "s1p": "s1p", "cir": "cir"}.get(kind, "csv")
     name = f"drawn{int(rng.integers(8))}.{suffix}"
     Path(name).write_bytes(content)
     return Path(name) if form == 2 else name

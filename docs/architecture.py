@@ -19,6 +19,7 @@ FOLDERS = {
     "identification.uncertainty": "noise, covariance, draws",
     "identification.regression": "residuals and Jacobians",
     "identification.data": "records and responses",
+    "circuits": "Foster, Cauer, SPICE netlists",
     "io": "CSV, JSON, .mat",
     "plotting": "numbers, then pictures",
     "analysis": "time responses, energy, margins",

@@ -15,6 +15,9 @@ from .analysis.time_response import forced_response as forced_response
 from .analysis.time_response import impulse_response as impulse_response
 from .analysis.time_response import initial_response as initial_response
 from .analysis.time_response import step_response as step_response
+from .circuits.elements import Netlist as Netlist
+from .circuits.nodal import read_netlist as read_netlist
+from .circuits.synthesis import netlist as netlist
 from .equivalence.filters import Verdict as Verdict
 from .equivalence.groupoids import PortHamiltonianGroupoid as PortHamiltonianGroupoid
 from .equivalence.groupoids import ReducedGroupoid as ReducedGroupoid

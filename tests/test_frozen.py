@@ -42,7 +42,7 @@ def _results():
         phc.gradient_descent((u, y), 2, initial_guess=start, dt=0.1, epochs=3), phc.energy_balance(response, plant),
         phc.spectral_estimate(response), plant, plant.modes,
         phc.ph(np.eye(2), [0.0, 1.0], R=np.eye(2)), phc.passivity(ct.ss(-1.0, 1.0, 1.0, 0.0)),
-        plant.modes.scaled_coefficients()[0], canonical,
+        plant.modes.scaled_coefficients()[0], phc.netlist(plant), canonical,
         phc.oh([1.0, 2.0], [1.0, 1.0, 1.0, 1.0]), phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0]),
         phc.is_even(phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0])), phc.kalman_decomposition(plant),
         phc.canonical_margins(plant), phc.split_casimirs(np.eye(3), [1, 0, 0], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]),

@@ -140,6 +140,7 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "initial_response": [lambda **k: phc.initial_response(plant(), T, 1.0, **k)],
     "lc_circuit": [lambda **k: phc.lc_circuit([1.0, 2.0], 1.0, **k)],
     "msd_chain": [lambda **k: phc.msd_chain(3, **k)],
+    "read_netlist": [lambda **k: phc.read_netlist("V1 1 0\nR1 1 2 5\nC1 2 0 1\n", **k)],
     "rcl_ladder": [lambda **k: phc.rcl_ladder(3, **k)],
     "modes_plot": [lambda **k: phc.modes_plot(plant(), **k)],
     "order_plot": [lambda **k: phc.order_plot(phc.order_selection(fitted().record, 2), **k)],

@@ -1,0 +1,1 @@
+"""Circuits of systems and systems of circuits: Foster and Cauer forms, SPICE netlists."""

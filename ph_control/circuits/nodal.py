@@ -1,0 +1,363 @@
+"""Port-Hamiltonian system of a circuit: charges of capacitors and flux linkages of inductors as states.
+
+Kirchhoff's voltage law makes every branch voltage a combination `v = F v_t` of those of a tree, and his current law
+reads `F^T i = 0`.  The tree takes voltage sources first, then capacitors, resistors and inductors, and current sources
+last.  A capacitor outside of the tree closes a loop of capacitors, and an inductor inside it belongs to a cut set of
+inductors: each leaves one state fewer.  Ideal transformers are constraints on the voltages, met before all others.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from .. import _checks
+from .._types import Array
+from ..exceptions import FileFormatError, StructureError
+from ..systems.dissipative import DissipativePortHamiltonian
+from .elements import Element
+from .spice_text import content_of, elements_of
+
+_TREE = "VCRLI"  # which branches a tree takes first
+_NONE = 1e-10  # of the largest entry of a row: what elimination leaves of 0
+
+
+def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> DissipativePortHamiltonian:
+    """Port-Hamiltonian system of a SPICE netlist of resistors, inductors, capacitors and sources.
+
+    Parameters
+    ----------
+    source : str, path-like or file object
+        Name of a file, an open file, or, if it has several lines, the text itself.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`; by default inputs and outputs are called after the
+        sources (`v_V1`, `i_V1`), and states after the elements (`q_C1`, `phi_L1`).
+
+    Returns
+    -------
+    DissipativePortHamiltonian
+        Each source is a port, in the order of the lines: of a voltage source the voltage is the input and the current
+        that it delivers the output, of a current source (current from its first node through the source to its second)
+        the current is the input and the voltage at which it delivers it the output.  States: the charges of capacitors
+        (C) and the flux linkages of inductors (Wb); of a loop of capacitors those of all but one, of a cut set of
+        inductors likewise.
+
+    Raises
+    ------
+    FileFormatError
+        If a line is not understood, with its number.
+    FileMissingError
+        If there is no such file.
+    StructureError
+        If there is no port, no state or no ground, a part is not connected to ground, sources contradict each other,
+        a source charges capacitors or cuts inductors without anything between (its current would contain the derivative
+        of its voltage), or controlled sources are no transformer.
+
+    Notes
+    -----
+    Read are R, L, C, K (coupled inductors), V, I, and pairs of E and F that make ideal transformers as `netlist`
+    writes them; suffixes t, g, meg, k, mil, m, u, n, p, f with any unit behind them (f is 1e-15 and m 1e-3, in either
+    case); comments (`*`, `;`, `$`) and continuation lines (`+`).  Lines of analyses and control blocks are passed over,
+    and so is what a source is set to.  The first line is the title, unless it is that of an element.
+
+    `H = q^T C^{-1} q / 2 + phi^T L^{-1} phi / 2`.  Branch voltages are eliminated exactly, on incidence matrices of
+    0, 1 and -1.  Dense matrices, O(n^3).
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> circuit = phc.read_netlist('''series resonator
+    ... V1 in 0 AC 1
+    ... R1 in a 50
+    ... L1 a b 1m
+    ... C1 b 0 10n
+    ... .end''')
+    >>> circuit.state_labels, circuit.hertz.round(1)
+    (['q_C1', 'phi_L1'], array([50329.2]))
+    >>> circuit.damping_ratios.round(4)
+    array([0.0791])
+    """
+    text, name = content_of(source)
+    return _system(elements_of(text, name), names)
+
+
+def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePortHamiltonian:
+    turns = _Transformers(elements)
+    branches = [one for letter in _TREE for one in elements if one.letter == letter and one.name not in turns.sensing]
+    ports = [one for one in elements if one.letter in "VI" and one.name not in turns.sensing]
+    _refuse_unconnected(elements)
+    if not ports:
+        raise StructureError("the netlist has no source; put a voltage or a current source at each port")
+    F, tree = _fundamental(branches, turns)
+    _refuse_contradictions(branches, F, tree)
+
+    def rows(letter: str, inside: bool | None = None) -> list[int]:
+        return [
+            k for k, one in enumerate(branches)
+            if one.letter == letter and (inside is None or (k in tree) == inside)
+        ]  # fmt: skip
+
+    def block(some: list[int], letter: str) -> Array:
+        return F[np.ix_(some, [tree.index(k) for k in rows(letter, True)])]
+
+    every_L, link_L = rows("L"), rows("L", False)
+    # currents of all inductors by those outside of the tree
+    W = np.zeros((len(every_L), len(link_L)))
+    W[[every_L.index(k) for k in link_L], range(len(link_L))] = 1.0
+    W[[every_L.index(k) for k in rows("L", True)]] = -block(link_L, "L").T
+    capacitors = rows("C")
+    charge = block(capacitors, "C")
+    capacitance = charge.T @ (np.array([branches[k].value for k in capacitors])[:, None] * charge)
+    inductance = W.T @ _inductances([branches[k] for k in every_L], elements) @ W
+    K = _kirchhoff(block, rows, np.array([1.0 / branches[k].value for k in rows("R")]), link_L)
+    nc, nl = len(capacitance), len(inductance)
+    n = nc + nl
+    if n == 0:
+        raise StructureError("the netlist has no capacitor and no inductor, and so no state; nothing moves in it")
+    order = [(rows("V") + rows("I")).index(branches.index(port)) for port in ports]
+    pick = np.array([*range(n), *(n + k for k in order)])
+    K = K[np.ix_(pick, pick)]
+    Q = np.zeros((n, n))
+    Q[:nc, :nc], Q[nc:, nc:] = _inverse(capacitance), _inverse(inductance)
+    skew, symmetric = 0.5 * (K - K.T), 0.5 * (K + K.T)
+    kept = [branches[k].name for k in [*rows("C", True), *link_L]]
+    kinds = [("v", "i") if port.letter == "V" else ("i", "v") for port in ports]
+    labels = {
+        "inputs": [f"{kind[0]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
+        "outputs": [f"{kind[1]}_{_label(port.name)}" for kind, port in zip(kinds, ports, strict=True)],
+        "states": [f"{'q' if k < nc else 'phi'}_{_label(one)}" for k, one in enumerate(kept)],
+    }
+    given = {key if key.endswith("s") or key == "name" else f"{key}s": value for key, value in names.items()}
+    return DissipativePortHamiltonian(
+        Q, -skew[:n, n:], R=symmetric[:n, :n], P=symmetric[:n, n:], S=symmetric[n:, n:], N=skew[n:, n:],
+        J=-skew[:n, :n], **(labels | given),
+    )  # fmt: skip
+
+
+def _label(name: str) -> str:
+    """Name of an element as that of a signal, which has no dots."""
+    return name.replace(".", "_")
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric positive definite matrix, of a diagonal one entry by entry."""
+    if np.count_nonzero(matrix) == len(matrix):
+        return np.diag(1.0 / np.diag(matrix))
+    scale = np.sqrt(np.diag(matrix))
+    inner = matrix / scale / scale[:, None]
+    found = cho_solve(cho_factor(inner), np.eye(len(matrix))) / scale / scale[:, None]
+    return np.asarray(0.5 * (found + found.T))
+
+
+def _inductances(coils: list[Element], elements: Sequence[Element]) -> Array:
+    """Inductance matrix of coils with their couplings."""
+    found = {one.name.upper(): k for k, one in enumerate(coils)}
+    root = np.sqrt([one.value for one in coils])
+    coupling = np.eye(len(coils))
+    for one in elements:
+        if one.letter != "K":
+            continue
+        missing = [name for name in one.nodes if name.upper() not in found]
+        if missing or one.nodes[0] == one.nodes[1]:
+            raise FileFormatError(
+                f"{one.name} couples {one.nodes[0]} and {one.nodes[1]}: "
+                + (f"there is no inductor {missing[0]}" if missing else "name two inductors")
+            )
+        i, j = (found[name.upper()] for name in one.nodes)
+        if coupling[i, j]:
+            raise FileFormatError(f"{one.name}: {one.nodes[0]} and {one.nodes[1]} are coupled twice")
+        coupling[i, j] = coupling[j, i] = one.value
+    least = float(np.linalg.eigvalsh(coupling)[0]) if len(coils) else 1.0
+    if not least > len(coils) * _checks.EPS:
+        raise StructureError(
+            f"the coupled inductors have no positive definite inductance: the least eigenvalue of their couplings is "
+            f"{least:.3g}, needed > 0; make the couplings smaller"
+        )
+    return np.asarray(root[:, None] * coupling * root)
+
+
+# --- Kirchhoff's laws --------------------------------------------------------------------------------------------
+
+
+def _incidence(elements: Sequence[Element], number: dict[str, int]) -> Array:
+    """Voltages of elements by those of the nodes, one row each; ground is no column."""
+    A = np.zeros((len(elements), len(number)))
+    for row, one in zip(A, elements, strict=True):
+        for node, sign in zip(one.nodes[:2], (1.0, -1.0), strict=True):
+            if node != "0":
+                row[number[node]] += sign
+    return A
+
+
+class _Transformers:
+    """Controlled sources as constraints: of the voltages, and of the currents that they take."""
+
+    def __init__(self, elements: Sequence[Element]) -> None:
+        names = {node for one in elements if one.letter != "K" for node in one.nodes[: 4 if one.letter == "E" else 2]}
+        self.number = {node: k for k, node in enumerate(sorted(names - {"0"}))}
+        sources = {one.name.upper(): one for one in elements if one.letter == "V"}
+        voltages = [one for one in elements if one.letter == "E"]
+        currents = [one for one in elements if one.letter == "F"]
+        for one in currents:
+            if one.nodes[2].upper() not in sources:
+                raise FileFormatError(
+                    f"{one.name} is controlled by {one.nodes[2]}, and there is no such voltage source"
+                )
+        sensing = {one.nodes[2].upper(): sources[one.nodes[2].upper()] for one in currents}
+        self.sensing = {one.name for one in sensing.values()}
+        output, sense = _incidence(voltages, self.number), _incidence(list(sensing.values()), self.number)
+        control = _incidence([Element(one.name, one.nodes[2:], 0.0) for one in voltages], self.number)
+        gain = np.array([one.value for one in voltages])
+        self.of_voltages = np.vstack([output - gain[:, None] * control, sense])
+        taken = sense.copy()
+        for row, one in zip(_incidence(currents, self.number), currents, strict=True):
+            taken[list(sensing).index(one.nodes[2].upper())] += one.value * row
+        self.of_currents = np.vstack([output, taken])
+
+
+def _fundamental(branches: list[Element], turns: _Transformers) -> tuple[Array, list[int]]:
+    """Branch voltages by those of a tree, and the branches of the tree in their order."""
+    A = _incidence(branches, turns.number)
+    if not len(turns.of_voltages):
+        return _echelon(A)
+    of_voltages, tree = _allowed(turns.of_voltages, A)
+    of_currents, _ = _allowed(turns.of_currents, A)
+    # voltages that are allowed do no work on currents that are: the two spaces are one
+    both = np.hstack([of_voltages, of_currents])
+    if of_voltages.shape != of_currents.shape or np.linalg.matrix_rank(both, rtol=1e-9) > len(tree):
+        raise StructureError(
+            "the controlled sources are no ideal transformers: they give or take energy; an E with the ratio n of the "
+            "voltage of a port needs an F with the same ratio of its current at that port"
+        )
+    return of_voltages, tree
+
+
+def _allowed(constraints: Array, A: Array) -> tuple[Array, list[int]]:
+    """Branch voltages under constraints, by those of a tree."""
+    k = len(constraints)
+    table, basis = _echelon(np.vstack([constraints, A]))
+    if basis[:k] != list(range(k)):
+        raise StructureError("the controlled sources contradict or repeat each other; leave out those that do")
+    return table[k:, k:], [one - k for one in basis[k:]]
+
+
+def _echelon(rows: Array) -> tuple[Array, list[int]]:
+    """Rows by a basis of them that takes each as early as it can: `(rows by basis, basis)`.
+
+    Columns are eliminated; of incidence matrices all entries stay 0, 1 and -1.
+    """
+    table, free, basis, columns = rows.copy(), list(range(rows.shape[1])), [], []
+    for k in range(len(table)):
+        if not free:
+            break
+        size = np.abs(rows[k]).max(initial=0.0)
+        pivot = free[int(np.abs(table[k, free]).argmax())]
+        if not abs(table[k, pivot]) > _NONE * size:
+            continue
+        table[:, pivot] /= table[k, pivot]
+        others = table[k].copy()
+        others[pivot] = 0.0
+        table -= np.outer(table[:, pivot], others)
+        table[k, :] = 0.0
+        table[k, pivot] = 1.0
+        free.remove(pivot)
+        basis.append(k)
+        columns.append(pivot)
+    found = table[:, columns]
+    return np.where(np.abs(found) > _NONE, found, 0.0), basis
+
+
+def _kirchhoff(block: Any, rows: Any, conductances: Array, link_L: list[int]) -> Array:
+    """Matrix K of `(q', phi', -y) = -K (v_C, i_L, u)`, with `K + K^T >= 0`.
+
+    States: voltages of the tree's capacitors, currents of the other inductors; u: voltages, then currents, of sources.
+    """
+    C_R, V_R, R_R = (block(rows("R"), letter) for letter in "CVR")
+    sources = rows("I")
+    # resistors have the voltages `T (v_C, i_L, V, I)` plus `R_R v_r`, and `v_r` follows from the currents at them
+    nl, ni = len(link_L), len(sources)
+    T = np.hstack([C_R, np.zeros((len(C_R), nl)), V_R, np.zeros((len(C_R), ni))])
+    if R_R.shape[1]:
+        drawn = np.hstack([
+            np.zeros((R_R.shape[1], C_R.shape[1])), block(link_L, "R").T,
+            np.zeros((R_R.shape[1], V_R.shape[1])), block(sources, "R").T,
+        ])  # fmt: skip
+        # as a least-squares problem of resistors, for which conductances may differ by many decades
+        root = np.sqrt(conductances)[:, None]
+        normal = (root * R_R).T @ (root * R_R)
+        factor = cho_factor(normal)
+        v_r = -cho_solve(factor, drawn + (conductances[:, None] * R_R).T @ T)
+        T = T + R_R @ v_r
+    else:
+        v_r = np.zeros((0, T.shape[1]))
+    current = conductances[:, None] * T
+    nc, nv = C_R.shape[1], V_R.shape[1]
+    K = np.zeros((nc + nl + nv + ni,) * 2)
+    c, j, v, i = np.split(np.arange(len(K)), np.cumsum([nc, nl, nv]))
+    # currents out of the nodes of the capacitors and of the sources of voltage
+    for place, letter, of_R in ((c, "C", C_R), (v, "V", V_R)):
+        K[place] += of_R.T @ current
+        K[np.ix_(place, j)] += block(link_L, letter).T
+        K[np.ix_(place, i)] += block(sources, letter).T
+    # voltages of inductors, and of the sources of current
+    for place, some in ((j, link_L), (i, sources)):
+        K[np.ix_(place, c)] -= block(some, "C")
+        K[np.ix_(place, v)] -= block(some, "V")
+        K[place] -= block(some, "R") @ v_r
+    return K
+
+
+# --- circuits that have no port-Hamiltonian form -------------------------------------------------------------------
+
+
+def _refuse_unconnected(elements: Sequence[Element]) -> None:
+    joined = [one.nodes[:2] for one in elements if one.letter != "K"]
+    names = sorted({node for pair in joined for node in pair})
+    if "0" not in names:
+        raise StructureError("the netlist has no ground; call one node 0")
+    number = {node: k for k, node in enumerate(names)}
+    ends = np.array([[number[a], number[b]] for a, b in joined]).T
+    graph = coo_array((np.ones(len(joined)), (ends[0], ends[1])), shape=(len(names),) * 2)
+    _, label = connected_components(graph, directed=False)
+    apart = [node for node, one in zip(names, label, strict=True) if one != label[number["0"]]]
+    if apart:
+        raise StructureError(
+            f"node {', '.join(apart[:5])} is not connected to ground, also through no other node; join that part to "
+            "node 0 by an element, at one place of each side of a transformer"
+        )
+
+
+def _refuse_contradictions(branches: list[Element], F: Array, tree: list[int]) -> None:
+    inside = set(tree)
+    for k, one in enumerate(branches):
+        letters = [branches[t].letter for t in tree]
+        if k not in inside and one.letter in "VC":
+            met = np.flatnonzero(F[k])
+            loop = ", ".join([one.name, *(branches[tree[t]].name for t in met)])
+            if one.letter == "V":
+                raise StructureError(f"{loop} are a loop of voltage sources, whose voltages cannot be chosen; open it")
+            if any(letters[t] == "V" for t in met):
+                raise StructureError(
+                    f"{loop} are a loop of capacitors and a voltage source: its current contains the derivative of its "
+                    "voltage, which no port-Hamiltonian system has; put a resistor in series with the source, or "
+                    "drive it by a current source"
+                )
+        if k in inside and one.letter in "LI":
+            others = [m for m in np.flatnonzero(F[:, tree.index(k)]) if m != k]
+            cut = ", ".join([one.name, *(branches[m].name for m in others)])
+            if one.letter == "I":
+                raise StructureError(
+                    f"{cut} are a cut set of current sources, whose currents cannot be chosen; join the two sides"
+                )
+            if any(branches[m].letter == "I" for m in others):
+                raise StructureError(
+                    f"{cut} are a cut set of inductors and a current source: its voltage contains the derivative of "
+                    "its current, which no port-Hamiltonian system has; put a resistor beside the source, or drive it "
+                    "by a voltage source"
+                )

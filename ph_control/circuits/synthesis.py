@@ -1,0 +1,339 @@
+"""Circuits of given systems: Foster's and Cauer's forms, branches with resistors, ideal transformers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from .. import _checks
+from .._types import Array
+from ..exceptions import NotLosslessError, StructureError
+from ..modal.modal_form import ModalForm
+from ..systems.dissipative import DissipativePortHamiltonian
+from ..systems.passive_form import Conversion, PortRows, passive_parts
+from ..systems.port_hamiltonian import ph
+from .elements import Element, Netlist
+from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
+
+FORMS = ("foster1", "foster2", "cauer1", "cauer2")
+KINDS = ("admittance", "impedance")
+_DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fractions of the transfer function itself
+_TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
+_REAL = 1e-9  # imaginary part of the residues of a circuit without gyrators, relative
+
+
+def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> Netlist:
+    """Circuit of resistors, inductors and capacitors, all positive, with the transfer function of a system.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian, ModalForm or any linear system of continuous time
+        Lossless, or with classical damping.
+    form : {'foster1', 'foster2', 'cauer1', 'cauer2'}, optional
+        'foster1': tanks (inductor and capacitor side by side) in series, from the partial fractions of the impedance.
+        'foster2': branches (inductor and capacitor in series) side by side, from those of the admittance.
+        'cauer1': ladder of inductors along and capacitors across, from the continued fraction at infinity.
+        'cauer2': ladder of capacitors along and inductors across, from that at zero.
+        Default: the partial fractions of the system itself, 'foster2' of an admittance, 'foster1' of an impedance.
+    kind : {'admittance', 'impedance'}
+        Whether the input of the system is the voltage and its output the current into the port, as for `lc_circuit`, or
+        the other way round, as for `rcl_ladder`.
+
+    Returns
+    -------
+    Netlist
+        With as few inductors and capacitors as the system has states; modes that no port reaches are left out.
+
+    Raises
+    ------
+    StructureError
+        If there is no circuit of this form: several ports or losses in another form than the default one, a system that
+        no port reaches, residues that ask for gyrators.
+    NotPassiveError, NotLosslessError
+        If the system is not passive, or its damping is not classical.
+
+    Notes
+    -----
+    Of an admittance a mode `kappa s / (s^2 + 2 zeta d s + d^2)` is the branch `L = 1/kappa`, `R = 2 zeta d/kappa`,
+    `C = kappa/d^2`, and a pole at 0 the inductor `1/kappa_0`; of an impedance the dual tank.  The form 'foster1' of an
+    admittance, and 'foster2' of an impedance, are made of the zeros in the same way.
+
+    With several ports, a mode whose residue is `kappa psi psi^T` lies behind ideal transformers with the ratios `psi`,
+    unless it lies at one port alone; each transformer is a pair of controlled sources, and a voltage source of 0 that
+    measures its current.
+
+    The ladder 'cauer1' of an impedance is the twin of a chain of masses (capacitors) and springs (inductors, 1/k) with
+    the first mass at the port, as `spring_chain` makes it.  Elements of ladders come from the Jacobi matrix of the
+    modes, by Lanczos vectors in decimal arithmetic; these, and those made of zeros, are right to the last place for
+    the `d` and `r` of `ph(sys).modes`.  O(n^2) operations, O(n^3) for the forms made of zeros.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> sys = phc.lc_circuit(C=[1.0, 0.5], L=[1.0, 0.25])
+    >>> [(one.name, round(one.value, 6)) for one in phc.netlist(sys).elements]
+    [('L1', 1.0), ('C1', 1.0), ('L2', 0.25), ('C2', 0.5)]
+    >>> ladder = phc.netlist(sys, "cauer1")
+    >>> [(one.name, round(one.value, 6), one.nodes) for one in ladder.elements]
+    [('L1', 0.2, ('1', '2')), ('C1', 0.757576, ('2', '0')), ('L2', 1.111224, ('2', '3')), ('C2', 0.742424, ('3', '0'))]
+    """
+    kind = _checks.choice("kind", kind, KINDS)
+    form = _DIRECT[kind] if form is None else _checks.choice("form", form, FORMS)
+    parts, one_port = _parts(sys)
+    if not parts.modes and not parts.poles_at_zero and not parts.relaxations and not parts.feedthrough.any():
+        raise StructureError("no port reaches any mode: the transfer function is 0, and has no circuit")
+    title = f"{_TITLES[form]} form of an {kind}"
+    draft = _Draft(kind, parts.ports)
+    if form == _DIRECT[kind]:
+        draft.side_by_side(parts)
+    elif one_port is None:
+        what = f"{parts.ports} ports" if parts.ports > 1 else "losses"
+        raise StructureError(
+            f"the system has {what}, and form={form!r} is that of a lossless one-port; take form={_DIRECT[kind]!r}, "
+            f"which is made of the modes of an {kind}"
+        )
+    elif form.startswith("foster"):
+        draft.reciprocal(*reciprocal(*one_port))
+    else:
+        draft.ladder(form, *one_port)
+    return draft.netlist(form, title)
+
+
+@dataclass(frozen=True)
+class _Mode:
+    """Resonator `kappa s / (s^2 + loss s + x)` seen with the ratios `psi`; without a spring `kappa / (s + loss)`."""
+
+    kappa: float
+    psi: Array
+    loss: float = 0.0
+    flexibility: float = 0.0  # kappa / d^2
+
+
+@dataclass(frozen=True)
+class _Parts:
+    ports: int
+    modes: list[_Mode]
+    poles_at_zero: list[_Mode]
+    relaxations: list[_Mode]
+    feedthrough: Array
+
+
+OnePort = tuple[Array, Array, float]
+
+
+def _parts(sys: Any) -> tuple[_Parts, OnePort | None]:
+    """Resonators of a system, and frequencies, weights and pole at 0 of a lossless one-port."""
+    found = sys if isinstance(sys, ModalForm) and sys.is_lossless else ph(sys)
+    if isinstance(found, DissipativePortHamiltonian):
+        if len(found.sensors[0]):
+            raise StructureError(
+                f"the system has {len(found.sensors[0])} sensors beside its ports, and a circuit has ports only; "
+                "leave them out"
+            )
+        # whatever coordinates and energy the matrices have
+        given = PortRows(found.A, found.B, found.C, found.D)
+        try:
+            found = ph(ct.ss(found.A, found.B, found.C, found.D), lossless=True)
+        except NotLosslessError:
+            return _classical(*passive_parts(given, "auto", None, minimal=True)), None
+    modes = (found if isinstance(found, ModalForm) else found.modes).minimal()
+    parts = _of_lossless(modes)
+    return parts, None if modes.nports > 1 else (modes.d, modes.r, float(np.sum(modes.rigid**2)))
+
+
+def _of_lossless(modes: ModalForm) -> _Parts:
+    resonators = []
+    for d, nu, r in zip(modes.d, modes.nu, modes.r, strict=True):
+        psi, size = (np.ones(1), float(r)) if modes.nports == 1 else _ratios(nu)
+        resonators.append(_Mode(d * size, psi, flexibility=size / d))
+    at_zero = [_Mode(size, psi) for psi, size in map(_ratios, modes.rigid)]
+    return _Parts(modes.nports, resonators, at_zero, [], np.zeros(modes.nports))
+
+
+def _ratios(nu: Any) -> tuple[Array, float]:
+    """Real ratios, the largest 1, and the square of what they are multiplied by, of the weights of a mode."""
+    lead = nu[np.abs(nu).argmax()]
+    psi = nu / lead
+    if np.abs(psi.imag).max() > _REAL:
+        raise StructureError(
+            f"a mode reaches the ports with different phases (imaginary part {np.abs(psi.imag).max():.2g} of the "
+            f"largest, allowed {_REAL:g}): the transfer function is not symmetric, and its circuit needs gyrators"
+        )
+    return np.where(np.abs(psi.real) > _checks.EPS, psi.real, 0.0), float(np.abs(lead) ** 2)
+
+
+def _classical(matrices: dict[str, Array], conversion: Conversion) -> _Parts:
+    """Resonators with losses, side by side in Williamson coordinates; see `passive_form.classical_parts`."""
+    if conversion.energy != "modal":
+        raise NotLosslessError(
+            [], "the damping of the system is not classical: its modes are not resonators "
+            "kappa s/(s^2 + 2 zeta d s + d^2) side by side, so that it has no circuit of one branch for each",
+        )  # fmt: skip
+    through, G, J = matrices["S"] + matrices["N"], matrices["G"], matrices["J"]
+    if np.count_nonzero(through - np.diag(np.diag(through))):
+        raise StructureError(
+            "the feedthrough joins the ports, and a circuit of branches has one resistor at each port; its feedthrough "
+            "is diagonal"
+        )
+    k, d, losses = int(np.count_nonzero(J.any(axis=0))) // 2, np.diag(matrices["Q"]), np.diag(matrices["R"])
+    resonators: list[_Mode] = []
+    at_zero: list[_Mode] = []
+    relaxations: list[_Mode] = []
+    for row in range(k, 2 * k):
+        psi, size = _ratios(G[row] - 1j * G[row - k])
+        resonators.append(_Mode(d[row] * size, psi, losses[row] * d[row], size / d[row]))
+    for row in range(2 * k, len(G)):
+        psi, size = _ratios(G[row])
+        (relaxations if losses[row] else at_zero).append(_Mode(size, psi, losses[row]))
+    return _Parts(G.shape[1], resonators, at_zero, relaxations, np.diag(through))
+
+
+class _Draft:
+    """Elements as they are added; of an impedance the dual of what an admittance has."""
+
+    def __init__(self, kind: str, ports: int) -> None:
+        self._dual, self._kind = kind == "impedance", kind
+        self._elements: list[Element] = []
+        self._counts: dict[str, int] = {}
+        self._nodes = ports
+        # where the next part in series begins, for each port of an impedance
+        self._ends = [str(k + 1) for k in range(ports)]
+
+    def netlist(self, form: str, title: str) -> Netlist:
+        letter = "I" if self._dual else "V"
+        names = [(f"{letter}{k + 1}", str(k + 1)) for k in range(len(self._ends))]
+        ports = tuple(Element(name, ("0", node) if self._dual else (node, "0"), 0.0) for name, node in names)
+        return Netlist(tuple(self._elements), ports, form, self._kind, title)
+
+    def _node(self) -> str:
+        self._nodes += 1
+        return str(self._nodes)
+
+    def _add(self, letter: str, nodes: tuple[str, ...], value: float) -> str:
+        """Add an element, of the next number of its letter."""
+        if not np.isfinite(value) or (letter in "RLC" and value < _checks.SMALLEST):
+            raise StructureError(
+                f"an element would have the value {value:.3g}, outside the range of doubles; scale time or the output"
+            )
+        self._counts[letter] = self._counts.get(letter, 0) + 1
+        name = f"{letter}{self._counts[letter]}"
+        self._elements.append(Element(name, nodes, float(value)))
+        return name
+
+    # --- partial fractions ---------------------------------------------------------------------------------------
+
+    def side_by_side(self, parts: _Parts) -> None:
+        """Branches across the ports of an admittance; tanks in series at those of an impedance."""
+        every = [*parts.poles_at_zero, *parts.relaxations, *parts.modes]
+        plain = [one for one in every if np.count_nonzero(one.psi) == 1]
+        turned = [one for one in every if np.count_nonzero(one.psi) > 1]
+        # of each port the number of parts in series, of which the last one ends at ground
+        left = [0] * parts.ports
+        conductances = [(k, float(g)) for k, g in enumerate(parts.feedthrough) if g > 0]
+        for k in [*(k for k, _ in conductances), *(int(np.flatnonzero(one.psi)[0]) for one in plain)]:
+            left[k] += 1
+        for one in turned:
+            for port in np.flatnonzero(one.psi):
+                left[port] += 1
+        for k, g in conductances:
+            begin, end = self._place(k, left)
+            self._add("R", (begin, end), g if self._dual else 1 / g)
+        for one in plain:
+            self._resonator(one, *self._place(int(np.flatnonzero(one.psi)[0]), left))
+        for one in turned:
+            self._behind_transformers(one, left)
+        for k, (end, node) in enumerate(zip(self._ends, map(str, range(1, parts.ports + 1)), strict=True)):
+            if self._dual and end == node:  # nothing at this port: no voltage whatever the current
+                raise StructureError(f"no mode reaches port {k}, counted from 0; leave that port out")
+
+    def _place(self, port: int, left: list[int]) -> tuple[str, str]:
+        """Nodes of the next part at a port."""
+        if not self._dual:
+            return str(port + 1), "0"
+        begin, left[port] = self._ends[port], left[port] - 1
+        self._ends[port] = self._node() if left[port] else "0"
+        return begin, self._ends[port]
+
+    def _resonator(self, mode: _Mode, begin: str, end: str) -> None:
+        """A branch, or the tank that is its dual, between two nodes."""
+        values = {"C" if self._dual else "L": 1 / mode.kappa}
+        if mode.loss:
+            values["R"] = mode.kappa / mode.loss if self._dual else mode.loss / mode.kappa
+        if mode.flexibility:
+            values["L" if self._dual else "C"] = mode.flexibility
+        self._branch(values, begin, end, in_series=not self._dual)
+
+    def _branch(self, values: dict[str, float], begin: str, end: str, in_series: bool) -> None:
+        for count, (letter, value) in enumerate(values.items(), start=1):
+            far = end if not in_series or count == len(values) else self._node()
+            self._add(letter, (begin, far), value)
+            begin = far if in_series else begin
+
+    def _behind_transformers(self, mode: _Mode, left: list[int]) -> None:
+        """A resonator to ground behind ideal transformers, one for each port that it reaches.
+
+        Admittance: the branch has the voltage `sum psi_k v_k`, each port the current `psi_k i`.  Impedance: the
+        tank has the current `sum psi_k i_k`, and each port the voltage `psi_k v`.
+        """
+        reached = [(int(k), float(mode.psi[k])) for k in np.flatnonzero(mode.psi)]
+        inner = self._node()
+        if self._dual:
+            for k, ratio in reached:
+                begin, end = self._place(k, left)
+                middle = self._node()
+                sense = self._add("VS", (begin, middle), 0.0)
+                self._add("E", (middle, end, inner, "0"), ratio)
+                self._add("F", ("0", inner, sense), ratio)
+        else:
+            begin = self._node()
+            sense = self._add("VS", (begin, inner), 0.0)
+            for count, (k, ratio) in enumerate(reached, start=1):
+                end = self._node() if count < len(reached) else "0"
+                self._add("E", (begin, end, str(k + 1), "0"), ratio)
+                self._add("F", (str(k + 1), "0", sense), ratio)
+                begin = end
+        self._resonator(mode, inner, "0")
+
+    def reciprocal(self, a: float, flexibility: float, tanks: list[tuple[float, float]]) -> None:
+        """Partial fractions of 1/G: tanks in series for an admittance, branches side by side for an impedance."""
+        along, across = ("C", "L") if self._dual else ("L", "C")
+        pieces = [{along: a}]
+        pieces += [{across: flexibility}] if np.isfinite(flexibility) else []
+        pieces += [{across: heavy, along: light} for heavy, light in tanks]
+        begin = "1"
+        for count, values in enumerate(pieces, start=1):
+            if self._dual:
+                self._branch(values, "1", "0", in_series=True)
+                continue
+            end = self._node() if count < len(pieces) else "0"
+            self._branch(values, begin, end, in_series=False)
+            begin = end
+
+    # --- continued fractions -------------------------------------------------------------------------------------
+
+    def ladder(self, form: str, d: Array, r: Array, kappa_0: float) -> None:
+        """Elements along and across by turns; an admittance begins with one along, an impedance with one across.
+
+        Of `cauer2` a pole of G at 0 is the first element, before the ladder of what is left of G.
+        """
+        along, across = ("L", "C") if form == "cauer1" else ("C", "L")
+        if form == "cauer1":
+            values = continued_fraction(d, r, kappa_0)
+        else:
+            values = [1 / b for b in continued_fraction_at_zero(d, r)] if len(d) else []
+            if kappa_0:
+                values.insert(0, 1 / kappa_0)
+        is_along = self._dual if form == "cauer2" and kappa_0 else not self._dual
+        begin = "1"
+        for count, value in enumerate(values, start=1):
+            last = count == len(values)
+            if is_along:
+                end = "0" if last else self._node()
+                self._add(along, (begin, end), value)
+                begin = end
+            else:
+                self._add(across, (begin, "0"), value)
+            is_along = not is_along
