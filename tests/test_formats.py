@@ -146,6 +146,19 @@ def test_a_fit_takes_what_was_read(tmp_path):
     assert np.allclose(result.d, [1.5, 4.0], rtol=1e-5)
 
 
+@pytest.mark.parametrize("absent", [(1, 0), (2, 1)])
+def test_a_pair_that_was_not_measured_is_named_by_the_fit(tmp_path, absent):
+    f = np.arange(0.5, 20.0, 0.5)
+    response = phc.modes([-1 + 40j], RNG.standard_normal((1, 3)), [[1j, 0.5j]]).freqresp(2 * np.pi * f)
+    measured = [(o, i) for o in range(3) for i in range(2) if (o, i) != absent]
+    path = written(tmp_path, *(function(f, response[o, i], (o + 1, 3), (i + 1, 3)) for o, i in measured))
+    (data,) = phc.read_uff(path)
+    with pytest.raises(phc.StructureError, match=rf"'{absent[0] + 1}\+Z' to '{absent[1] + 1}\+Z' was not measured"):
+        phc.pem(data, 1, structure="free")
+    whole = phc.read_uff(path, output=[f"{o + 1}+Z" for o in range(3) if o != absent[0]])[0]
+    assert np.allclose(phc.pem(whole, 1, structure="free", quantity="displacement").poles, -1 + 40j, rtol=1e-4)
+
+
 def damaged(rng, content: bytes) -> bytes:
     data, kind = bytearray(content), rng.integers(4)
     where = int(rng.integers(len(data)))

@@ -16,7 +16,7 @@ import numpy as np
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Mask
-from ...exceptions import IdentificationError
+from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
@@ -171,6 +171,8 @@ def free_fit(
     ------
     IdentificationError
         If there are fewer samples than unknowns.
+    StructureError
+        If an entry of the response matrices was measured in none of them.
     """
     first = channels[0]
     quantities = tuple(quantities or ["free"] * len(first.output_labels))
@@ -223,6 +225,18 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
     return found, sizes
 
 
+def _refuse_unmeasured(one: ResponseMatrix, measured: Array) -> None:
+    """Refuse an entry that no experiment measured: nothing is known of its residues."""
+    rest = np.setdiff1d(np.arange(one.response[..., 0].size), measured)
+    if rest.size:
+        o, i = divmod(int(rest[0]), len(one.input_labels))
+        more = f", and {rest.size - 1} more of {one.response[..., 0].size} responses" if rest.size > 1 else ""
+        raise StructureError(
+            f"the response of {one.output_labels[o]!r} to {one.input_labels[i]!r} was not measured at any "
+            f"frequency{more}; fit the inputs and outputs that were measured with one another, data[outputs, inputs]"
+        )
+
+
 # --- the path --------------------------------------------------------------------------------------------------------
 
 
@@ -267,6 +281,7 @@ class _Path:
         if isinstance(channels[0], ResponseMatrix):
             responses, _ = _responses([one for one in channels if isinstance(one, ResponseMatrix)], quantities)
             search = Responses(responses, _counter(responses, 1), 0.0)
+            _refuse_unmeasured(channels[0], np.concatenate([one.outputs for one in responses]))
             felt = np.repeat(accelerometers, inputs)[:, None]
             parts = [(one.outputs, one.samples, np.abs(one.response * one.scale).max(axis=1)) for one in responses]
         else:
