@@ -144,9 +144,10 @@ def _without_modes(free: FreeFit) -> StructuredFit:
         None,
         at.loss,
         at.unknowns,
-        np.zeros((0, 0)),
+        free.variance,
         at,
         True,
+        at,
     )
 
 

@@ -7,28 +7,34 @@ poles: an iteration costs one pass over the data, whatever the structure.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from scipy.linalg import lapack
 
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Mask, NDArray
 from ..regression.elimination import LinearProjection
 from ..regression.free import FreeProjection, GivenResidues, PoleRegion
+from ..regression.triangular import reduced
 from ..regression.variable_projection import refine
 from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates
 from .layout import ChannelLayout
-from .passive import made_passive, nearest_passive
+from .passive import PassivePoint, made_passive, nearest_passive
 
 STRUCTURES = {
     "lossless": "lossless", "classical": "classical", "passive": "passive", "rank one": "free", "reciprocal": "free",
     "free": "free",
 }  # fmt: skip
-_EXACT = 1e-12  # relative decrease of the loss at which a refinement ends
+_EXACT = 1e-10  # relative decrease of the loss at which a refinement ends
+_WELL_CONDITIONED = 1e10  # entries of the inverse of a Gram matrix of unit columns
 _ITERATIONS = 60  # before it follows secants
+
+
+_Residual = tuple[int, Array, Array, Array]  # of an output: what is left, its Jacobian by poles and by shared unknowns
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +58,14 @@ class StructuredFit(Frozen):
         Sum of squares in the rows of the projection.
     parameters : int
         Unknown numbers in poles, residues and feedthrough; of a passive model less the constraints that hold it.
-    covariance : ndarray
-        In the coordinates and units of `FreeProjection.covariance`.
+    variance : float
+        Of the rows of the projection, by the free fit.
     projection : FreeProjection
         The data at this model.
     converged : bool
         Whether the loss has come to its minimum.
+    point : ConstrainedProjection, PassivePoint or FreeProjection
+        What the covariance is made of.
     """
 
     hypothesis: str
@@ -69,9 +77,49 @@ class StructuredFit(Frozen):
     participation: NDArray[Any] | None
     loss: float
     parameters: int
-    covariance: Array
+    variance: float
     projection: FreeProjection
     converged: bool
+    point: ConstrainedProjection | PassivePoint | FreeProjection
+
+    @cached_property
+    def covariance(self) -> Array:
+        """In the coordinates and units of `FreeProjection.covariance`; empty without modes."""
+        return self.point.covariance(self.variance) if len(self.p) else np.zeros((0, 0))
+
+
+class Tangent:
+    """What the residuals of a free fit are near its minimum, where they are linear: no pass over the data."""
+
+    def __init__(self, at: FreeProjection) -> None:
+        self._x, self._shared, self._parts = at.x, at.shared, list[_Residual]()
+        for output, left, by_poles, by_shared in GivenResidues(at, at.shared).sensitivities():
+            R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, left])))
+            self._parts.append((output, R[:, -1], R[:, : len(at.x)], R[:, len(at.x) : -1]))
+
+    def at(self, p: ComplexArray, shared: Array) -> TangentPoint:
+        """The residuals at other poles and residues."""
+        moved = np.concatenate([p.imag, p.real]) - self._x
+        return TangentPoint([
+            (output, left + by_poles @ moved + by_shared @ (shared - self._shared)[:, output], by_poles, by_shared)
+            for output, left, by_poles, by_shared in self._parts
+        ])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TangentPoint:
+    """Residuals and Jacobians of each output."""
+
+    parts: list[_Residual]
+
+    @property
+    def loss(self) -> float:
+        """Sum of squares of what is left."""
+        return float(sum(left @ left for _, left, _, _ in self.parts))
+
+    def sensitivities(self) -> Iterator[_Residual]:
+        """Each output with its residual and the Jacobian of it."""
+        return iter(self.parts)
 
 
 class ConstrainedProjection(LinearProjection):
@@ -80,9 +128,13 @@ class ConstrainedProjection(LinearProjection):
     def __init__(self, problem: ConstrainedProblem, x: Array) -> None:
         self.x, self.sizes, self._problem = x, np.maximum(np.abs(x), EPS), problem
         self.p, self.residues, self.feedthrough = problem.coordinates.model(x)
-        free = FreeProjection(problem.start.experiments, self.p, problem.start.fed)
-        shared = problem.coordinates.layout.joined(self.residues, self.feedthrough, free.has_feedthrough)
-        self.data = GivenResidues(free, shared)
+        start, layout = problem.start, problem.coordinates.layout
+        shared = layout.joined(self.residues, self.feedthrough, start.has_feedthrough)
+        self.data: GivenResidues | TangentPoint
+        if problem.tangent is not None:
+            self.data = problem.tangent.at(self.p, shared)
+        else:
+            self.data = GivenResidues(FreeProjection(start.experiments, self.p, start.fed), shared)
 
     @property
     def loss(self) -> float:
@@ -108,7 +160,7 @@ class ConstrainedProjection(LinearProjection):
     def derivatives(self, output: int) -> Array:
         """Of what `shared` has of an output, by the coordinates."""
         of = self._problem.coordinates
-        return of.derivatives(self.x, output, self.data.has_feedthrough) / of.layout.scales[output]
+        return of.derivatives(self.x, output, self._problem.start.has_feedthrough) / of.layout.scales[output]
 
     @cached_property
     def gram(self) -> Array:
@@ -122,13 +174,17 @@ class ConstrainedProjection(LinearProjection):
 
     def covariance(self, variance: float) -> Array:
         """Covariance of the model, in the coordinates of `FreeProjection.covariance`."""
-        lengths = np.sqrt(np.diag(self.gram))
-        lengths[lengths == 0] = 1.0
-        inner = np.linalg.pinv(self.gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
+        kept = np.flatnonzero(np.diag(self.gram))
+        gram = self.gram[np.ix_(kept, kept)]
+        lengths = np.sqrt(np.diag(gram))
+        inner, failed = lapack.dpotri(lapack.dpotrf(gram / np.outer(lengths, lengths))[0])
+        inner = np.triu(inner) + np.triu(inner, 1).T
+        if failed or not np.abs(inner).max(initial=0.0) < _WELL_CONDITIONED:
+            inner = np.linalg.pinv(gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
         inner *= variance / np.outer(lengths, lengths)
-        outputs = range(self.data.shared.shape[1])
-        J = np.concatenate([self._problem.coordinates.pole_derivatives(), *map(self.derivatives, outputs)])
-        return J @ inner @ J.T
+        outputs = range(self._problem.start.shared.shape[1])
+        J = np.concatenate([self._problem.coordinates.pole_derivatives(), *map(self.derivatives, outputs)])[:, kept]
+        return np.asarray(J @ inner @ J.T)
 
 
 @dataclass(frozen=True)
@@ -139,6 +195,7 @@ class ConstrainedProblem:
     start: FreeProjection
     region: PoleRegion
     free: Mask
+    tangent: Tangent | None = None
 
     @property
     def samples(self) -> int:
@@ -195,18 +252,24 @@ def constrained(
         in the metric of the information, there and once more at what it leads to.
     """
     variance = at.loss / max(1, at.rows - at.unknowns)
+    coordinates = coordinates_of(at, layout, hypothesis)
+    if hypothesis == "free":
+        return StructuredFit(
+            hypothesis, "free", at.p, *layout.split(at.shared, len(at.p)), None, None, at.loss, coordinates.dof,
+            variance, at, True, at,
+        )  # fmt: skip
     if hypothesis == "passive":
         return _passive(at, layout, region, variance)
-    coordinates = coordinates_of(at, layout, hypothesis)
     x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
-    most, last = iterations or _ITERATIONS, iterations is None
-    found = refine(problem, problem.inside(x), rtol=_EXACT, max_iterations=most, last=last)
+    near = refine(replace(problem, tangent=Tangent(at)), problem.inside(x), rtol=_EXACT, last=False)
+    most, last = _ITERATIONS if iterations is None else iterations, iterations is None
+    found = refine(problem, near.projection.x, rtol=_EXACT, max_iterations=most, last=last)
     end = found.projection
     shapes, participation = coordinates.shapes(end.x) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        coordinates.dof, end.covariance(variance), end.data, found.converged,
+        coordinates.dof, variance, cast(GivenResidues, end.data), found.converged, end,
     )  # fmt: skip
 
 
@@ -216,11 +279,11 @@ def _passive(at: FreeProjection, layout: ChannelLayout, region: PoleRegion, vari
     if point is None:
         classical = constrained(at, layout, "classical", region, _ITERATIONS)
         fewer = unknowns - classical.parameters
-        point = made_passive(at, layout, classical.projection, fewer, classical.covariance)
+        point = made_passive(at, layout, classical.projection, fewer, classical.covariance / variance)
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
         "passive", STRUCTURES["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,
-        parameters, point.covariance, data, True,
+        parameters, variance, data, True, point,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from .layout import ChannelLayout
 SIMPLEST_FIRST = ("lossless", "classical")
 LEVEL = 0.05
 _ITERATIONS = 12  # three are usual
+_BEYOND = 100.0  # times the unknowns: a ratio at the nearest point of the free fit from which no way leads back
 _HOPELESS = 1e-6
 
 
@@ -82,10 +83,10 @@ def _tested(
     at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, parameters: int
 ) -> tuple[HypothesisTest, StructuredFit]:
     """Test a hypothesis; the minimum of one that is rejected beyond doubt is not followed to its last digit."""
-    for iterations in (_ITERATIONS, None):
+    for iterations, beyond in ((0, _BEYOND), (_ITERATIONS, 1.0), (None, 1.0)):
         fit = constrained(at, layout, hypothesis, region, iterations)
         test = likelihood_test(at, fit, parameters - fit.parameters)
-        if fit.converged or test.p < _HOPELESS:
+        if fit.converged or (test.p < _HOPELESS and test.likelihood_ratio > beyond * test.dof):
             break
     return test, fit
 

@@ -26,6 +26,7 @@ _ROUNDS = 30  # of new worst frequencies
 _STEPS = 2  # of the metric and the loss evaluated anew
 _ROUNDING = 1e-13  # of the largest eigenvalue
 _NEARBY = 0.05  # of the distance of a frequency to the next pole: from there its curvature is taken
+_AGREES = 0.01  # of the squared distance: so near to it is the cost, that the metric need not be evaluated anew
 _FAR = 1e3  # squared distance in standard errors beyond which there is no need for digits
 _ZOOMS = 4  # towards a minimum between three points, to a hundredth of their distance squared
 _SETTLED = 1e-3  # change of the squared distance in standard errors, at the last
@@ -34,11 +35,15 @@ _SHOWN = 1e-2  # of the largest eigenvalue of the correlations of active constra
 
 @dataclass(frozen=True)
 class PassivePoint:
-    """The nearest passive model: the data there, its active constraints, and the covariance along them."""
+    """The nearest passive model: the data there, its active constraints, the inverse of the information along them."""
 
     data: GivenResidues
     active: int
-    covariance: Array
+    inverse: Array
+
+    def covariance(self, variance: float) -> Array:
+        """Covariance of what may move, for a variance of the rows."""
+        return variance * self.inverse
 
 
 @dataclass(frozen=True)
@@ -261,8 +266,9 @@ def nearest_passive(at: FreeProjection, layout: ChannelLayout, variance: float) 
         theta, data = found.theta, ports.data(found.theta)
         if best is not None and data.loss >= best.data.loss:
             break
-        best = PassivePoint(data, found.active, found.covariance)
-        if not found.active or found.distance > _FAR:
+        best = PassivePoint(data, found.active, found.covariance / variance)
+        predicted, cost = found.distance, (data.loss - at.loss) / variance
+        if not found.active or predicted > _FAR or abs(predicted - cost) < _AGREES * (1 + predicted):
             break
         C = data.covariance(variance)
         centre = theta - C @ _gradient(data) / variance
@@ -270,7 +276,7 @@ def nearest_passive(at: FreeProjection, layout: ChannelLayout, variance: float) 
 
 
 def made_passive(
-    at: FreeProjection, layout: ChannelLayout, classical: FreeProjection, active: int, covariance: Array
+    at: FreeProjection, layout: ChannelLayout, classical: FreeProjection, active: int, inverse: Array
 ) -> PassivePoint:
     """A model with classical damping, so many unknowns fewer: poles that grow are brought to the axis."""
     ports = _Ports(at, layout)
@@ -281,7 +287,7 @@ def made_passive(
     values, vectors = np.linalg.eigh(0.5 * (through[block] + through[block].T))
     through[block] += vectors @ np.diag(np.maximum(-values, 0.0)) @ vectors.T
     theta[2 * n :] = layout.joined(residues, through, at.has_feedthrough).T.ravel()
-    return PassivePoint(ports.data(theta), active, covariance)
+    return PassivePoint(ports.data(theta), active, inverse)
 
 
 def _decay(C: Array, n: int, theta: Array) -> Array:
