@@ -56,10 +56,10 @@ TOLD = (phc.IdentifiabilityWarning, phc.ResolutionWarning, phc.ConditioningWarni
 
 # what only the package makes: plain records of an answer, which nobody else fills in
 ANSWERS = (
-    "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "EnergyBalance", "Excitation", "ExpressivePower",
-    "FittedExperiment", "GradientResult", "KalmanDecomposition", "MorphismCheck", "Netlist", "OrderSelection",
-    "PEMResult",
-    "PassivityReport", "ResidualAnalysis", "ScaledCoefficients", "Symmetry", "Verdict",
+    "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "DampedResult", "EnergyBalance", "Excitation",
+    "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition", "LosslessResult",
+    "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
+    "ScaledCoefficients", "Symmetry", "Verdict",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so

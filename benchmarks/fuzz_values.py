@@ -474,6 +474,12 @@ _POOLS |= {
     "PortHamiltonianGroupoid": lambda: [phc.PortHamiltonianGroupoid.identity(_systems()[0])],
     "ReducedGroupoid": lambda: [phc.ReducedGroupoid.identity([1.0, 2.0], [1.0, 0.0, 0.5, 1.0])],
     "PEMResult": _fits,
+    "LosslessResult": lambda: [one for one in pool("PEMResult") if isinstance(one, phc.LosslessResult)],
+    "DampedResult": lambda: [one for one in pool("PEMResult") if isinstance(one, phc.DampedResult)],
+    "FittedChannels": lambda: [
+        one for result in pool("DampedResult") for one in result.experiments if isinstance(one, phc.FittedChannels)
+    ],
+    "ModalSamples": lambda: [one.sample(4, 0) for one in pool("DampedResult")],
     "Bootstrap": lambda: [pool("PEMResult")[0].bootstrap(3)],
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],
     "GradientResult": lambda: [phc.gradient_descent(_record(1)[1:], 1, dt=0.1, epochs=2)],

@@ -211,3 +211,12 @@ def test_recordings_that_have_other_inputs_keep_the_names_of_all():
     found = phc.pem(recordings, 2, structure="classical", ports=[("v", "hit 2")])
     assert found.input_labels == ("hit 1", "hit 2") and found.residues.shape == (2, 1, 2)
     assert "hit 1" in found.summary() and "v:hit 2" in found.summary().replace("'", "")
+
+
+def test_models_are_drawn_around_a_free_decay_which_has_no_residues():
+    t = 0.1 * np.arange(300)
+    y = np.exp(-0.05 * t) * np.cos(2.0 * t) + 0.01 * np.random.default_rng(0).standard_normal(300)
+    fit = phc.pem((None, y), 1, dt=0.1, structure="free")
+    draws = fit.sample(5, 0)
+    assert draws.residues.shape == (5, 1, 1, 0) and draws.feedthrough.shape == (5, 1, 0)
+    assert np.abs(draws.natural_frequencies / fit.natural_frequencies - 1).max() < 0.01

@@ -332,12 +332,12 @@ class DampedResult(DampedReport, PEMResult):
         found = draw(mean, self.covariance, k, rng, positive=np.arange(len(mean)) < n)
         d, zeta = found[:, :n], found[:, n : 2 * n]
         poles = d * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
-        residues = (found[:, 2 * n :][:, :size] + 1j * found[:, 2 * n + size :][:, :size]).reshape(-1, n, p, m)
+        residues = (found[:, 2 * n :][:, :size] + 1j * found[:, 2 * n + size :][:, :size]).reshape(len(found), n, p, m)
         shapes = np.broadcast_to(self.shapes, (len(found), n, p))
         if m:
             shaped = ModeShapes.of(poles.ravel(), residues.reshape(-1, p, m), self.quantities, self._scaling)
             shapes = shaped.shapes.reshape(-1, n, p)
-        return ModalSamples(poles, residues, found[:, 2 * n + 2 * size :].reshape(-1, p, m), shapes)
+        return ModalSamples(poles, residues, found[:, 2 * n + 2 * size :].reshape(len(found), p, m), shapes)
 
     @property
     def _scaling(self) -> Ports:
