@@ -295,7 +295,7 @@ def unknown_parameters() -> list[str]:
 
 # --- commands ------------------------------------------------------------------------------------------------------
 
-COMMANDS = ("info", "convert", "fit", "compare", "plot")
+COMMANDS = ("info", "convert", "netlist", "fit", "compare", "plot")
 _OPTIONS = (
     "--json", "--to", "ss", "tf", "ch", "oh", "ph", "modes", "--order", "1", "2", "auto", "--dt", "0.1", "--input", "u",
     "0", "--output", "y", "--offset", "--num", "1,0", "--den", "1,0,4", "nan", "1e999", "-1", "--kind", "bode", "step",

@@ -352,6 +352,22 @@ def test_wrong_usage_is_status_2_and_one_line(arguments, message):
     assert re.search(re.escape(message), done.error) and done.error.count("\n") == 1
 
 
+# --- netlist ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_circuit_of_a_model_is_written_and_is_a_model_again(model, tmp_path):
+    target = tmp_path / "ladder.cir"
+    done = run("netlist", model, target, "--form", "cauer1", "--kind", "impedance")
+    assert (done.status, done.out, done.error) == (0, f"Written: {target}\n", "")
+    assert target.read_text() == phc.netlist(phc.modes([1.0, 2.0], [0.5, 0.25]), "cauer1", kind="impedance").spice()
+    assert np.allclose(json.loads(run("info", target, "--json").out)["natural_frequencies"], [1.0, 2.0])
+    assert run("netlist", model, target).status == 2 and run("netlist", model, target, "--overwrite").status == 0
+    assert run("netlist", "--num", "1,0", "--den", "1,0,4", "-").out.startswith("Foster II form")
+    refused = run("netlist", "--num", "1,-3", "--den", "1,3,5", "-")
+    assert (refused.status, refused.out) == (1, "") and "passive" in refused.error
+    assert "name the model and the netlist; 1 given" in run("netlist", model).error
+
+
 # --- convert ---------------------------------------------------------------------------------------------------------
 
 

@@ -124,6 +124,7 @@ def test_the_page_tells_the_keys_of_every_answer(workshop):
         "fit": "ph-control fit recording.csv --order 2 --json",
         "info": "ph-control info plant.mat --json",
         "convert": "ph-control convert plant.mat keys.json --json --overwrite",
+        "netlist": "ph-control netlist plant.mat keys.cir --json",
         "compare": "ph-control compare fresh.csv fitted.json --json",
         "plot": "ph-control plot poles plant.mat --out keys.png --json --overwrite",
         "demo": "ph-control demo --folder keys --json",

@@ -17,6 +17,7 @@ COMMANDS = {
     "fit": "identify a model from recordings or frequency responses",
     "info": "show what a model is, and whether it is lossless",
     "convert": "turn a model into another form or file format",
+    "netlist": "write a circuit of a model as SPICE text",
     "compare": "hold models against recordings",
     "plot": "draw models: bode, step, impulse, modes, poles, energy, fit",
 }

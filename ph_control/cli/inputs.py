@@ -19,6 +19,8 @@ from ..exceptions import FileFormatError, NotLosslessError, PHControlError, Stru
 from .options import list_of_numbers
 from .outcome import NoError, complain
 
+_NETLISTS = (".cir", ".net", ".sp")
+
 
 class Source(io.BytesIO):
     """Content of a file in memory, with its name for errors and titles."""
@@ -255,6 +257,8 @@ def read_model(name: str) -> Model:
     if not content.strip():
         raise FileFormatError(f"{source.name} is empty; a model is JSON, a .mat file or a text with coefficients")
     label = Path(source.name).stem or source.name
+    if Path(source.name).suffix.lower() in _NETLISTS:
+        return Model(source.name, label, phc.read_netlist(source, name=system_name_of(label)))
     fields: Any = None
     if is_matlab(content, source.name):
         fields = read_matlab(content, source.name)

@@ -1,0 +1,64 @@
+"""Write a circuit of inductors, capacitors and resistors with the transfer function of a model, as SPICE text.
+
+The model is lossless or has classical damping; its transfer function is the admittance (voltage in, current out) unless
+--kind impedance. Netlists (.cir, .net, .sp) are models too, for this and all other commands. Exit status 1 if the model
+has no port-Hamiltonian form.
+
+Examples
+--------
+  ph-control netlist fitted.json circuit.cir
+  ph-control netlist plant.mat ladder.cir --form cauer1 --kind impedance
+  ph-control netlist --num 1,0 --den 1,0,4 -
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+import ph_control as phc
+
+from ..exceptions import StructureError
+from .inputs import read_models
+from .options import Parser, add_model, add_written
+from .outcome import DONE, emit
+from .outputs import check_files, deliver, emit_json
+
+USAGE = "MODEL FILE [options]"
+
+
+def add_options(parser: Parser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE", help="the model and the netlist to write; - for standard input and output"
+    )
+    add_model(parser)
+    parser.add_argument(
+        "--form", choices=("foster1", "foster2", "cauer1", "cauer2"),
+        help="form of a lossless one-port; default: one resonator for each mode",
+    )  # fmt: skip
+    parser.add_argument(
+        "--kind", choices=("admittance", "impedance"), default="admittance", help="what the transfer function is"
+    )
+    add_written(parser)
+
+
+def run(options: Namespace) -> int:
+    """Read, synthesize, write."""
+    sources, target = options.files[:-1], options.files[-1]
+    wanted = int(options.num is None and options.den is None)
+    if len(sources) != wanted:
+        raise StructureError(
+            ("name the model and the netlist" if wanted else "with --num and --den, name the netlist only")
+            + f"; {len(options.files)} given"
+        )
+    check_files(options, sources, [target])
+    (model,) = read_models(sources, options)
+    circuit = phc.netlist(model.port_hamiltonian(), options.form, kind=options.kind)
+    deliver(circuit.spice(), target, options.overwrite)
+    if options.json:
+        elements = [{"name": one.name, "nodes": one.nodes, "value": one.value} for one in circuit.elements]
+        answer = {"command": "netlist", "source": model.source, "form": circuit.form, "kind": circuit.kind}
+        emit_json({**answer, "elements": elements, "written": [target]})
+    elif target != "-":
+        emit(f"Written: {target}\n")
+    return DONE
