@@ -24,6 +24,7 @@ FOLDERS = {
     "plotting": "numbers, then pictures",
     "analysis": "time responses, energy, margins",
     "equivalence": "coordinates, morphisms",
+    "structures": "mass, damping, stiffness",
     "systems": "classes that are StateSpaces",
     "modal": "poles and residues: the core",
     "symplectic": "Williamson, Darboux",

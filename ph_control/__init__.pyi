@@ -95,6 +95,8 @@ from .plotting.time_plot import impulse_plot as impulse_plot
 from .plotting.time_plot import step_plot as step_plot
 from .plotting.validation_plot import hypothesis_plot as hypothesis_plot
 from .plotting.validation_plot import stabilisation_plot as stabilisation_plot
+from .structures.modal_reduction import StructuralModes as StructuralModes
+from .structures.second_order import from_second_order as from_second_order
 from .symplectic.darboux_and_casimirs import CasimirSplit as CasimirSplit
 from .symplectic.darboux_and_casimirs import darboux as darboux
 from .symplectic.darboux_and_casimirs import split_casimirs as split_casimirs
@@ -132,7 +134,6 @@ from .systems.realization import KalmanDecomposition as KalmanDecomposition
 from .systems.realization import canonical_margins as canonical_margins
 from .systems.realization import kalman_decomposition as kalman_decomposition
 from .systems.realization import minreal as minreal
-from .systems.second_order import from_second_order as from_second_order
 from .systems.transfer_function import tf as tf
 
 __version__: str

@@ -31,6 +31,9 @@ def _calls(plant, u, y, folder):
         "overwrite": [lambda v: phc.save(one, folder / "one.json", overwrite=v)],
         "header": [lambda v: phc.read_csv(table, header=v if v is not None else 2)],
         "returnall": [lambda v: phc.stability_margins(plant, returnall=v)],
+        "residual_modes": [
+            lambda v: phc.from_second_order(np.eye(2), np.diag([1, 2]), [1, 1], modes=1, residual_modes=v)
+        ],
         "condense": [lambda v: phc.from_second_order(np.eye(2), np.eye(2), [1, 0], condense=v)],
         "Hz": [lambda v: phc.modes_plot(plant, Hz=v), lambda v: phc.pole_zero_plot(plant, Hz=v)],
     } | {

@@ -81,6 +81,7 @@ class PortHamiltonian(LosslessSystem):
 
     _factory = "ph(Q, B)"
     time_unit: str | None = None  # that of the data it was fitted to
+    structural_modes: Any = None  # `StructuralModes`, where `from_second_order` has kept some modes of a structure
     _modes: ModalForm | None
     _given: tuple[Array, Array] | None
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import eigh
 from scipy.linalg.lapack import dpotri, dpstrf
 
@@ -13,17 +14,15 @@ from .. import _checks
 from .._types import Array, ArrayLike, Indices
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
+from ..numerics.shift_invert import Eigensolver
 from ..symplectic.forms_and_williamson import symplectic_form
-from .dissipative import checked_rows, refuse_negative, restored
-from .models import force_names, named, numbered
-from .port_hamiltonian import PortHamiltonian
+from ..systems.dissipative import checked_rows, refuse_negative, restored
+from ..systems.models import force_names, named, numbered
+from ..systems.port_hamiltonian import PortHamiltonian
+from .modal_reduction import dense, projected_damping, refuse_massless, sparse_matrix, structural_modes
+from .rigid import FAINT, energy_parts, rigid_modes
 
-_ROUNDED = 1e-9  # part of the energy of a motion that is called rounding of a stiffness where it is negative
-_FAINT = 1e-10  # the same, where it is positive, provided that
-_GAP = 1e3  # times more is the next
 _FEW = 64  # modes that are looked at, in a large structure; more are not rigid
-_MARGIN = 10.0  # between a negative energy and the positive ones that are rounding too
-
 
 _KINDS = ("position", "velocity", "acceleration")
 
@@ -40,12 +39,16 @@ class _Structure(NamedTuple):
 
 
 def from_second_order(
-    M: ArrayLike,
-    K: ArrayLike,
-    F: ArrayLike,
+    M: ArrayLike | sparse.sparray,
+    K: ArrayLike | sparse.sparray,
+    F: ArrayLike | sparse.sparray,
     *,
-    C: ArrayLike | None = None,
+    C: ArrayLike | sparse.sparray | None = None,
     sensors: Mapping[str, ArrayLike] | ArrayLike | None = None,
+    modes: int | None = None,
+    band: tuple[float, float] | None = None,
+    residual_modes: bool = True,
+    eigensolver: Eigensolver | None = None,
     condense: bool = False,
     rtol: float | None = None,
     **names: Any,
@@ -55,7 +58,7 @@ def from_second_order(
     Parameters
     ----------
     M : array_like, shape (n, n)
-        Mass matrix, symmetric positive definite.
+        Mass matrix, symmetric positive definite.  All matrices may be sparse (`scipy.sparse`) with `modes` or `band`.
     K : array_like, shape (n, n)
         Stiffness matrix, symmetric positive semidefinite; its kernel makes rigid-body modes.
     F : array_like, shape (n,) or (n, m)
@@ -65,6 +68,16 @@ def from_second_order(
     sensors : dict of array_like, shape (k, n), or array_like, optional
         Rows of further outputs by what they measure: 'position', 'velocity', 'acceleration'.  An array alone holds
         rows of positions.
+    modes : int, optional
+        Keep so many of the lowest modes; where the last belongs to repeated natural frequencies, all of these.
+    band : (float, float), optional
+        Keep the modes with natural frequencies in this interval, rad per unit time.
+    residual_modes : bool
+        Keep, with `modes` or `band`, one stiff mode for each port that makes the static response to its force right,
+        and the rigid modes.
+    eigensolver : callable, optional
+        Used in place of ARPACK: `eigensolver(K, M, k, sigma)` gets sparse matrices and returns `(d2, phi)`, shapes
+        (k,) and (n, k): the eigenpairs `K phi = d2 M phi` with `d2` nearest to `sigma`, which may be negative.
     condense : bool
         Eliminate motions without kinetic energy (the kernel of `M`: zero rows, or combinations of degrees of freedom),
         on which no force or damper may act.  They follow the others without delay, so nothing is lost: `K` is replaced
@@ -80,20 +93,36 @@ def from_second_order(
     Returns
     -------
     PortHamiltonian
-        From force to velocity.  States: displacements and momenta `p = M q'`.  With damping or sensors a
+        From force to velocity.  States: displacements and momenta `p = M q'`, those of the modes with `modes` or
+        `band`, where the attribute `structural_modes` has the shapes and their accuracy.  With damping or sensors a
         `DissipativePortHamiltonian`.
 
     Raises
     ------
     StructureError
         If a matrix is not square, symmetric and of the size of the others, `K` or `C` is indefinite, or `M` is singular
-        and cannot be, or is not to be, condensed: the message names the massless degrees of freedom.
+        and cannot be, or is not to be, condensed: the message names the massless degrees of freedom.  With `modes` or
+        `band` also if modes are missing by the count of a factorisation, or do not meet their equation.
+
+    Warns
+    -----
+    ConditioningWarning
+        If that count is not certain.
 
     Notes
     -----
     `Q = diag(K, M^{-1})`, `R = diag(0, C)`, `B = (0, F)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The
     undamped natural frequencies are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  An accelerometer is
-    `q'' = M^{-1} (F u - K q - C q')`, with feedthrough.  All is dense: O(n^3).
+    `q'' = M^{-1} (F u - K q - C q')`, with feedthrough.  Without `modes` and `band` all is dense: O(n^3).
+
+    With them it costs a sparse factorisation of `K - sigma M` and some three solutions with it for every mode (ARPACK
+    by `scipy.sparse.linalg.eigsh`), and another factorisation behind the last mode, of which the negative pivots count
+    the modes below (Sylvester): a mode that the iteration has missed is searched for in the complement of the others.
+    No matrix is made dense.  `Q = diag(d^2, I)`, `R = diag(0, Phi^T C Phi)`, which is diagonal for classical damping.
+    Without residual modes the static response lacks what the modes left out add to `K^{-1} F`; with them it is right to
+    rounding, and at the ports so is its slope, which is the damping there.  The system is passive, and its modes are
+    Ritz values of the structure.  Of a band above zero the residual modes stand for modes on either side, and may lie
+    inside.  `C` is checked for what it does to these modes, and `M` beyond its diagonal for positive modal masses.
 
     Where entries of `K` are rounded, as by an exporter, its rigid-body modes get a small `w^2` of either sign.  By
     default a mode is rigid if its energy is less than ten times the most negative one (which is refused beyond 1e-9),
@@ -113,8 +142,32 @@ def from_second_order(
     >>> damped = phc.from_second_order(M, K, [1, 0], C=[[0.2, 0], [0, 0.2]], sensors={"acceleration": [0, 1]})
     >>> damped.damping_ratios.round(6), damped.output_labels
     (array([0.1     , 0.033333]), ['v', 'acceleration'])
+
+    The ten lowest of 10 000 modes of a membrane, and the residual mode of its port:
+
+    >>> import numpy as np
+    >>> from scipy import sparse
+    >>> row = 2 * sparse.eye_array(100) - sparse.eye_array(100, k=1) - sparse.eye_array(100, k=-1)
+    >>> K = sparse.kronsum(row, row, format="csc")
+    >>> F = np.zeros(10_000)
+    >>> F[5_050] = 1.0
+    >>> membrane = phc.from_second_order(sparse.eye_array(10_000), K, F, modes=10)
+    >>> membrane.structural_modes.natural_frequencies[:3].round(4), membrane.n
+    (array([0.044 , 0.0695, 0.0695]), 11)
     """
-    _checks.flags(condense=condense)
+    _checks.flags(condense=condense, residual_modes=residual_modes)
+    if modes is not None or band is not None:
+        return _of_few_modes(
+            M, K, F, C, sensors, condense, rtol, named_=names, modes=modes, band=band, residual_modes=residual_modes,
+            eigensolver=eigensolver,
+        )  # fmt: skip
+    if eigensolver is not None:
+        raise StructureError("an eigensolver is used with modes= or band= only; give one of these")
+    if any(sparse.issparse(matrix) for matrix in (M, K, C)):
+        raise StructureError(
+            "M, K or C is sparse, and all modes would need dense matrices; give modes= (how many of the lowest) or "
+            "band=, or the toarray() of each"
+        )
     mass, stiffness = _square("M", M), _square("K", K)
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
@@ -125,10 +178,49 @@ def from_second_order(
         _checks.relative_tolerance(rtol)
     built = _with_mass(mass, damping, stiffness, force, condense)
     stiffness = _with_exact_kernel(built.M, built.K, rtol)
+    states = [f"{letter}_{k + 1}" for letter in "qp" for k in built.kept]
+    return _system(built._replace(K=stiffness), _inverse(built.M), measured, states, names)
+
+
+def _of_few_modes(
+    M: Any, K: Any, F: Any, C: Any, sensors: Any, condense: bool, rtol: float | None, *, named_: dict[str, Any],
+    modes: Any, band: Any, **options: Any,
+) -> PortHamiltonian:  # fmt: skip
+    """System in modal coordinates: the modes wanted, then residual modes."""
+    if modes is not None and band is not None:
+        raise StructureError("modes and band are both given; give one of them")
+    mass = sparse_matrix("M", M)
+    n = mass.shape[0]
+    stiffness, damping = sparse_matrix("K", K, n), None if C is None else sparse_matrix("C", C, n)
+    force = _checks.port_matrix(dense(F), n, name="F")
+    given = {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors)
+    measured = _measured(given, n)
+    if rtol is not None:
+        _checks.relative_tolerance(rtol)
+    if options["eigensolver"] is not None and not callable(options["eigensolver"]):
+        raise StructureError(f"eigensolver is {_checks.shown(options['eigensolver'])}; it must be a function, or None")
+    refuse_massless(mass, damping, force, condense)
+    kept = structural_modes(mass, stiffness, force, modes=modes, band=band, rtol=rtol, **options)
+    basis = np.hstack([kept.shapes, kept.residual_shapes])
+    squares = np.concatenate([kept.natural_frequencies, kept.residual_frequencies]) ** 2
+    reduced = None if damping is None else projected_damping(damping, basis)
+    if reduced is not None:
+        refuse_negative("C on the modes", reduced, {"C": slice(0, len(reduced))})
+    number, unit = np.arange(len(squares)), np.eye(len(squares))
+    built = _Structure(unit, reduced, np.diag(squares), basis.T @ force, basis, number)
+    states = [f"{letter}_mode_{k + 1}" for letter in "qp" for k in number]
+    system = _system(built, unit, measured, states, named_)
+    system.structural_modes = kept
+    return system
+
+
+def _system(
+    built: _Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: dict[str, Any]
+) -> PortHamiltonian:
+    """System of a structure, of the class that its damping and sensors ask for."""
     n, ports = built.F.shape
     Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
-    Q[:n, :n], Q[n:, n:], B[n:] = stiffness, _inverse(built.M), built.F
-    states = [f"{letter}_{k + 1}" for letter in "qp" for k in built.kept]
+    Q[:n, :n], Q[n:, n:], B[n:] = built.K, inverse_mass, built.F
     _checks.in_range("the matrix diag(K, inverse of M)", Q)
     inputs, outputs = force_names(ports)
     if built.C is None and not measured:
@@ -275,34 +367,15 @@ def _blocks(A: Array, kept: Indices, massless: Indices, X: Array) -> tuple[Array
 
 
 def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
-    """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused.
-
-    What rounding of entries `K_ij`, in units of `sqrt(K_ii K_jj)`, can make of `w^2` is that part of
-    `(|shape|^T sqrt(diag K))^2`, the energy of a mode if nothing cancelled: a measure free of units.
-    """
+    """Stiffness of which no mode that rounding leaves of a rigid one has any; a negative one is refused."""
     found = _definite.definite_factor(K)
-    if rtol is None and found is not None and found[1] < 1 / _FAINT:
+    if rtol is None and found is not None and found[1] < 1 / FAINT:
         return K
     n = len(K)
     few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
     squares, shapes = eigh(K, M, subset_by_index=few)
-    part = squares / np.maximum((np.abs(shapes).T @ np.sqrt(np.abs(np.diag(K)))) ** 2, _checks.TINY)
-    allowed = _ROUNDED if rtol is None else max(rtol, 8 * n * _checks.EPS)
-    if part.min() < -allowed:
-        raise StructureError(
-            f"K is indefinite: the energy of one motion is {part.min():.3g} of what its springs hold one by one, "
-            f"allowed >= {-allowed:.1e} for the rounding of K; a stored energy cannot be negative, so check the signs "
-            "in K, or say with rtol how far it is rounded"
-        )
-    if rtol is not None:
-        rigid = squares <= rtol * float(squares.max())
-    else:
-        rigid = part <= max(_MARGIN * -part.min(), 0.0)
-        order = np.argsort(part)
-        size = np.maximum(np.abs(part[order]), n * _checks.EPS)
-        # rounding leaves a gap above what it makes of rigid modes
-        gap = np.flatnonzero((size[:-1] <= _FAINT) & (size[1:] >= _GAP * size[:-1]))
-        rigid[order[: gap.max(initial=-1) + 1]] = True
+    part = energy_parts(np.diag(K), squares, shapes)
+    rigid = rigid_modes(squares, part, n, rtol, float(squares.max()))
     if np.abs(part[rigid]).max(initial=0.0) <= 2 * _checks.EPS:
         return K
     still = shapes[:, rigid]

@@ -1,0 +1,374 @@
+"""Eigenpairs `K phi = d2 M phi` of large sparse matrices by shift and invert, counted by Sylvester's law of inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse.linalg import ArpackError, LinearOperator, SuperLU, cg, eigsh, splu
+
+from .. import _checks
+from .._types import Array, Mask
+from ..exceptions import StructureError
+
+Eigensolver = Callable[[Any, Any, int, float], tuple[Any, Any]]
+
+_BELOW = 1e-10  # of the scale of K: the shift below zero that makes rigid modes regular
+_GAP = 1e-6  # relative distance at which neighbouring eigenvalues are told apart by a factorisation
+_NOISE = 1e-3  # part of the shift below zero in which rigid modes are scattered by rounding
+_SOFT = 1e3  # times that shift: rigid modes, and others that are searched for first
+_STEPS = 3  # inverse iterations that show whether there are any
+_BODY = 8  # modes searched for then: the six of a free body, and two
+_ROUNDS = 6  # searches for modes that the count finds missing
+_SMALL = 0.1  # size of the relative error of a factorisation that cannot change a count, with a margin of ten
+_PROBES = 4  # random vectors that estimate it
+RESIDUAL = 1e-9  # of the forces of the springs one by one, allowed
+
+
+class Count(NamedTuple):
+    """Number of eigenvalues below a shift, and whether the factorisation is exact enough for it."""
+
+    below: int
+    certain: bool
+
+
+class Eigenpairs(NamedTuple):
+    """Eigenvalues in ascending order with eigenvectors of unit modal mass."""
+
+    squares: Array
+    shapes: Array
+
+
+class Pencil:
+    """Symmetric stiffness and mass, sparse, with shift-invert operations; one factorisation is held at a time."""
+
+    def __init__(self, K: Any, M: Any, eigensolver: Eigensolver | None = None) -> None:
+        self.K, self.M, self.eigensolver = K.tocsc(), M.tocsc(), eigensolver
+        mass, stiffness = M.diagonal(), np.abs(K.diagonal())
+        moving = mass > 0
+        self.finite = int(moving.sum())  # eigenvalues; rows without mass have infinite ones
+        self.scale = float((stiffness[moving] / mass[moving]).max(initial=0.0)) or 1.0
+        self.low = -_BELOW * self.scale
+        self._factor: tuple[float, SuperLU] | None = None
+
+    def factor(self, shift: float) -> SuperLU:
+        """LU of `K - shift M` with pivots on the diagonal: `P^T L D L^T P`."""
+        if self._factor is None or self._factor[0] != shift:
+            self._factor = None
+            self._factor = (shift, _factored(self.K - shift * self.M, shift))
+        return self._factor[1]
+
+    def release(self) -> None:
+        """Free the memory of the factorisation."""
+        self._factor = None
+
+    def count(self, shift: float) -> Count:
+        """Eigenvalues below the shift: negative pivots, by Sylvester's law."""
+        A = self.K - shift * self.M
+        try:
+            lu = self.factor(shift)
+        except StructureError:  # singular to the last digit: count a little further, and say so
+            return Count(self.count(shift + _GAP * (abs(shift) - self.low)).below, False)
+        certain = bool(np.array_equal(lu.perm_r, lu.perm_c)) and _factor_error(A, lu) < _SMALL
+        pivots = lu.U.diagonal()  # makes copies of both factors, which go with them
+        self.release()
+        return Count(int((pivots < 0).sum()), certain and bool(pivots.all()))
+
+    def nearest(self, k: int, shift: float) -> Eigenpairs:
+        """Eigenpairs nearest to the shift."""
+        if self.eigensolver is not None:
+            return self._of_eigensolver(k, shift)
+        if _vectors(k) >= self.finite:  # they would fill a square matrix
+            return self._dense(k, shift)
+        soft = self._soft(k) if shift == self.low else None
+        if soft is None or len(soft.squares) >= k:
+            return soft or self._lanczos(k, shift, None)
+        return self.more(soft, k - len(soft.squares), shift)
+
+    def more(self, found: Eigenpairs, k: int, shift: float) -> Eigenpairs:
+        """Search for further eigenpairs in the complement of those found; all together."""
+        total = len(found.squares) + k
+        if self.eigensolver is not None or _vectors(k) >= self.finite - len(found.squares):
+            return self.nearest(min(total, self.finite), shift)
+        new = self._lanczos(k, shift, found)
+        return _ritz(self, np.hstack([found.shapes, new.shapes]))
+
+    def residuals(self, found: Eigenpairs) -> Array:
+        """`||K phi - d2 M phi||` in units of `|| |K| |phi| ||`, what the springs would exert one by one."""
+        size = abs(self.K)
+        sizes = np.empty(len(found.squares))
+        for k, square in enumerate(found.squares):
+            shape = found.shapes[:, k]
+            error = np.linalg.norm(self.K @ shape - square * (self.M @ shape))
+            sizes[k] = error / max(float(np.linalg.norm(size @ np.abs(shape))), _checks.TINY)
+        return sizes
+
+    def residual_flexibility(self, F: Array, shapes: Array) -> tuple[Array, Array]:
+        """Static deflection under forces without the part of the modes given, and the forces that remain.
+
+        `K x = (I - M Phi Phi^T) F` with `Phi^T M x = 0`, by conjugate gradients that the factorisation of the shift
+        below zero preconditions: its eigenvalues are `d2 / (d2 - shift)`, nearly 1.  `Phi` has all rigid modes.
+        """
+        momenta = self.M @ shapes
+        forces = F - momenta @ (shapes.T @ F)
+        forces -= momenta @ (shapes.T @ forces)
+        lu, n = self.factor(self.low), len(F)
+
+        def solve(f: Array) -> Array:
+            x = lu.solve(f - momenta @ (shapes.T @ f))
+            return np.asarray(x - shapes @ (momenta.T @ x))
+
+        inverse = LinearOperator((n, n), matvec=lambda f: solve(f.ravel()), dtype=float)
+        deflections = np.empty_like(forces)
+        for port in range(F.shape[1]):
+            f = forces[:, port]
+            x, _ = cg(self.K, f, x0=solve(f), rtol=1e-14, atol=0.0, maxiter=20, M=inverse)
+            deflections[:, port] = x - shapes @ (momenta.T @ x)
+        return deflections, forces
+
+    def _soft(self, k: int) -> Eigenpairs | None:
+        """Rigid modes, and others as soft; None where there is none.
+
+        Their large inverses would drown those of the others in rounding, which are searched for in the complement.
+        """
+        lu, soft = self.factor(self.low), -_SOFT * self.low
+        x = np.random.default_rng(1).standard_normal(self.K.shape[0])
+        for _ in range(_STEPS):
+            x = lu.solve(self.M @ x)
+            x /= np.linalg.norm(x)
+        if x @ (self.K @ x) > soft * (x @ (self.M @ x)):
+            return None
+        number = _BODY
+        while True:
+            number = min(number, k)
+            found = self._lanczos(number, self.low, None)
+            within = found.squares < soft
+            if not within.all() or number == k:
+                return Eigenpairs(found.squares[within], found.shapes[:, within]) if within.any() else None
+            number *= 2
+
+    def _lanczos(self, k: int, shift: float, beside: Eigenpairs | None) -> Eigenpairs:
+        lu, n = self.factor(shift), self.K.shape[0]
+        start = np.random.default_rng(0 if beside is None else len(beside.squares)).standard_normal(n)
+        solve = lu.solve
+        if beside is not None:
+            shapes, momenta = beside.shapes, self.M @ beside.shapes
+
+            def solve(f: Array) -> Array:
+                x = lu.solve(f - momenta @ (shapes.T @ f))
+                return np.asarray(x - shapes @ (momenta.T @ x))
+
+        start = solve(self.M @ start)  # in the range of the operator: nothing without mass, nothing found before
+        inverse = LinearOperator((n, n), matvec=solve, dtype=float)
+        try:
+            squares, shapes_found = eigsh(self.K, k, M=self.M, sigma=shift, OPinv=inverse, v0=start, ncv=_vectors(k))
+        except ArpackError as error:
+            raise StructureError(
+                f"the Lanczos iteration for {k} modes near {shift:.3g} has failed ({error}); check that K and M are "
+                "positive semidefinite, ask for fewer modes or a narrower band, or give another eigensolver"
+            ) from error
+        return _normalised(self, squares, shapes_found)
+
+    def _dense(self, k: int, shift: float) -> Eigenpairs:
+        K, M = self.K.toarray(), self.M.toarray()
+        try:
+            squares, shapes = eigh(K, M)
+        except np.linalg.LinAlgError:  # rows without mass
+            try:
+                inverses, shapes = eigh(M, K - self.low * M)
+            except np.linalg.LinAlgError:
+                raise self.indefinite() from None
+            with np.errstate(divide="ignore"):
+                squares = np.where(inverses > 0, self.low + 1 / inverses, np.inf)
+        chosen = np.sort(np.argsort(np.abs(squares - shift))[: min(k, self.finite)])
+        return _normalised(self, squares[chosen], shapes[:, chosen])
+
+    def _of_eigensolver(self, k: int, shift: float) -> Eigenpairs:
+        assert self.eigensolver is not None
+        n, given = self.K.shape[0], self.eigensolver(self.K, self.M, k, shift)
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise StructureError(
+                f"the eigensolver returned {_checks.shown(given)}; it must return (d2, phi), the squares of natural "
+                f"frequencies, shape (k,), and the shapes, ({n}, k)"
+            )
+        squares = _checks.real_array("the d2 of the eigensolver", given[0], 1)
+        shapes = _checks.real_array("the phi of the eigensolver", given[1], 2)
+        if shapes.shape != (n, len(squares)) or len(squares) < k:
+            raise StructureError(
+                f"the eigensolver returned d2 of shape {squares.shape} and phi {shapes.shape} where {k} modes were "
+                f"asked for; they must be (k,) and ({n}, k), with k of at least {k}"
+            )
+        return _ritz(self, shapes)
+
+    def indefinite(self) -> StructureError:
+        """Error that says so."""
+        return StructureError(
+            f"K or M is indefinite: K - s M is, at s = {self.low:.3g}, while it must be positive definite below zero; "
+            "a stored energy cannot be negative, so check the signs in K and M"
+        )
+
+
+class Selection(NamedTuple):
+    """Modes that were asked for, those beside them that were found too, and what remains under static forces."""
+
+    found: Eigenpairs
+    wanted: Mask
+    counted: Count  # in the range that was asked for
+    deflections: Array
+    forces: Array
+
+
+def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
+    """The lowest modes, and those that cannot be told from the last."""
+    shift = pencil.low
+    found = pencil.nearest(min(number + 1, pencil.finite), shift)
+    for _ in range(_ROUNDS):
+        while (last := _end(found.squares, number, pencil)) is None:
+            found = pencil.more(found, min(4 + len(found.squares) // 4, pencil.finite - len(found.squares)), shift)
+        static = _static(pencil, F, found.shapes[:, :last])
+        wanted = np.arange(len(found.squares)) < last
+        if last == pencil.finite:
+            return Selection(found, wanted, Count(last, True), *static)
+        pencil.release()
+        kept, (low, high) = last, found.squares[last - 1 : last + 1]
+        for part in (0.5, 0.35, 0.65):
+            counted = pencil.count(low + part * (high - low))
+            if counted.certain:
+                break
+        if counted.below <= last or not counted.certain:
+            return Selection(found, wanted, counted, *static)
+        _refuse_negative(pencil, found)
+        found = pencil.more(found, counted.below - last, shift)
+    raise _missing(pencil, counted.below, kept)
+
+
+def modes_between(pencil: Pencil, low: float, high: float, F: Array | None) -> Selection:
+    """Modes of `low <= d2 <= high`, and with forces the rigid ones."""
+    above, below = pencil.count(high), pencil.count(low) if low > 0 else Count(0, True)
+    number = above.below - below.below
+    counted = Count(number, above.certain and below.certain)
+    shift = pencil.low if low <= 0 else 0.5 * (low + high)
+    n = pencil.K.shape[0]
+    found = pencil.nearest(number, shift) if number > 0 else Eigenpairs(np.zeros(0), np.zeros((n, 0)))
+    inside = _inside(found, low, high)
+    for _ in range(_ROUNDS):
+        missing = number - int(inside.sum())
+        if missing <= 0 or not counted.certain:
+            break
+        _refuse_negative(pencil, found)
+        found = pencil.more(found, missing, shift)
+        inside = _inside(found, low, high)
+    else:
+        raise _missing(pencil, number, int(inside.sum()))
+    found = Eigenpairs(found.squares[inside], found.shapes[:, inside])
+    if F is not None and low > 0:
+        rigid = pencil.count(-pencil.low).below
+        if rigid:
+            soft = pencil.nearest(rigid, pencil.low)
+            new = soft.squares < low
+            found = Eigenpairs(
+                np.concatenate([soft.squares[new], found.squares]), np.hstack([soft.shapes[:, new], found.shapes])
+            )
+    static = _static(pencil, F, found.shapes)
+    pencil.release()
+    return Selection(found, np.ones(len(found.squares), bool), counted, *static)
+
+
+def _vectors(k: int) -> int:
+    """Number of Lanczos vectors for so many modes."""
+    return max(2 * k + 1, 20)
+
+
+def _inside(found: Eigenpairs, low: float, high: float) -> Mask:
+    return (found.squares <= high) & ((found.squares >= low) | (low <= 0))
+
+
+def _end(squares: Array, number: int, pencil: Pencil) -> int | None:
+    """Number of modes up to the first gap at or behind the last one wanted; None where none was found."""
+    apart = np.diff(squares) > _GAP * np.abs(squares[1:]) - _NOISE * pencil.low
+    ends = number + np.flatnonzero(apart[number - 1 :])
+    if len(ends):
+        return int(ends[0])
+    return len(squares) if len(squares) >= pencil.finite else None
+
+
+def _static(pencil: Pencil, F: Array | None, shapes: Array) -> tuple[Array, Array]:
+    if F is None:
+        none = np.zeros((shapes.shape[0], 0))
+        return none, none
+    return pencil.residual_flexibility(F, shapes)
+
+
+def _factored(A: Any, shift: float) -> SuperLU:
+    try:
+        return splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise StructureError(
+            f"K - s M is singular at s = {shift:.6g}: {error}; degrees of freedom that have neither mass nor stiffness "
+            "are to be left out, and a band is not to end at a natural frequency"
+        ) from None
+
+
+def _factor_error(A: Any, lu: SuperLU) -> float:
+    """Frobenius norm of `E A^{-1}`, estimated, where `A - E` is what was factored, scaled to unit diagonal.
+
+    Below 1, no eigenvalue of `A - t E` passes zero for t from 0 to 1: the factors have the inertia of `A`.  Of a
+    normally distributed `b`, the mean square of `b - A x`, `x` the solution by the factors, is the square of that norm.
+    """
+    diagonal = np.abs(A.diagonal())
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, abs(A).max() or 1.0))
+    rng = np.random.default_rng(0)
+    worst = 0.0
+    for _ in range(_PROBES):
+        b = scale * rng.standard_normal(len(scale))
+        worst = max(worst, float(np.linalg.norm((b - A @ lu.solve(b)) / scale)))
+    return worst if np.isfinite(worst) else np.inf
+
+
+def _normalised(pencil: Pencil, squares: Array, shapes: Array) -> Eigenpairs:
+    """Eigenpairs in ascending order, scaled to unit modal mass, each eigenvalue by its Rayleigh quotient."""
+    order = np.argsort(squares)
+    shapes = np.asfortranarray(shapes[:, order])
+    squares = np.empty(len(order))
+    for k in range(len(order)):
+        shape = shapes[:, k]
+        mass = float(shape @ (pencil.M @ shape))
+        if not mass > 0:
+            raise StructureError(
+                f"M is indefinite, or a mode has no mass: one found has the modal mass {mass:.3g}, needed > 0; check "
+                "the signs in M, and whether all that can move has mass"
+            )
+        shape /= np.sqrt(mass)
+        squares[k] = shape @ (pencil.K @ shape)
+    return Eigenpairs(squares, shapes)
+
+
+def _ritz(pencil: Pencil, shapes: Array) -> Eigenpairs:
+    """Eigenpairs of the pencil in a subspace."""
+    lengths = np.sqrt(np.abs(np.einsum("ij,ij->j", shapes, pencil.M @ shapes)))
+    shapes = shapes / np.where(lengths > 0, lengths, 1.0)
+    mass, stiffness = (shapes.T @ (matrix @ shapes) for matrix in (pencil.M, pencil.K))
+    try:
+        squares, turn = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T))
+    except np.linalg.LinAlgError:
+        raise StructureError(
+            "the shapes found depend on one another, or M is indefinite: their modal masses are no positive definite "
+            "matrix; check the signs in M, or the eigensolver"
+        ) from None
+    return Eigenpairs(squares, np.asfortranarray(shapes @ turn))
+
+
+def _refuse_negative(pencil: Pencil, found: Eigenpairs) -> None:
+    """Refuse a K or M that is indefinite: then the modes that are missing lie far below zero."""
+    if pencil.count(pencil.low).below > int((found.squares < pencil.low).sum()):
+        raise pencil.indefinite()
+
+
+def _missing(pencil: Pencil, counted: int, found: int) -> StructureError:
+    by = "the Lanczos iteration" if pencil.eigensolver is None else "the eigensolver"
+    return StructureError(
+        f"{counted} modes lie in the range that was asked for, by the inertia of a factorisation, and {by} found "
+        f"{found} of them; ask for another number or band, or give another eigensolver"
+    )

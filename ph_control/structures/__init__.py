@@ -1,0 +1,1 @@
+"""Structures by mass, damping and stiffness: all their modes, or those that matter of large ones."""
