@@ -226,14 +226,14 @@ def test_choices_are_those_of_the_library(keyword):
 
 def test_a_refusal_is_status_1_and_the_model_is_written_all_the_same(damped, tmp_path):
     model = tmp_path / "model.json"
-    done = run("fit", damped, "--max-order", 4, "--model", model)
+    done = run("fit", damped, "--structure", "lossless", "--max-order", 4, "--model", model)
     assert done.status == 1 and done.error == ""
     assert "NOT described by a collocated lossless model" in done.out and f"Written: {model}" in done.out
     assert isinstance(phc.load(model), phc.PortHamiltonian)
-    piped = run("fit", damped, "--max-order", 4, "--model", "-")
+    piped = run("fit", damped, "--structure", "lossless", "--max-order", 4, "--model", "-")
     assert piped.status == 1 and piped.output == model.read_bytes()
     assert piped.error.startswith("ph-control: the verdict is: NOT described") and piped.error.count("\n") == 1
-    answer = strict_json(run("fit", damped, "--max-order", 4, "--json").out)
+    answer = strict_json(run("fit", damped, "--structure", "lossless", "--max-order", 4, "--json").out)
     assert answer["described"] is False
 
 
@@ -251,7 +251,7 @@ def test_robot_arm_goes_through_without_crash_or_flattery(tmp_path):
     arm = DATA / "measured" / "robot_arm.dat"
     if not arm.exists():
         pytest.skip("the third-party recordings are not beside the project")
-    chosen = ("--input", 0, "--output", 1, "--dt", 1)
+    chosen = ("--input", 0, "--output", 1, "--dt", 1, "--structure", "lossless")
     done = run("fit", arm, *chosen, "--model", tmp_path / "arm.json", "--plot", tmp_path / "arm.png")
     assert (done.status, done.error) == (1, "")
     text = " ".join(done.out.split())

@@ -1,5 +1,7 @@
 """Covariance of the estimates, against finite differences of a dense prediction and against repeated noise."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from reference import EPS
@@ -10,6 +12,8 @@ from ph_control.identification.regression.time_rows import RecordRows
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.identification.uncertainty.covariance import uncertainty
 from ph_control.modal.discretization import Hold
+
+lossless_fit = partial(phc.pem, structure="lossless")
 
 D, R = np.array([0.7, 2.0, 3.5]), np.array([1.0, 0.4, 0.2])
 N = len(D)
@@ -108,7 +112,7 @@ def test_covariance_of_a_plant_at_rest_has_no_states():
 def test_a_weight_held_at_zero_has_no_error_and_its_mode_no_state():
     u, y = recording(800, 0.1, 1, noise=0.05)
     y = y - predicted(np.array([5.0]), np.array([0.1]), np.array([8.0, 0.0]), u, 0.1)
-    result = phc.pem((u, y), N + 1, dt=0.1)
+    result = lossless_fit((u, y), N + 1, dt=0.1)
     assert result.active == (3,) and abs(result.d[3] - 5.0) < 0.05
     missing = np.isnan(np.diag(result.covariance))
     held = np.zeros(4 * (N + 1), bool)
@@ -118,7 +122,7 @@ def test_a_weight_held_at_zero_has_no_error_and_its_mode_no_state():
     assert np.isfinite(result.covariance[np.ix_(~held, ~held)]).all()
     # the frequency of what moves there is known, and what is known of the others hardly changes
     assert 0 < result.stderr["d"][3] < 0.01
-    clean = phc.pem((u, y), N + 1, dt=0.1, representation="observable").confidence_interval()
+    clean = lossless_fit((u, y), N + 1, dt=0.1, representation="observable").confidence_interval()
     assert np.isnan(clean["r"][3]).all() and np.isfinite(clean["d"]).all()
 
 
@@ -128,7 +132,7 @@ def test_a_mode_that_neither_answers_nor_moves_has_a_frequency_without_error(opt
     rng = np.random.default_rng(6)
     u = rng.standard_normal(400)
     y = predicted(D[:2], R[:2], np.zeros(4), u, 0.1) - 0.3 * predicted(D[2:], R[2:], np.zeros(2), u, 0.1)
-    result = phc.pem((u, y + 0.02 * rng.standard_normal(400)), 3, dt=0.1, initial_guess=(D, R), **options)
+    result = lossless_fit((u, y + 0.02 * rng.standard_normal(400)), 3, dt=0.1, initial_guess=(D, R), **options)
     held = np.isin(np.arange(3), result.active)
     assert held.any() and np.array_equal(np.isnan(result.stderr["d"]), held)
     assert np.isfinite(result.stderr["d"][~held]).all() and np.isfinite(result.stderr["r"][~held]).all()
@@ -182,12 +186,12 @@ def test_standard_errors_are_those_of_repeated_noise(quantity):
 
 def test_more_data_shrink_the_errors_as_they_should():
     # errors of frequencies fall with the length to the power 3/2, of weights with its root
-    short, long = (phc.pem(recording(T, 0.1, 5, noise=0.1), N, dt=0.1) for T in (500, 4000))
+    short, long = (lossless_fit(recording(T, 0.1, 5, noise=0.1), N, dt=0.1) for T in (500, 4000))
     assert np.allclose(np.mean(long.stderr["d"] / short.stderr["d"]), 8**-1.5, rtol=0.4)
     twice = recording(500, 0.1, 5)
-    both = phc.pem([twice, twice], N, dt=0.1)
+    both = lossless_fit([twice, twice], N, dt=0.1)
     # the same record twice: half the variance, whatever belongs to each of them being known separately
-    one = phc.pem(twice, N, dt=0.1)
+    one = lossless_fit(twice, N, dt=0.1)
     degrees = (2 * (2 * int(np.sum(~np.isnan(twice[1]))) - 6 * N)) / (2 * int(np.sum(~np.isnan(twice[1]))) - 8 * N)
     assert np.allclose(both.d, one.d, rtol=1e-12)
     assert np.allclose((one.stderr["d"] / both.stderr["d"]) ** 2, degrees, rtol=1e-6)

@@ -1,6 +1,7 @@
-"""Identify a lossless model from recordings, or frequency responses, of one input and one output.
+"""Identify a model from recordings, or frequency responses, of any number of inputs and outputs.
 
-Several files are several experiments with one plant. Exit status 1 if no such model describes the data.
+Several files are several experiments with one plant. The model is the simplest that the data do not reject: lossless,
+classical, passive or free. Exit status 1 if none describes the data.
 
 Examples
 --------
@@ -8,6 +9,8 @@ Examples
   ph-control fit recording.csv --order 2 --model fitted.json --plot fit.png
   ph-control fit first.csv second.csv --offset
   ph-control fit decay.csv --no-input --quantity displacement
+  ph-control fit recording.csv --inputs force --outputs velocity --ports velocity:force
+  ph-control fit recording.csv --structure lossless
   ph-control fit shaker.csv --order 2 --model fitted.json --overwrite
   cat recording.csv | ph-control fit - --input force --output velocity --order 2 --json
   ph-control fit recording.csv --order 2 --model - | ph-control plot bode - --out bode.svg
@@ -15,6 +18,7 @@ Examples
 
 from __future__ import annotations
 
+import argparse
 import sys
 from argparse import Namespace
 from math import inf, sqrt
@@ -32,7 +36,8 @@ from .outputs import check_files, check_place, deliver, deliver_picture, emit_js
 USAGE = "RECORDING [RECORDING ...] [options]"
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
-QUANTITIES = ("velocity", "displacement", "acceleration")
+QUANTITIES = ("velocity", "displacement", "acceleration", "free")
+STRUCTURES = ("auto", "lossless", "classical", "passive", "free")
 REPRESENTATIONS = ("observable", "controllable")
 
 
@@ -46,7 +51,17 @@ def add_options(parser: Parser) -> None:
     model.add_argument("--order", type=order, default="auto", metavar="N", help="number of modes, or auto (default)")
     model.add_argument("--max-order", type=int, default=20, metavar="N", help="largest order of auto (default 20)")
     model.add_argument("--criterion", choices=CRITERIA, default="bic", help="what auto minimises (default bic)")
-    model.add_argument("--quantity", choices=QUANTITIES, default="velocity", help="what was measured of the port")
+    model.add_argument(
+        "--structure", choices=STRUCTURES, default="auto",
+        help="what is assumed of losses and sensors (default auto: the simplest that is not rejected)",
+    )  # fmt: skip
+    model.add_argument(
+        "--ports", type=ports, metavar="LIST", help="driving points, such as y1:u1,y2:u2: labels of output and input"
+    )
+    model.add_argument(
+        "--quantity", type=quantities, default="velocity", metavar="LIST",
+        help="velocity (default), displacement, acceleration or free: of all outputs, or of each",
+    )  # fmt: skip
     add_meeting(model, ("estimate", "zero"), ("auto", *INTERSAMPLE))
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
@@ -70,6 +85,27 @@ def add_options(parser: Parser) -> None:
     out.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
     out.add_argument("--name", type=system_name, help="name of the model (default: that of the recording)")
     add_written(out)
+
+
+def ports(text: str) -> list[tuple[str | int, str | int]]:
+    """Pairs of an output and an input between commas, each with a colon between: labels, or numbers from 0."""
+    pairs = [word.strip().rpartition(":") for word in text.split(",")]
+    if not all(output and input for output, _, input in pairs):
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of ports; write such as y1:u1,y2:u2")
+    return [(_label(output), _label(input)) for output, _, input in pairs]
+
+
+def _label(text: str) -> str | int:
+    return int(text) if text.isdecimal() else text
+
+
+def quantities(text: str) -> str | list[str]:
+    """One quantity, or several between commas."""
+    found = [word.strip() for word in text.split(",")]
+    wrong = [word for word in found if word not in QUANTITIES]
+    if wrong:
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(QUANTITIES)}")
+    return found[0] if len(found) == 1 else found
 
 
 def run(options: Namespace) -> int:
@@ -117,7 +153,8 @@ def _fitted(options: Namespace) -> phc.PEMResult:
             found.whole, options.order, method=options.method, intersample=options.intersample,
             initial_state=options.initial_state, offset=options.offset, quantity=options.quantity,
             representation=options.representation, initial_guess=guess, criterion=options.criterion,
-            max_order=options.max_order, workers=options.workers, rng=options.seed,
+            max_order=options.max_order, workers=options.workers, rng=options.seed, structure=options.structure,
+            ports=options.ports,
             callback=_progress_line if watched else None, **found.keywords,
         )  # fmt: skip
     finally:
@@ -138,13 +175,16 @@ def _write(result: phc.PEMResult, place: int, options: Namespace) -> None:
     from ..io.codecs import document_of
 
     if options.model is not None:
-        deliver(document_of(result.system), options.model, options.overwrite)
+        # what is not port-Hamiltonian is kept by its modes
+        kept = result.system if isinstance(result.system, phc.PortHamiltonian) else phc.modes(result.system)
+        deliver(document_of(kept), options.model, options.overwrite)
     if options.result is not None:
         deliver(document_of(result), options.result, options.overwrite)
     if options.plot is not None:
         deliver_picture(result.plot(place), options.plot, options.overwrite)
     if options.bode is not None:
         record: Any = result.experiments[place].record
-        data = record.as_response() if getattr(record, "driven", True) else None
-        picture = phc.bode_plot(result, data=data, label="identified model")
+        shown: Any = result if result.residues.shape[1:] == (1, 1) else result.observed_system
+        single = shown is result and getattr(record, "driven", True)
+        picture = phc.bode_plot(shown, data=record.as_response() if single else None, label="identified model")
         deliver_picture(picture, options.bode, options.overwrite)

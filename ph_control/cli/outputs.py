@@ -17,7 +17,13 @@ from .outcome import emit
 
 _FIT = (
     "verdict", "message", "order", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness", "active",
-    "unseen", "rank_deficiency", "success", "method", "intersample", "quantity", "representation",
+    "unseen", "rank_deficiency", "success", "structure", "natural_frequencies", "damping_ratios", "method",
+    "intersample", "quantity", "representation",
+)  # fmt: skip
+_MODAL = (
+    "verdict", "message", "order", "structure", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness",
+    "success", "intersample", "quantity", "natural_frequencies", "damping_ratios", "poles", "residues", "feedthrough",
+    "shapes", "participation", "shapes_scaled", "phase_collinearity", "noise_variance",
 )  # fmt: skip
 _DAMPED = ("order", "fit_percent", "natural_frequencies", "damping_ratios", "residues", "feedthrough", "loss", "loglik",
            "damped", "negative")  # fmt: skip
@@ -43,8 +49,11 @@ def modes_of(form: Any) -> dict[str, Any]:
 
 def fit_of(result: Any) -> dict[str, Any]:
     """Fields of the result of a fit."""
+    from ..identification.fit.damped_result import DampedResult
     from ..identification.fit.report import residue_errors
 
+    if isinstance(result, DampedResult):
+        return _modal_of(result)
     return {
         **_fields(result, *_FIT),
         "described": is_described(result),
@@ -59,6 +68,32 @@ def fit_of(result: Any) -> dict[str, Any]:
         "experiments": [_experiment_of(one) for one in result.experiments],
         "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
     }
+
+
+def _modal_of(result: Any) -> dict[str, Any]:
+    """Fields of a fit of damped modes."""
+    inputs, outputs = result.input_labels, result.output_labels
+    records = [one.record for one in result.experiments]
+    return {
+        **_fields(result, *_MODAL),
+        "described": is_described(result),
+        "inputs": inputs,
+        "outputs": outputs,
+        "quantities": result.quantities,
+        "ports": [f"{outputs[o]}:{inputs[i]}" for o, i in result.ports],
+        "hertz": None if result.time_unit is None else result.hertz,
+        "findings": [{**_fields(one, "values", "gain"), "cause": one.cause.value} for one in result.findings],
+        "stderr": dict(result.stderr),
+        "tests": [dict(vars(one)) for one in result.tests],
+        "experiments": [
+            {
+                "title": record.title, "samples": record.samples, "missing": int((~record.observed).sum()),
+                "step": getattr(record, "dt", None), "fit_percent": one.fit_percent,
+            }
+            for record, one in zip(records, result.experiments, strict=True)
+        ],
+        "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
+    }  # fmt: skip
 
 
 def _fields(thing: Any, *names: str) -> dict[str, Any]:

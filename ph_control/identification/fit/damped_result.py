@@ -12,7 +12,7 @@ import numpy as np
 
 from ... import _checks
 from ..._frozen import ReadOnlyMapping
-from ..._types import Array, ComplexArray
+from ..._types import Array, ArrayLike, ComplexArray
 from ..._units import common_unit, hertz_size, with_unit
 from ...exceptions import NotPassiveError, StructureError
 from ...modal.discretization import Hold
@@ -215,8 +215,9 @@ class DampedResult(DampedReport, PEMResult):
                 shapes.append(U[l, :, :rank].T)
                 participation.append(s[l, :rank, None] * V[l, :rank])
         else:
-            poles, shapes = list(self.poles), [self.shapes]
-            participation = [np.zeros((n, 0), complex)]
+            # an input that has no effect, as python-control needs one
+            poles, shapes, through = list(self.poles), [self.shapes], np.zeros((p, 1))
+            participation = [np.zeros((n, 1), complex)]
         A, B, C = real_matrices(np.array(poles, complex), 2 * np.concatenate(participation), np.concatenate(shapes).T)
         names = {"inputs": _plain(self.input_labels), "outputs": _plain(outputs)} if m else {"outputs": _plain(outputs)}
         return with_unit(ct.StateSpace(A, B, C, through, remove_useless_states=False, **names), self.time_unit)
@@ -367,16 +368,19 @@ class DampedResult(DampedReport, PEMResult):
         """Constant added to each output in each experiment, shape (E, p); (E,) of one input and output."""
         return np.array([getattr(one, "offsets", getattr(one, "offset", 0.0)) for one in self.experiments])
 
-    def predict(self, data: Any, *, initial_state: str | None = None, dt: float | None = None) -> ct.TimeResponseData:
+    def predict(
+        self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None
+    ) -> ct.TimeResponseData:
         """Outputs of the model on another record.
 
         Parameters
         ----------
         data : TimeResponseData, pair (u, y), or array of inputs, shape (T,) or (m, T)
             Inputs, with the outputs that the free motion is estimated from; `(None, y)` is a free motion.
-        initial_state : {'estimate', 'fitted', 'zero'}, optional
+        initial_state : {'estimate', 'fitted', 'zero'}, or array_like, shape (2n,), or float, optional
             Motion at the first sample: 'estimate' fits it to the outputs of `data`, 'fitted' takes that of this result.
-            Default: 'estimate' if `data` has outputs, else 'zero'.
+            Of one input and output also the state of `observed_system`; a number is every entry of it.  Default:
+            'estimate' if `data` has outputs, else 'zero'.
         dt : float, optional
             Time between samples, for arrays; by default that of the record that was fitted.
 
@@ -425,29 +429,45 @@ class DampedResult(DampedReport, PEMResult):
         )  # fmt: skip
         return with_unit(found, self.time_unit)
 
-    def _outputs_on(self, record: Recording, initial_state: str | None) -> Array:
+    def _outputs_on(self, record: Recording, initial_state: ArrayLike | str | None) -> Array:
         """Outputs on a record, from a motion of some name."""
         seen = bool(record.observed.any())
+        if initial_state is not None and not isinstance(initial_state, str):
+            return self._outputs_from(self._given_state(initial_state), record)
         name = initial_state or ("estimate" if seen else "zero")
         _checks.choice("initial_state", name, ("estimate", "fitted", "zero"))
         hold = Hold(record.dt, "exact", self.intersample)
         forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
         if name == "zero":
             return forced
-        t = record.dt * np.arange(record.samples)
         if name == "fitted":
             one = self._only("free_amplitudes")
             if np.iscomplexobj(one.predicted):
                 raise StructureError(
                     "this fit is to a frequency response, which has no motion; use 'estimate' or 'zero'"
                 )
-            motion = one.free_amplitudes.reshape(self.order, -1)
             level, slope = (one.offsets, one.drifts) if isinstance(one, FittedChannels) else (one.offset, one.drift)
-            free = (motion.T @ np.exp(np.outer(self.poles, t))).real
-            return np.asarray(forced + free + np.reshape(level, (-1, 1)) + np.reshape(slope, (-1, 1)) * t)
+            background = np.reshape(level, (-1, 1)) + np.outer(slope, record.dt * np.arange(record.samples))
+            return self._outputs_from(one.free_amplitudes, record) + background
         if not seen:
             raise StructureError("the record has no outputs to estimate the motion from; pass initial_state='zero'")
         return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()))
+
+    def _given_state(self, value: Any) -> ComplexArray:
+        """Motions (n,) of a state of `observed_system`."""
+        state, size = _checks.real_array("initial_state", value), 2 * self.order
+        if self.residues.shape[1:] != (1, 1):
+            raise StructureError("initial_state is a state; of several channels it is 'estimate', 'fitted' or 'zero'")
+        if state.ndim and state.shape != (size,):
+            raise StructureError(f"initial_state has shape {state.shape}; a state of this model is a vector ({size},)")
+        every = np.full(size, state) if not state.ndim else state
+        return every[::2] + 1j * every[1::2]
+
+    def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
+        """Outputs from free motions (n,) or (n, p)."""
+        hold, t = Hold(record.dt, "exact", self.intersample), record.dt * np.arange(record.samples)
+        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
+        return np.asarray(forced + (motion.reshape(self.order, -1).T @ np.exp(np.outer(self.poles, t))).real)
 
     def plot(
         self,
@@ -500,7 +520,7 @@ class DampedResult(DampedReport, PEMResult):
         if np.iscomplexobj(one.predicted):
             source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
             data = as_frequency_response(one.record)[place, source]
-            plant = self if self.residues[0].size == 1 else self.observed_system[place, source]
+            plant = self if self.residues.shape[1:] == (1, 1) else self.observed_system[place, source]
             return bode_plot(plant, data=data, **kwargs)
         y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
         return output_plot(self, one.record.time, y, predicted, self.output_labels[place], **kwargs)

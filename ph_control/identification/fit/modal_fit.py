@@ -51,7 +51,7 @@ class Asked:
 
 def fit_channels(
     channels: Channels, asked: Asked, order: int | str, *, intersample: str, offset: bool | str, max_order: int,
-    criterion: str, callback: Callback | None = None, start: ComplexArray | None = None,
+    criterion: str, moving: bool = True, callback: Callback | None = None, start: ComplexArray | None = None,
     findings: tuple[Finding, ...] = (),
 ) -> DampedResult:  # fmt: skip
     """Free residues first, then the structure that is asked for, or the simplest that is not rejected."""
@@ -69,8 +69,8 @@ def fit_channels(
 
     def fit(hold: str, order: int | str, start: ComplexArray | None) -> DampedResult:
         free = free_fit(
-            channels, order, quantities=asked.quantities, intersample=hold, offset=bool(offset), max_order=most,
-            criterion=criterion, callback=report, start=start,
+            channels, order, quantities=asked.quantities, intersample=hold, offset=bool(offset), moving=moving,
+            max_order=most, criterion=criterion, callback=report, start=start,
         )  # fmt: skip
         return _structured(free, asked, findings)
 
@@ -313,9 +313,10 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     unit = [np.ones(2 * n), *(part.ravel() for part in (split(scales)[0], split(scales)[1], split(scales)[2]))]
     seen = split(at.shown.astype(float))
     lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
-    J = np.eye(len(fit.covariance))
+    given = fit.covariance if n else at.covariance(fit.variance)
+    J = np.eye(len(given))
     J[: 2 * n, : 2 * n] = natural_jacobian(fit.p)
-    inner = J @ fit.covariance @ J.T
+    inner = J @ given @ J.T
     size = np.concatenate(unit)
     found = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that no experiment shows
@@ -434,11 +435,11 @@ def _squeezed(one: FittedChannels) -> Any:
         return FittedExperiment(response, np.zeros(0), np.zeros(0, complex), 0.0, one.predicted[0, 0])
     motion = one.free_amplitudes[:, 0]
     state = np.stack([motion.real, motion.imag], axis=1).ravel()
-    named = {"input_label": labels[0]} if labels else {"driven": False}
     u = record.u[0] if labels else np.zeros(record.samples)
+    # among several experiments a free motion has an input of 0
     kept = Record(
-        record.time, record.dt, u, record.y[0], output_label=record.output_labels[0], title=record.title,
-        time_unit=record.time_unit, **named,
+        record.time, record.dt, u, record.y[0], labels[0] if labels else "u", record.output_labels[0], bool(u.any()),
+        title=record.title, time_unit=record.time_unit,
     )  # fmt: skip
     return FittedExperiment(kept, state, motion, float(one.offsets[0]), one.predicted[0], float(one.drifts[0]))
 

@@ -14,6 +14,7 @@ from ...exceptions import StructureError
 from ...modal.discretization import METHODS
 from ..data.channels import as_channels, has_several_channels
 from ..diagnosis.damping import DampingWatch, beside
+from ..diagnosis.verdict import Outcome
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
@@ -161,12 +162,13 @@ def pem(
     _checks.choice("criterion", criterion, CRITERIA)
     _checks.choice("structure", structure, ("auto", *STRUCTURES))
     if structure not in ("auto", "lossless") or has_several_channels(data):
-        _refuse_lossless_options(structure, method, representation, initial_state, criterion)
+        _refuse_lossless_options(structure, method, representation, criterion)
+        _checks.choice("initial_state", initial_state, ("estimate", "zero"))
         channels = as_channels(data, dt, weights=weights)
         asked = asked_of(channels, structure, ports, quantity)
         return fit_channels(
             channels, asked, order, intersample=intersample, offset=offset, max_order=max_order, criterion=criterion,
-            callback=callback, start=starting_poles(initial_guess),
+            callback=callback, start=starting_poles(initial_guess), moving=initial_state == "estimate",
         )  # fmt: skip
     if ports is not None:
         checked_ports(ports, *_labels_of(data, dt, weights))
@@ -176,16 +178,17 @@ def pem(
     )  # fmt: skip
     if structure == "lossless" or result.damped is None or method != "exact" or not result.success:
         return result
-    return _damped_instead(result, order, ports, criterion, max_order, intersample)
+    try:
+        return _damped_instead(result, order, ports, criterion, max_order, intersample, initial_state)
+    except KeyboardInterrupt:
+        said = "The fit was interrupted; the numbers above are the best found until then."
+        return replace(result, success=False, outcome=Outcome.INTERRUPTED, message=said)
 
 
-def _refuse_lossless_options(
-    structure: str, method: str, representation: str, initial_state: str, criterion: str
-) -> None:
+def _refuse_lossless_options(structure: str, method: str, representation: str, criterion: str) -> None:
     """Refuse what only fits of lossless models of one input and output have."""
     options = {
         "method": (method, METHODS), "representation": (representation, REPRESENTATIONS),
-        "initial_state": (initial_state, ("estimate", "zero")),
     }  # fmt: skip
     for name, (value, allowed) in options.items():
         _checks.choice(name, value, allowed)
@@ -206,7 +209,13 @@ def _labels_of(data: Any, dt: Any, weights: Any) -> tuple[tuple[str, ...], tuple
 
 
 def _damped_instead(
-    result: LosslessResult, order: int | str, ports: Any, criterion: str, max_order: int, intersample: str
+    result: LosslessResult,
+    order: int | str,
+    ports: Any,
+    criterion: str,
+    max_order: int,
+    intersample: str,
+    initial_state: str,
 ) -> PEMResult:
     """The damped model of data that reject a lossless one; this one where none of the structures is simpler."""
     channels = as_channels([one.record for one in result.experiments])
@@ -216,6 +225,7 @@ def _damped_instead(
         channels, asked, result.damped.order if isinstance(order, str) else order, intersample=intersample,
         offset=bool(np.isfinite(result.offset_stderr).any()), max_order=max_order,
         criterion="bic" if criterion == "holdout" else criterion, start=result.damped.poles, findings=result.findings,
+        moving=initial_state == "estimate",
     )  # fmt: skip
     return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
 

@@ -65,16 +65,23 @@ class FittedChannels(Report, Frozen):
 
 def unexplained(experiments: Any) -> Array:
     """Share of each output or entry, over all experiments, that is left unexplained; weighted as in the fit."""
-    left, whole = 0.0, 0.0
+    total, sums, left, whole = 0.0, 0.0, 0.0, 0.0
     for one in experiments:
-        record = one.record
-        weights = np.where(record.observed, getattr(record, "weights", 1.0), 0.0)
-        total = weights.sum(axis=-1, keepdims=True)
-        measured = np.where(record.observed, one.measured, 0.0)
-        mean = np.sum(weights * measured, axis=-1, keepdims=True) / np.where(total > 0, total, 1.0)
-        left = left + np.sum(weights * np.abs(measured - one.predicted) ** 2, axis=-1, where=record.observed)
+        weights, measured = _weighted(one)
+        total = total + weights.sum(axis=-1)
+        sums = sums + np.sum(weights * measured, axis=-1)
+        left = left + np.sum(weights * np.abs(np.where(one.record.observed, one.residuals, 0.0)) ** 2, axis=-1)
+    mean = np.asarray(sums / np.where(np.asarray(total) > 0, total, 1.0))[..., None]
+    for one in experiments:
+        weights, measured = _weighted(one)
         whole = whole + np.sum(weights * np.abs(measured - mean) ** 2, axis=-1)
     return np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), np.nan)
+
+
+def _weighted(one: FittedChannels) -> tuple[Array, NDArray[Any]]:
+    """Weights of all values, 0 where one is missing, and the values, 0 there."""
+    observed = one.record.observed
+    return np.where(observed, getattr(one.record, "weights", 1.0), 0.0), np.where(observed, one.measured, 0.0)
 
 
 def joint_percent(shares: Array) -> float:

@@ -133,6 +133,7 @@ def free_fit(
     quantities: Sequence[str] | None = None,
     intersample: str = "auto",
     offset: bool = True,
+    moving: bool = True,
     max_order: int = 40,
     criterion: str = "bic",
     callback: Report | None = None,
@@ -153,6 +154,8 @@ def free_fit(
         Whether inputs are held or interpolated between samples; 'auto' takes the likelier.
     offset : bool
         Whether outputs have a constant of their own in each recording.
+    moving : bool
+        Whether the modes may be in motion where a recording begins.
     max_order : int
         Largest order that 'auto' looks at.
     criterion : {'bic', 'aicc', 'aic'}
@@ -179,13 +182,13 @@ def free_fit(
     per_entry = isinstance(first, ResponseMatrix)
     automatic = not isinstance(order, int)
     holds = ("zoh", "foh") if intersample == "auto" and not per_entry else (intersample,)
-    path = _Path.of(channels, quantities, holds[0], offset, criterion, callback)
+    path = _Path.of(channels, quantities, holds[0], offset, criterion, callback, moving)
     path.check(1 if automatic else int(order))
     most = min(max_order, path.carried) if automatic else int(order)
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
     step = path.chosen(begin, most, automatic)
     if len(holds) > 1 and len(step.p) and any(one.inputs for one in path.search.all_rows()):
-        other = _Path.of(channels, quantities, holds[1], offset, criterion, callback)
+        other = _Path.of(channels, quantities, holds[1], offset, criterion, callback, moving)
         gain = other.likelihood_of(other.fitted(step.p)) - path.likelihood_of(path.fitted(step.p))
         if gain > TUNING.sure:
             path, holds = other, holds[1:]
@@ -196,11 +199,12 @@ def free_fit(
 # --- data ------------------------------------------------------------------------------------------------------------
 
 
-def _records(channels: Sequence[Recording], hold: str, offset: bool) -> list[FreeRecord]:
+def _records(channels: Sequence[Recording], hold: str, offset: bool, moving: bool) -> list[FreeRecord]:
     found = []
     for one in channels:
         y = np.where(one.observed, one.y, 0.0)
-        options = {"offset": int(offset), "driven": bool(one.u.any())}
+        driven = bool(one.u.any())
+        options = {"offset": int(offset), "driven": driven, "moving": moving or not driven}
         u = one.u if len(one.u) else np.zeros((1, one.samples))
         found += FreeRecord.by_observation(u, y, one.observed, Hold(one.dt, "exact", hold), **options)
     return found
@@ -272,7 +276,7 @@ class _Path:
     @classmethod
     def of(
         cls, channels: Experiments, quantities: Sequence[str], hold: str, offset: bool, criterion: str,
-        callback: Report | None,
+        callback: Report | None, moving: bool,
     ) -> _Path:  # fmt: skip
         """The path over some data."""
         search: FreeSearch
@@ -285,7 +289,7 @@ class _Path:
             felt = np.repeat(accelerometers, inputs)[:, None]
             parts = [(one.outputs, one.samples, np.abs(one.response * one.scale).max(axis=1)) for one in responses]
         else:
-            records = _records([one for one in channels if isinstance(one, Recording)], hold, offset)
+            records = _records([one for one in channels if isinstance(one, Recording)], hold, offset, moving)
             search = Records(records, _counter(records, inputs), 0.0)
             felt = np.repeat(accelerometers[:, None], inputs, axis=1)
             parts = [(one.outputs, one.samples, np.abs(one.y).max(axis=1)) for one in records]

@@ -117,7 +117,7 @@ def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: 
     if isinstance(model, LosslessResult):
         return _fitted_model(model, place, label, record, rules)
     if isinstance(model, DampedResult):
-        return _damped_model(model, label, record, rules)
+        return _damped_model(model, place, label, record, rules)
     if rules.initial_state == "fitted":
         raise StructureError(
             f"initial_state='fitted' is that of a PEMResult; model {label!r} is a {type(model).__name__}, which keeps "
@@ -219,7 +219,7 @@ def _fitted_model(model: LosslessResult, place: int | None, label: str, record: 
     return replace(found, directions=directions, own=True)
 
 
-def _damped_model(model: DampedResult, label: str, record: Record, rules: Rules) -> Simulation:
+def _damped_model(model: DampedResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
     """A fit of damped modes on other data, or from another state on its own."""
     constant = bool(model.offsets.any())
     rules = Rules("exact", model.intersample, rules.initial_state, constant)
@@ -227,7 +227,7 @@ def _damped_model(model: DampedResult, label: str, record: Record, rules: Rules)
         found = model.predict(record.as_response(), initial_state="fitted").outputs
         return Simulation(np.reshape(found, -1), lambda: _no_directions(record))
     motions = _linear_motions(model.observed_system, label, record, rules.hold(record.dt))
-    return _completed(motions, label, record, rules)
+    return replace(_completed(motions, label, record, rules), own=place is not None)
 
 
 def _damped_directions(model: DampedResult, place: int) -> Directions:

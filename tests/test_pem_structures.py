@@ -1,0 +1,148 @@
+"""Which structure `pem` answers with: what is asked for, or the simplest that the data do not reject."""
+
+from __future__ import annotations
+
+import json
+
+import control as ct
+import numpy as np
+import pytest
+from shell import run
+
+import ph_control as phc
+from benchmarks.modal_efficiency import Plant, data_of
+
+PLANT = Plant.of(2, 3, 2, seed=1)
+
+
+def recording(noise=0.05, samples=600, seed=1):
+    return data_of(PLANT, "time", samples, seed, noise)
+
+
+# --- one input and one output ----------------------------------------------------------------------------------------
+
+
+def test_lossless_data_get_the_numbers_of_the_lossless_fit():
+    plant, rng = phc.ph(phc.modes([0.5, 1.9], [1.0, 0.4])), np.random.default_rng(0)
+    u = rng.standard_normal(500)
+    y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs + 0.1 * rng.standard_normal(500)
+    auto, named = phc.pem((u, y), dt=0.1), phc.pem((u, y), dt=0.1, structure="lossless")
+    assert type(auto) is type(named) is phc.LosslessResult and auto.structure == "lossless"
+    assert np.array_equal(auto.d, named.d) and np.array_equal(auto.r, named.r) and auto.loss == named.loss
+    assert np.array_equal(auto.covariance, named.covariance)
+
+
+def test_damped_data_get_a_damped_answer_and_the_lossless_one_where_it_is_asked_for():
+    u, y = recording()
+    u, y = u[0], PLANT.velocities(np.stack([u[0], 0 * u[0]]))[0] + 0.05 * np.random.default_rng(0).standard_normal(600)
+    found = phc.pem((u, y), dt=1.0)
+    assert found.structure == "classical" and found.tests[0].p < 1e-10 and found.tests[1].p > 0.05
+    assert any(one.cause.name == "LOSSES" for one in found.findings)
+    asked = phc.pem((u, y), dt=1.0, structure="lossless")
+    assert type(asked) is phc.LosslessResult and asked.damped is not None
+    assert found.loglik > asked.loglik
+
+
+def test_a_sensor_elsewhere_leaves_free_residues_without_a_scale():
+    u, _ = recording()
+    y = PLANT.velocities(np.stack([u[0], 0 * u[0]]))[2] + 0.02 * np.random.default_rng(0).standard_normal(600)
+    found = phc.pem((u[0], y), dt=1.0)
+    assert found.structure == "free" and not found.shapes_scaled and type(found.system) is ct.StateSpace
+    assert {one.hypothesis for one in found.tests if one.p < 0.05} >= {"lossless", "classical"}
+
+
+def test_an_interpolated_input_is_told_by_the_structure():
+    """With free residues and a feedthrough a hold and an interpolation are the same models."""
+    rng, t = np.random.default_rng(2), 0.1 * np.arange(1000)
+    u = rng.standard_normal(1000)
+    y = ct.forced_response(ct.tf([1, 0], [1, 0.2, 1]), t, u).outputs + 0.01 * rng.standard_normal(1000)
+    found = phc.pem((u, y), dt=0.1)
+    assert (found.structure, found.intersample) == ("classical", "foh")
+    assert phc.pem((u, y), dt=0.1, structure="classical").intersample == "foh"
+
+
+# --- several channels ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["time", "response"])
+def test_the_simplest_structure_that_stands_is_the_answer(kind):
+    options = {"dt": 1.0} if kind == "time" else {}
+    found = phc.pem(data_of(PLANT, kind, 600, 3, 0.05), ports=[(0, 0), (1, 1)], **options)
+    assert found.structure == "classical" and found.order == 2
+    by_name = {one.hypothesis: one for one in found.tests}
+    assert by_name["lossless"].p < 1e-10 and min(by_name[name].p for name in ("classical", "rank one")) > 0.05
+    assert isinstance(found.system, phc.PortHamiltonian)
+    free = phc.pem(data_of(PLANT, kind, 600, 3, 0.05), structure="free", **options)
+    assert np.all(found.stderr["damping_ratios"] <= free.stderr["damping_ratios"] * 1.001)
+
+
+def test_labels_numbers_and_kinds_of_data_say_the_same():
+    u, y = recording()
+    t = np.arange(600.0)
+    named = ct.TimeResponseData(t, y, inputs=u, input_labels=["f", "g"], output_labels=["a", "b", "c"])
+    first = phc.pem(named, 2, ports=[("a", "f"), ("b", "g")], structure="classical")
+    second = phc.pem((u, y), 2, dt=1.0, ports=[(0, 0), (1, 1)], structure="classical")
+    assert np.array_equal(first.poles, second.poles) and first.output_labels == ("a", "b", "c")
+    assert second.output_labels == ("y1", "y2", "y3") and first.ports == second.ports
+
+
+def test_a_roving_hammer_and_roving_sensors_are_one_experiment_each():
+    rng, t, parts = np.random.default_rng(4), np.arange(500.0), []
+    for driven, seen in ((0, [0, 1]), (1, [0, 1]), (0, [0, 2])):
+        u = np.zeros((2, 500))
+        u[driven] = rng.standard_normal(500)
+        y = PLANT.velocities(u)[seen]
+        y = y + 0.05 * np.std(y, axis=1, keepdims=True) * rng.standard_normal(y.shape)
+        names = {"input_labels": [f"u{driven}"], "output_labels": [f"y{k}" for k in seen]}
+        parts.append(ct.TimeResponseData(t, y, inputs=u[[driven]], **names))
+    found = phc.pem(parts, ports=[("y0", "u0"), ("y1", "u1")])
+    assert found.structure == "classical" and found.residues.shape == (2, 3, 2)
+    # what no experiment shows follows from the structure, with its error
+    assert np.all(np.abs(found.residues - PLANT.residues) < 5 * np.abs(found.stderr["residues"]))
+    assert np.all(np.abs(found.shapes - PLANT.shapes) < 5 * np.abs(found.stderr["shapes"]))
+
+
+def test_gaps_and_an_offset_are_no_modes():
+    u, y = recording()
+    y = y + np.array([[3.0], [0.0], [-20.0]])
+    y[1, 100:140] = np.nan
+    found = phc.pem((u, y), dt=1.0, structure="free")
+    assert found.order == 2 and np.allclose(found.offsets[0], [3, 0, -20], atol=0.2)
+    assert np.isnan(found.residuals[1, 100:140]).all() and not np.isnan(found.predicted).any()
+
+
+def test_the_search_starts_from_a_guess_and_tells_of_its_progress():
+    seen = []
+    first = phc.pem(recording(), dt=1.0, structure="free", callback=seen.append)
+    again = phc.pem(recording(), dt=1.0, structure="free", initial_guess=first)
+    assert len(seen) > 2 and seen[-1].order >= 1 and 0 < seen[-1].loss < np.inf
+    assert np.allclose(again.poles, first.poles, rtol=1e-6)
+    with pytest.raises(phc.StructureError, match="initial_guess is a str"):
+        phc.pem(recording(), dt=1.0, initial_guess="this")
+
+
+def test_noise_alone_is_nothing_to_model():
+    rng = np.random.default_rng(0)
+    found = phc.pem((rng.standard_normal((2, 300)), rng.standard_normal((2, 300))), dt=1.0)
+    assert found.order == 0 and found.outcome.name == "NOTHING" and found.residues.shape == (0, 2, 2)
+    assert "Nothing to model" in found.summary()
+
+
+# --- the command line ------------------------------------------------------------------------------------------------
+
+
+def test_the_command_line_fits_channels_and_names_ports(tmp_path):
+    u, y = recording()
+    table = np.column_stack([np.arange(600.0), u.T, y.T])
+    np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t,f,g,a,b,c", comments="")
+    words = ["fit", tmp_path / "r.csv", "--inputs", "f,g", "--outputs", "a,b,c", "--ports", "a:f,b:g"]
+    done = run(*words, "--model", tmp_path / "m.json", "--result", tmp_path / "x.json", "--bode", tmp_path / "b.png")
+    assert done.status == 0 and "classical" in done.out and "damping [%]" in done.out
+    found = phc.load(tmp_path / "x.json")
+    assert isinstance(phc.load(tmp_path / "m.json"), phc.PortHamiltonian) and found.ports == ((0, 0), (1, 1))
+    answer = json.loads(run(*words, "--json", "--structure", "free", "--order", "2").out)
+    assert answer["structure"] == "free" and answer["ports"] == ["a:f", "b:g"] and answer["outputs"] == ["a", "b", "c"]
+    assert np.allclose(answer["damping_ratios"], found.damping_ratios, rtol=0.1)
+    assert np.shape(answer["stderr"]["residues"]) == (2, 3, 2, 2)
+    refused = run(*words[:-1], "a-f")
+    assert refused.status == 2 and "no list of ports" in refused.error
