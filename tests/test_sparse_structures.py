@@ -242,6 +242,29 @@ def test_the_size_of_time_and_mass_does_not_matter():
         np.testing.assert_allclose(scaled.d, plain.d * np.sqrt(stiffness / mass), rtol=1e-10)
 
 
+def test_reduced_parts_joined_at_their_ports_have_the_modes_of_the_whole():
+    def chain(n, tied):
+        K = (2.0 * sparse.eye_array(n) - sparse.eye_array(n, k=1) - sparse.eye_array(n, k=-1)).tolil()
+        K[0, 0], K[n - 1, n - 1] = 1.0 + tied, 1.0
+        return sparse.eye_array(n, format="csc"), K.tocsc()
+
+    n = 120
+    parts = [chain(n, 1.0), chain(n + 20, 0.0)]
+    both = sparse.block_diag([K for _, K in parts]).toarray()
+    joined = np.delete(np.eye(2 * n + 20), n, axis=1)  # end and beginning move together
+    joined[n, n - 1] = 1.0
+    whole = np.sqrt(eigh(joined.T @ both @ joined, joined.T @ joined, eigvals_only=True))
+    errors = {}
+    for residual in (True, False):
+        first = from_second_order(*parts[0], at(n, n - 1), modes=12, residual_modes=residual)
+        second = from_second_order(*parts[1], at(n + 20, 0), modes=12, residual_modes=residual)
+        d = phc.couple(first, second).natural_frequencies
+        d = np.sort(d[d > 1e-6])[:8]
+        errors[residual] = np.abs(d / whole[:8] - 1).max()
+    assert errors[True] < 1e-4
+    assert errors[False] > 20 * errors[True]
+
+
 # --- another eigensolver ---------------------------------------------------------------------------------------------
 
 
