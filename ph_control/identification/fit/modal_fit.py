@@ -25,7 +25,7 @@ from ..regression.prediction import FittedExperiment
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
 from ..search.formulation import Callback, Progress
-from ..search.modal_search import FreeFit, free_fit
+from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
 from ..structure.layout import POWERS, ChannelLayout
@@ -133,13 +133,13 @@ def _refuse_still(channels: Channels) -> None:
 def _without_modes(free: FreeFit) -> StructuredFit:
     """A fit without modes: what is fed through, and constants."""
     at, entries = free.projection, (len(free.channels[0].output_labels), len(free.channels[0].input_labels))
-    none, through = np.zeros((0, *entries), complex), np.zeros(entries)
+    none = np.zeros((0, *entries), complex)
     return StructuredFit(
         "free",
         "free",
         np.zeros(0, complex),
         none,
-        through,
+        feedthrough_of(free),
         None,
         None,
         at.loss,

@@ -24,6 +24,7 @@ from .tuning import TUNING
 from .variable_projection import refine
 
 _STEPS = 40
+_NUDGE = 1e-6  # of a frequency: a step towards a border
 _SHOWN = 1e-6  # part of a column of unit length that is not among others
 
 # --- the linear problem ----------------------------------------------------------------------------------------------
@@ -79,6 +80,7 @@ class FreeProjection(LinearProjection):
         self.rows = sum(one.samples * len(one.outputs) for one in experiments)
         self.inputs = max(one.inputs for one in experiments)
         self.fed = fed
+        self.region: PoleRegion | None = None  # at whose border poles may be
 
     @property
     def has_feedthrough(self) -> bool:
@@ -236,6 +238,22 @@ class FreeProjection(LinearProjection):
         R = reduced(np.asfortranarray(np.concatenate(parts)))
         return R[:, -1], R[:, :-1]
 
+    @cached_property
+    def held(self) -> Mask:
+        """Which imaginary and real parts are at a border that a descent would push them across."""
+        slope = super().gradient
+        return np.zeros(len(slope), bool) if self.region is None else self.region.held(self.x, slope)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Half the gradient of the loss, 0 for what is held."""
+        return np.where(self.held, 0.0, super().gradient)
+
+    @cached_property
+    def gram(self) -> Array:
+        """`J^T J` of the residuals, 0 for what is held."""
+        return np.where(self.held | self.held[:, None], 0.0, super().gram)
+
     def covariance(self, variance: float) -> Array:
         """Covariance of imaginary and real parts of the poles, then `shared` by outputs, for a variance of the rows."""
         n, width = len(self.p), self._shared_unknowns
@@ -248,7 +266,7 @@ class FreeProjection(LinearProjection):
                 places[output] = slice(2 * n + output * width, 2 * n + (output + 1) * width)
                 along[places[output]] = moved
                 left.append(rest)
-        found = along @ inverse_gram(np.concatenate(left)) @ along.T
+        found = along @ inverse_gram(np.concatenate(left)) @ along.T if n else np.zeros((self.shared.size,) * 2)
         for group in self._groups:
             for output in group.outputs:
                 found[places[output], places[output]] += group.solve @ group.solve.T
@@ -357,17 +375,29 @@ Make = Callable[[ComplexArray], Sequence[FreeRows]]  # rows for modes about whic
 
 @dataclass(frozen=True)
 class PoleRegion:
-    """Where poles are looked for, and the distance in frequency within which the loss has one minimum."""
+    """Where poles are looked for, and the distance in frequency within which the loss has one minimum.
+
+    The lowest frequency is in units of that distance.  Modes may be `damped` as far as the ceiling, or by a ratio.
+    """
 
     bin: float
     ceiling: float
+    lowest: float = 1e-3
+    damped: bool = False
 
     def inside(self, x: Array) -> Array:
         """Imaginary and real parts of poles brought to where they are allowed."""
         w, real = np.split(x, 2)
-        w = np.clip(w, 1e-3 * self.bin, self.ceiling)
-        steepest = w * TUNING.most_damped / np.sqrt(1 - TUNING.most_damped**2)
+        w = np.clip(w, self.lowest * self.bin, self.ceiling)
+        # borders that do not depend on one another are those that a descent can follow
+        ratio = TUNING.most_damped / np.sqrt(1 - TUNING.most_damped**2)
+        steepest = np.full(len(w), self.ceiling) if self.damped else w * ratio
         return np.append(w, np.clip(real, -steepest, np.minimum(steepest, TUNING.fastest_growth * self.bin)))
+
+    def held(self, x: Array, gradient: Array) -> Mask:
+        """Which numbers a descent would only push across the border that they are at."""
+        nudge = _NUDGE * np.tile(np.abs(x[: len(x) // 2]), 2) * np.sign(gradient)
+        return np.asarray((self.inside(x - nudge) == x) & (gradient != 0))
 
 
 @dataclass(frozen=True)
@@ -386,7 +416,9 @@ class FreeProblem:
     def project(self, x: Array) -> FreeProjection:
         """Best residues for these poles."""
         w, real = np.split(x, 2)
-        return FreeProjection(self.experiments, real + 1j * w, self.fed)
+        found = FreeProjection(self.experiments, real + 1j * w, self.fed)
+        found.region = self.region
+        return found
 
     def inside(self, x: Array) -> Array:
         """Poles brought to where they are allowed."""

@@ -218,9 +218,13 @@ class FreeRecord:
     @classmethod
     def by_observation(cls, u: Array, y: Array, observed: Mask, hold: Hold, **options: Any) -> list[FreeRecord]:
         """A record with inputs (m, T) and outputs (q, T), divided into outputs observed at the same samples."""
-        masks, kind = np.unique(observed, axis=0, return_inverse=True)
-        groups = [(mask, np.flatnonzero(kind.ravel() == k)) for k, mask in enumerate(masks) if mask.any()]
-        return [cls(u, y[outputs], mask, hold, outputs=outputs, **options) for mask, outputs in groups]
+        groups: dict[bytes, list[int]] = {}
+        for output in np.flatnonzero(observed.any(axis=1)).tolist():
+            groups.setdefault(observed[output].tobytes(), []).append(output)
+        return [
+            cls(u, y[outputs], observed[outputs[0]], hold, outputs=np.array(outputs), **options)
+            for outputs in groups.values()
+        ]
 
     @property
     def samples(self) -> int:

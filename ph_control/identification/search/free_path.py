@@ -71,7 +71,7 @@ def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: 
         else:
             missed += 1
     while wanted < len(best.at.p):
-        vague = _vagueness(search, best.at)
+        vague = vagueness(search, best.at)
         weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(evidence(search, best.at)))
         fewer = free_step(search, np.delete(best.at.p, weakest))
         if vague.max() <= 1 and free_criterion(search, fewer) >= free_criterion(search, best):
@@ -80,12 +80,17 @@ def free_path(search: FreeSearch, start: ComplexArray, order: int | None, most: 
     return best
 
 
-def _vagueness(search: FreeSearch, at: FreeProjection) -> Array:
-    """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
+def decay_errors(search: FreeSearch, at: FreeProjection) -> Array:
+    """Standard errors of the decay rates."""
     n = len(at.p)
     inner = at.covariance(at.loss / max(1, at.rows - search.unknowns(n)))
-    errors = np.sqrt(np.diag(inner)[n : 2 * n])
-    return np.asarray(errors / np.maximum(TUNING.vague * np.abs(at.sigma), TUNING.vague * search.region.bin))
+    return np.sqrt(np.diag(inner)[n : 2 * n])
+
+
+def vagueness(search: FreeSearch, at: FreeProjection) -> Array:
+    """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
+    allowed = np.maximum(TUNING.vague * np.abs(at.sigma), TUNING.vague * search.region.bin)
+    return np.asarray(decay_errors(search, at) / allowed)
 
 
 def evidence(search: FreeSearch, at: FreeProjection) -> Array:

@@ -38,13 +38,15 @@ Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each r
 class Records:
     """Records in time, and where damped modes are looked for in them.
 
-    `unknowns` counts the parameters of a number of modes, and losses below `rounding` are no noise.
+    `unknowns` counts the parameters of a number of modes, losses below `rounding` are no noise.  With a `lowest`
+    frequency, in bins, modes may have any damping.
     """
 
     records: Sequence[FreeRecord]
     unknowns: Callable[[int], int]
     rounding: float
     in_time: int = TUNING.in_time
+    lowest: float = 0.0
 
     @property
     def samples(self) -> int:
@@ -59,7 +61,8 @@ class Records:
     @property
     def region(self) -> PoleRegion:
         """Where poles are looked for."""
-        return PoleRegion(min(one.bin for one in self.records), max(one.ceiling for one in self.records))
+        ends = min(one.bin for one in self.records), max(one.ceiling for one in self.records)
+        return PoleRegion(*ends, self.lowest, damped=True) if self.lowest else PoleRegion(*ends)
 
     @cached_property
     def windowed(self) -> bool:
@@ -249,6 +252,7 @@ class Responses:
     responses: Sequence[FreeResponse]
     unknowns: Callable[[int], int]
     rounding: float
+    lowest: float = 0.0
     windowed: ClassVar[bool] = False
 
     @property
@@ -259,7 +263,8 @@ class Responses:
     @property
     def region(self) -> PoleRegion:
         """Where poles are looked for."""
-        return PoleRegion(min(one.bin for one in self.responses), max(one.ceiling for one in self.responses))
+        ends = min(one.bin for one in self.responses), max(one.ceiling for one in self.responses)
+        return PoleRegion(*ends, self.lowest, damped=True) if self.lowest else PoleRegion(*ends)
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All points."""

@@ -26,7 +26,7 @@ from ..regression.tuning import TUNING
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import autoregression, correlations
 from .criteria import Criteria, past_of_noise
-from .free_path import is_sound
+from .free_path import decay_errors, is_sound, vagueness
 from .free_search import FreeSearch, Left, Records, Responses
 from .steps import stands_out
 
@@ -38,6 +38,9 @@ _ROUNDS = 6  # of fit and variances in turn
 _SETTLED = 1e-6  # relative change of the likelihood, over the samples
 _ROUGH = 1e-5  # relative decrease of the loss at which refinements on the way end
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
+_LOWEST = 0.5  # bins: what does not swing half a time is a drift
+_GROWING = 3.0  # standard errors of a decay rate beyond which a mode grows
+_LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
 
@@ -70,7 +73,7 @@ class FreeFit(Frozen):
     per_entry : bool
         Whether outputs of the projection are entries of a response matrix, `output * m + input`.
     intersample : str
-        Behaviour of the inputs between samples.
+        Behaviour of the inputs between samples; 'zoh' for response matrices, which have none.
     region : PoleRegion
         Where poles were looked for.
     unknowns : int
@@ -78,7 +81,9 @@ class FreeFit(Frozen):
     criteria : Criteria
         Likelihood, with the variances at their best, and what is made of it.
     rounding : bool
-        Whether what is left is rounding, and no noise.
+        Whether what is left of an output is rounding, and no noise.
+    interrupted : bool
+        Whether the search was ended before it had come to its end.
     """
 
     projection: FreeProjection
@@ -91,6 +96,7 @@ class FreeFit(Frozen):
     unknowns: int
     criteria: Criteria
     rounding: bool
+    interrupted: bool = False
 
     @property
     def order(self) -> int:
@@ -161,7 +167,8 @@ def free_fit(
     criterion : {'bic', 'aicc', 'aic'}
         What chooses the order.
     callback : callable, optional
-        Called with the number of modes and the log-likelihood of each model on the way.
+        Called with the number of modes and the log-likelihood of each model on the way.  If it raises `StopIteration`,
+        or on `KeyboardInterrupt`, the best model so far is returned.
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
 
@@ -181,19 +188,27 @@ def free_fit(
     quantities = tuple(quantities or ["free"] * len(first.output_labels))
     per_entry = isinstance(first, ResponseMatrix)
     automatic = not isinstance(order, int)
-    holds = ("zoh", "foh") if intersample == "auto" and not per_entry else (intersample,)
+    holds = ("zoh", "foh") if intersample == "auto" else (intersample,)
+    holds = ("zoh",) if per_entry else holds
     path = _Path.of(channels, quantities, holds[0], offset, criterion, callback, moving)
     path.check(1 if automatic else int(order))
     most = min(max_order, path.carried) if automatic else int(order)
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
-    step = path.chosen(begin, most, automatic)
-    if len(holds) > 1 and len(step.p) and any(one.inputs for one in path.search.all_rows()):
-        other = _Path.of(channels, quantities, holds[1], offset, criterion, callback, moving)
-        gain = other.likelihood_of(other.fitted(step.p)) - path.likelihood_of(path.fitted(step.p))
-        if gain > TUNING.sure:
-            path, holds = other, holds[1:]
-            step = path.chosen(step.p, most, automatic)
-    return path.finished(step, tuple(channels), holds[0], per_entry)
+    interrupted = False
+    try:
+        step = path.chosen(begin, most, automatic)
+    except (KeyboardInterrupt, StopIteration):
+        if path.best is None:
+            raise
+        step, interrupted = path.best, True
+    found = path.finished(step, tuple(channels), per_entry, holds[0], interrupted)
+    if len(holds) > 1 and found.order and found.projection.inputs and not interrupted:
+        # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
+        other = _Path.of(channels, quantities, holds[1], offset, criterion, None, moving)
+        other.table = path.table
+        rival = other.finished(step, tuple(channels), per_entry, holds[1], interrupted)
+        found = rival if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure else found
+    return found
 
 
 # --- data ------------------------------------------------------------------------------------------------------------
@@ -269,9 +284,11 @@ class _Path:
     felt: Mask  # entries that are fed through in any case
     criterion: str
     callback: Report | None
+    power: Array  # of each output
     sizes: Array
     scaled: FreeSearch
     table: dict[int, FreeOrder]
+    best: _Model | None = None  # so far
 
     @classmethod
     def of(
@@ -284,13 +301,13 @@ class _Path:
         accelerometers = np.array([one == "acceleration" for one in quantities])
         if isinstance(channels[0], ResponseMatrix):
             responses, _ = _responses([one for one in channels if isinstance(one, ResponseMatrix)], quantities)
-            search = Responses(responses, _counter(responses, 1), 0.0)
+            search = Responses(responses, _counter(responses, 1), 0.0, _LOWEST)
             _refuse_unmeasured(channels[0], np.concatenate([one.outputs for one in responses]))
             felt = np.repeat(accelerometers, inputs)[:, None]
             parts = [(one.outputs, one.samples, np.abs(one.response * one.scale).max(axis=1)) for one in responses]
         else:
             records = _records([one for one in channels if isinstance(one, Recording)], hold, offset, moving)
-            search = Records(records, _counter(records, inputs), 0.0)
+            search = Records(records, _counter(records, inputs), 0.0, lowest=_LOWEST)
             felt = np.repeat(accelerometers[:, None], inputs, axis=1)
             parts = [(one.outputs, one.samples, np.abs(one.y).max(axis=1)) for one in records]
         counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
@@ -299,8 +316,10 @@ class _Path:
             largest[outputs] = np.maximum(largest[outputs], size)
         counts, floors = np.maximum(counts, 1), counts * (EPS * counts * largest) ** 2
         floors = np.maximum(floors, np.finfo(float).tiny)
-        one = cls(search, counts, floors, felt, criterion, callback, np.ones(len(felt)), search, {})
-        one.weigh(search.losses(search.left(FreeProjection(search.rows(np.zeros(0, complex)), np.zeros(0, complex)))))
+        none = np.zeros(0, complex)
+        power = search.losses(search.left(FreeProjection(search.rows(none), none)))
+        one = cls(search, counts, floors, felt, criterion, callback, power, np.ones(len(felt)), search, {})
+        one.weigh(power)
         return one
 
     # --- likelihood
@@ -314,10 +333,6 @@ class _Path:
         """Log-likelihood at the best variances."""
         variances = np.maximum(losses, self.floors) / self.counts
         return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1)))
-
-    def likelihood_of(self, at: FreeProjection) -> float:
-        """The same of a fit over all data."""
-        return self.loglik(self.scaled.losses(self.scaled.left(at)) / self.sizes**2)
 
     def unknowns(self, n: int) -> int:
         """Parameters of n modes."""
@@ -371,6 +386,8 @@ class _Path:
         judged = self.criteria(found.loglik, unknowns)
         if n not in self.table or self.table[n].loglik < found.loglik:
             self.table[n] = FreeOrder(n, found.loglik, judged.aic, judged.aicc, judged.bic, at.p[np.argsort(at.d)])
+        if self.best is None or self.cost(found) < self.cost(self.best):
+            self.best = found
         if self.callback is not None:
             self.callback(n, found.loglik)
         return found
@@ -408,37 +425,51 @@ class _Path:
         return self.patched(self.pruned(best), most) if automatic else best
 
     def joined(self, model: _Model, most: int, automatic: bool) -> _Model | None:
-        """One more mode, or several; if the order is to be chosen, none that only mends the shape of others."""
+        """One more mode, or several, that do not only mend the shape of others; if need be, and order, what does."""
         p, gains = self.candidates(model)
         if not len(p) or (automatic and not gains.any()):
             return None
         band = self.search.region.bin
-        trials = [_together(model.at, p, gains, band, most - len(model.p))]
-        if automatic:
-            p = p[(gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))]
-            if len(self.counts) * max(1, model.at.inputs) == 1:
-                needed = TUNING.damped_apart * band + np.abs(model.at.sigma)
-                p = p[[bool(np.all(np.abs(one.imag - model.p.imag) > needed)) for one in p]]
-            trials = [one[np.isin(one, p)] for one in trials]
-            trials += [p[k : k + 1] for k in range(min(TUNING.tried, len(p)))]
+        whole = _together(model.at, p, gains, band, most - len(model.p))
+        modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
+        if automatic and len(self.counts) * max(1, model.at.inputs) == 1:
+            needed = TUNING.damped_apart * band + np.abs(model.at.sigma)
+            modal &= np.all(np.abs(p.imag[:, None] - model.p.imag) > needed, axis=1)
+        sure = p[modal]
+        trials = [whole[np.isin(whole, sure)] if automatic else whole]
+        trials += [sure[k : k + 1] for k in range(min(TUNING.tried, len(sure)))]
+        first: _Model | None = None
         for joining in trials:
             if len(joining):
                 trial = self.model(np.append(model.p, joining))
-                if not automatic or is_sound(trial.at, band):
+                if self.is_sound(trial):
                     return self.reweighted(trial)
-        return None
+                first = first or trial
+        return None if automatic or first is None else self.reweighted(first)
 
     def patched(self, model: _Model, most: int) -> _Model:
         """Modes that are close to others, or broad, where they leave white residuals and others do not."""
-        more, band = model, self.search.region.bin
+        more = model
         for _ in range(TUNING.patches):
             p, gains = self.candidates(more)
             if not gains.any() or len(more.p) >= most or self.is_white(more):
                 break
             more = self.reweighted(self.model(np.append(more.p, p[0])))
-        if is_sound(more.at, band) or not self.is_white(more) or self.cost(more) >= self.cost(model):
+        if more is model or not self.is_white(more):
             return model
-        return self.pruned(self.relocated(more, False))
+        more = self.pruned(self.relocated(more, False))
+        better = self.is_white(more) and self.cost(more) < self.cost(model)
+        return more if better and not self.grows(more) else model
+
+    def is_sound(self, model: _Model) -> bool:
+        """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen."""
+        return is_sound(model.at, self.search.region.bin) and not self.grows(model)
+
+    def grows(self, model: _Model) -> bool:
+        """Whether a mode grows that is no large part of any motion: it patches a record that is not stationary."""
+        growing = model.at.sigma < -_GROWING * decay_errors(self.scaled, model.at)
+        large = _LARGE * float(np.sum(self.power * self.sizes**2))
+        return bool(growing.any() and np.any(self.evidence(model)[growing] < large))
 
     def is_white(self, model: _Model) -> bool:
         """Whether what is left of each output may be white noise."""
@@ -463,7 +494,7 @@ class _Path:
             more = self.model(np.append(model.p, p[0]))
             weakest = int(np.argmin(self.evidence(more)))
             other = self.model(np.delete(more.p, weakest))
-            if other.loglik <= model.loglik + TUNING.sure or (sound and not is_sound(other.at, self.search.region.bin)):
+            if other.loglik <= model.loglik + TUNING.sure or (sound and not self.is_sound(other)):
                 break
             model = self.reweighted(other)
         return model
@@ -474,11 +505,12 @@ class _Path:
         return np.array([whole.without_mode(k).loss - whole.loss for k in range(len(model.p))])
 
     def pruned(self, model: _Model) -> _Model:
-        """Modes dropped as long as the criterion gets better."""
+        """Modes dropped as long as the criterion gets better, or their widths are not known."""
         while len(model.p):
-            weakest = int(np.argmin(self.evidence(model)))
+            vague = vagueness(self.scaled, model.at)
+            weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(self.evidence(model)))
             fewer = self.model(np.delete(model.p, weakest))
-            if self.cost(fewer) >= self.cost(model):
+            if vague.max() <= 1 and self.cost(fewer) >= self.cost(model):
                 break
             model = self.reweighted(fewer)
         return model
@@ -503,15 +535,17 @@ class _Path:
             before = now
         return at, losses
 
-    def finished(self, model: _Model, channels: tuple[Any, ...], hold: str, per_entry: bool) -> FreeFit:
+    def finished(
+        self, model: _Model, channels: tuple[Any, ...], per_entry: bool, hold: str, interrupted: bool
+    ) -> FreeFit:
         """The last minimum; what is fed through only where it stands out, or has to be."""
         self.weigh(model.losses)
-        at, losses = self.settled(self.fitted(model.p, _EXACT), None)
+        at, losses = self.settled(self.fitted(model.p), None)
         fed: Mask | None = None
         if at.has_feedthrough and not self.felt.all():
             fed = self.felt | self.stands_out(at)
             if not fed.all():
-                at, losses = self.settled(self.fitted(at.p, _EXACT, fed), fed)
+                at, losses = self.settled(self.fitted(at.p, fed=fed), fed)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
         unknowns = self.unknowns(len(rank)) - (0 if fed is None else int(np.sum(~fed)))
@@ -519,8 +553,9 @@ class _Path:
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
         return FreeFit(
-            at, channels, 1.0 / self.sizes, table, per_entry, hold, self.search.region, unknowns, criteria, rounding
-        )
+            at, channels, 1.0 / self.sizes, table, per_entry, hold, self.search.region, unknowns, criteria, rounding,
+            interrupted,
+        )  # fmt: skip
 
     def stands_out(self, at: FreeProjection) -> Mask:
         """Which of all that may be fed through is more than its error shows."""

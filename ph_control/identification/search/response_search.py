@@ -49,7 +49,7 @@ def responses_of(problem: Problem) -> LosslessResponses:
     """Where damped modes are looked for in frequency responses of a problem of lossless modes."""
     rows = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
     unknowns = partial(free_unknowns, problem)
-    return LosslessResponses([FreeResponse.of(one) for one in rows], unknowns, problem.rounding, rows)
+    return LosslessResponses([FreeResponse.of(one) for one in rows], unknowns, problem.rounding, experiments=rows)
 
 
 class ResponseSearch(Search):
