@@ -26,7 +26,7 @@ from ..regression.tuning import TUNING
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import autoregression, correlations
 from .criteria import Criteria, past_of_noise
-from .free_path import decay_errors, is_sound, vagueness
+from .free_path import closest, decay_errors, is_sound, vagueness
 from .free_search import FreeSearch, Left, Records, Responses
 from .steps import stands_out
 
@@ -442,8 +442,9 @@ class _Path:
         for joining in trials:
             if len(joining):
                 trial = self.model(np.append(model.p, joining))
-                if self.is_sound(trial):
-                    return self.reweighted(trial)
+                sound = self.cleaned(trial) if automatic else trial
+                if len(sound.p) > len(model.p) and self.is_sound(sound):
+                    return self.reweighted(sound)
                 first = first or trial
         return None if automatic or first is None else self.reweighted(first)
 
@@ -464,6 +465,17 @@ class _Path:
     def is_sound(self, model: _Model) -> bool:
         """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen."""
         return is_sound(model.at, self.search.region.bin) and not self.grows(model)
+
+    def cleaned(self, model: _Model) -> _Model:
+        """A model without its modes that are none of the plant."""
+        while len(model.p) and not self.is_sound(model):
+            at = model.at
+            distance, worst = closest(at, self.search.region.bin)
+            if distance >= 1:
+                broad = np.abs(at.sigma) / at.d
+                worst = int(np.argmax(broad) if broad.max() > TUNING.broadest else np.argmin(at.sigma))
+            model = self.model(np.delete(at.p, worst))
+        return model
 
     def grows(self, model: _Model) -> bool:
         """Whether a mode grows that is no large part of any motion: it patches a record that is not stationary."""

@@ -84,8 +84,8 @@ class StructuredFit(Frozen):
 
     @cached_property
     def covariance(self) -> Array:
-        """In the coordinates and units of `FreeProjection.covariance`; empty without modes."""
-        return self.point.covariance(self.variance) if len(self.p) else np.zeros((0, 0))
+        """In the coordinates and units of `FreeProjection.covariance`."""
+        return self.point.covariance(self.variance)
 
 
 class Tangent:
