@@ -459,6 +459,8 @@ def _fits() -> list[Any]:
         phc.pem((u, y), 2, dt=0.1), phc.pem(_data()[5], 1),
         phc.pem([_as_data(t, u, y), _as_data(*_record(2, missing=True))], 1),
         phc.pem((None, _record(3, driven=False)[2]), 1, dt=0.1, quantity="displacement", offset=True),
+        phc.pem((u, np.stack([y, -0.5 * y])), 2, dt=0.1, structure="free", ports=[(0, 0)]),
+        phc.pem((None, np.stack([y, -0.5 * y])), 1, dt=0.1, structure="free"),
     ]  # fmt: skip
 
 
@@ -476,6 +478,9 @@ _POOLS |= {
     "EnergyBalance": lambda: [phc.energy_balance(pool("response")[3], _systems()[0])],
     "PortHamiltonianGroupoid": lambda: [phc.PortHamiltonianGroupoid.identity(_systems()[0])],
     "ReducedGroupoid": lambda: [phc.ReducedGroupoid.identity([1.0, 2.0], [1.0, 0.0, 0.5, 1.0])],
+    "StructuralModes": lambda: [
+        phc.from_second_order(np.eye(3), np.diag([1.0, 4.0, 9.0]), np.ones(3), modes=2).structural_modes
+    ],
     "PEMResult": _fits,
     "LosslessResult": lambda: [one for one in pool("PEMResult") if isinstance(one, phc.LosslessResult)],
     "DampedResult": lambda: [one for one in pool("PEMResult") if isinstance(one, phc.DampedResult)],

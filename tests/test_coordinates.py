@@ -226,7 +226,7 @@ def from_controllable(state, d):
 
 def test_the_observable_form_shows_the_free_motion_of_a_mode_without_weight():
     u, y = sensor_away()
-    result = phc.pem((u, y), 2, dt=STEP)
+    result = phc.pem((u, y), 2, dt=STEP, structure="lossless")
     assert result.active == (1,) and abs(result.free_amplitudes[1]) > 1
     found = outputs("oh", result.system, result.initial_state_in("oh"), u[:80])
     assert np.allclose(found, result.predicted[:80], rtol=0, atol=1e-11)
@@ -241,7 +241,7 @@ def test_with_the_controllable_representation_all_forms_have_the_state():
     u, y = sensor_away()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", phc.IdentifiabilityWarning)
-        result = phc.pem((u, y), 2, dt=STEP, representation="controllable", intersample="zoh")
+        result = phc.pem((u, y), 2, dt=STEP, representation="controllable", intersample="zoh", structure="lossless")
     assert result.active == (1,)
     for form in ("ph", "ch", "oh"):
         found = outputs(form, result.system, result.initial_state_in(form), u[:80])

@@ -43,6 +43,7 @@ def _results():
         phc.spectral_estimate(response), plant, plant.modes,
         phc.ph(np.eye(2), [0.0, 1.0], R=np.eye(2)), phc.passivity(ct.ss(-1.0, 1.0, 1.0, 0.0)),
         plant.modes.scaled_coefficients()[0], phc.netlist(plant), canonical,
+        phc.from_second_order(np.eye(2), np.diag([1.0, 4.0]), [1.0, 1.0], modes=1).structural_modes,
         phc.oh([1.0, 2.0], [1.0, 1.0, 1.0, 1.0]), phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0]),
         phc.is_even(phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0])), phc.kalman_decomposition(plant),
         phc.canonical_margins(plant), phc.split_casimirs(np.eye(3), [1, 0, 0], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]),

@@ -104,7 +104,7 @@ def quantities(text: str) -> str | list[str]:
     found = [word.strip() for word in text.split(",")]
     wrong = [word for word in found if word not in QUANTITIES]
     if wrong:
-        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(QUANTITIES)}")
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is none of {', '.join(map(repr, QUANTITIES))}")
     return found[0] if len(found) == 1 else found
 
 

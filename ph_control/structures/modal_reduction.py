@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 
 from .. import _checks
+from .._frozen import Frozen
 from .._types import Array
 from ..exceptions import ConditioningWarning, StructureError
 from ..numerics.shift_invert import RESIDUAL, Eigensolver, Pencil, Selection, lowest_modes, modes_between
@@ -22,7 +23,7 @@ _DEPENDENT = 1e-12  # relative modal mass of a combination of residual modes tha
 
 
 @dataclass(frozen=True, eq=False)
-class StructuralModes:
+class StructuralModes(Frozen):
     """Modes that `from_second_order` has kept of a structure: its attribute `structural_modes`.
 
     Attributes

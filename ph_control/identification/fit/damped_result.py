@@ -184,7 +184,12 @@ class DampedResult(DampedReport, PEMResult):
 
     @property
     def modes(self) -> Any:
-        """Modal form of what was measured, of residues of rank one."""
+        """Modal form of what was measured, of residues of rank one; a free motion has no inputs and none."""
+        if not self.input_labels:
+            raise StructureError(
+                "the fit of a free motion has no inputs, and so no modal form; its poles and shapes are the attributes "
+                "of that name, and observed_system is a system with them"
+            )
         return from_vectors(self.poles, *self._factors)
 
     @property

@@ -163,14 +163,16 @@ class PEMResult(Report, Frozen):
         """
         if isinstance(other, PEMResult | ModalForm):
             return mac(self.shapes, other.shapes)
-        shapes = np.asarray(other)
-        if shapes.ndim != 2 or shapes.dtype.kind not in "biufc":
+        try:
+            shapes = np.array(other, dtype=complex)
+        except (TypeError, ValueError, OverflowError):
+            shapes = np.zeros(0, complex)
+        if shapes.ndim != 2:
             raise StructureError(
-                f"other is a {type(other).__name__} of shape {shapes.shape}; pass a result, a form or an array of "
-                "shapes (modes, outputs)"
+                f"other is {_checks.shown(other)}; pass a result, a form or an array of shapes (modes, outputs)"
             )
         _checks.finite("other", shapes)
-        return mac(self.shapes, np.asarray(shapes, complex))
+        return mac(self.shapes, shapes)
 
     def _only(self, name: str) -> Any:
         if len(self.experiments) > 1:
