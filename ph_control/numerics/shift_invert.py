@@ -49,7 +49,9 @@ class Pencil:
         mass, stiffness = M.diagonal(), np.abs(K.diagonal())
         moving = mass > 0
         self.finite = int(moving.sum())  # eigenvalues; rows without mass have infinite ones
-        self.scale = float((stiffness[moving] / mass[moving]).max(initial=0.0)) or 1.0
+        with np.errstate(over="ignore"):
+            self.scale = float((stiffness[moving] / mass[moving]).max(initial=0.0)) or 1.0
+        _checks.representable("the squared frequencies of K and M", np.array([self.scale]))
         self.low = -_BELOW * self.scale
         self._factor: tuple[float, SuperLU] | None = None
 

@@ -315,6 +315,8 @@ def _recording(
     title: str = "", time_unit: str | None = None,
 ) -> Recording:  # fmt: skip
     """Put checked signals together, of one length each."""
+    if not len(outputs):
+        raise StructureError("the record has no outputs; needed at least one, missing samples as NaN")
     records = [checked_record(time, dt, None, y) for y in outputs]
     records += [checked_record(time, dt, u, outputs[0]) for u in inputs]
     _refuse_repeated("input", names)
