@@ -221,11 +221,12 @@ def _damped_instead(
     channels = as_channels([one.record for one in result.experiments])
     assert result.damped is not None
     asked = asked_of(channels, "auto", ports, result.quantity)
+    # the search from nothing ends at the most likely modes; those that stopped the lossless search may be too many
+    start = None if order == "auto" else result.damped.poles
     found = fit_channels(
-        channels, asked, result.damped.order if isinstance(order, str) else order, intersample=intersample,
-        offset=bool(np.isfinite(result.offset_stderr).any()), max_order=max_order,
-        criterion="bic" if criterion == "holdout" else criterion, start=result.damped.poles, findings=result.findings,
-        moving=initial_state == "estimate",
+        channels, asked, order, intersample=intersample, offset=bool(np.isfinite(result.offset_stderr).any()),
+        max_order=max_order, criterion="bic" if criterion == "holdout" else criterion, start=start,
+        findings=result.findings, moving=initial_state == "estimate",
     )  # fmt: skip
     return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
 
