@@ -70,7 +70,7 @@ def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Arr
     smallest, largest, weights = float(d[0] or d[1]), float(d[-1]), kappa.tolist()
     heaviest = max(weights)
     if largest / smallest > _SPREAD or min(weights) < heaviest * _SPREAD**-2:
-        raise _out_of_reach(largest / smallest, heaviest / min(weights))
+        raise _out_of_reach(largest / smallest, weights)
     if not 1 / _MODERATE < largest < _MODERATE:
         # a power of two rounds nothing
         unit = float(2.0 ** np.floor(np.log2(largest)))
@@ -79,14 +79,15 @@ def _solve(d: Array, kappa: Array, gaps: Sequence[int]) -> list[tuple[float, Arr
     for k in gaps:
         distance, root, _, failed = dlasd4(k, d, row, _ROW)
         if failed:
-            raise _out_of_reach(largest / smallest, heaviest / min(weights))
+            raise _out_of_reach(largest / smallest, weights)
         found.append((root, distance))
     return found
 
 
-def _out_of_reach(spread: float, weights: float) -> StructureError:
+def _out_of_reach(spread: float, weights: list[float]) -> StructureError:
+    apart = max(weights) / (min(weights) or np.finfo(float).tiny)
     return StructureError(
-        f"the largest frequency is {spread:.1e} times the smallest and the largest residue {weights:.1e} times the "
+        f"the largest frequency is {spread:.1e} times the smallest and the largest residue {apart:.1e} times the "
         f"smallest; zeros are found up to {_SPREAD:.0e} and {_SPREAD**2:.0e}: leave out modes that are out of all scale"
     )
 

@@ -294,6 +294,8 @@ def _signals(role: str, value: Any, missing: bool = False) -> list[Array]:
             f"the {role}s have shape {shape}, more channels than samples; needed is one row for each {role}, "
             f"(channels, T): pass the transpose, {'uy'[role == 'output']}.T"
         )
+    if not hasattr(type(value), "__array__") and not isinstance(value, list | tuple):
+        raise StructureError(f"the {role} is a {type(value).__name__}; pass an array of signals")
     rows = value if isinstance(value, np.ndarray) else list(value)
     return [signal(f"{role} {k}", row, missing=missing) for k, row in enumerate(rows, start=1)]
 
