@@ -241,18 +241,21 @@ class FreeProjection(LinearProjection):
     @cached_property
     def held(self) -> Mask:
         """Which imaginary and real parts are at a border that a descent would push them across."""
-        slope = super().gradient
-        return np.zeros(len(slope), bool) if self.region is None else self.region.held(self.x, slope)
+        residual, jacobian = self.condensed
+        none = np.zeros(len(self.x), bool)
+        return none if self.region is None else self.region.held(self.x, jacobian.T @ residual)
 
     @cached_property
     def gradient(self) -> Array:
         """Half the gradient of the loss, 0 for what is held."""
-        return np.where(self.held, 0.0, super().gradient)
+        residual, jacobian = self.condensed
+        return np.where(self.held, 0.0, jacobian.T @ residual)
 
     @cached_property
     def gram(self) -> Array:
         """`J^T J` of the residuals, 0 for what is held."""
-        return np.where(self.held | self.held[:, None], 0.0, super().gram)
+        jacobian = np.where(self.held, 0.0, self.condensed[1])
+        return np.asarray(jacobian.T @ jacobian)
 
     def covariance(self, variance: float) -> Array:
         """Covariance of imaginary and real parts of the poles, then `shared` by outputs, for a variance of the rows."""
@@ -417,7 +420,7 @@ class FreeProblem:
         """Best residues for these poles."""
         w, real = np.split(x, 2)
         found = FreeProjection(self.experiments, real + 1j * w, self.fed)
-        found.region = self.region
+        found.region = self.region if self.region.damped else None
         return found
 
     def inside(self, x: Array) -> Array:
