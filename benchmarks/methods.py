@@ -66,7 +66,7 @@ class Method:
 
 def _pem(recording: Recording, setting: None, seed: int) -> Model:
     n, h, method = len(recording.d), recording.h, recording.method
-    result = phc.pem((recording.u, recording.y), order=n, dt=h, method=method)
+    result = phc.pem((recording.u, recording.y), order=n, dt=h, method=method, structure="lossless")
 
     def response(u: Array) -> Array:
         t = h * np.arange(float(len(u)))

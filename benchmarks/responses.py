@@ -57,7 +57,7 @@ def order(seeds: int) -> None:
             d, r, omega = plant(n, seed)
             exact = response(d, r, omega)
             size = 0.01 * np.abs(exact)
-            result = phc.pem(measured(exact, omega, size, seed), weights=1 / size**2)
+            result = phc.pem(measured(exact, omega, size, seed), weights=1 / size**2, structure="lossless")
             right += result.order == n
             consistent += result.verdict.startswith("consistent")
         print(
@@ -76,7 +76,7 @@ def coverage(seeds: int) -> None:
                 d, r, omega = plant(n, seed)
                 exact = response(d, r, omega)
                 size = np.hypot(relative * np.abs(exact), floor * np.median(np.abs(exact)))
-                result = phc.pem(measured(exact, omega, size, seed), n)
+                result = phc.pem(measured(exact, omega, size, seed), n, structure="lossless")
                 consistent += result.verdict.startswith("consistent")
                 grows += result.noise.kind == "gain"
                 intervals = result.confidence_interval()
@@ -102,8 +102,8 @@ def trap(seeds: int) -> None:
             exact = response(d, r, omega)
             size = 0.001 * np.abs(exact)
             data, weights = measured(exact, omega, size, seed), 1 / size**2
-            result = phc.pem(data, 6, weights=weights)
-            best = phc.pem(data, 6, weights=weights, initial_guess=(d, r))
+            result = phc.pem(data, 6, weights=weights, structure="lossless")
+            best = phc.pem(data, 6, weights=weights, initial_guess=(d, r), structure="lossless")
             stuck += result.loss > 1.001 * best.loss
             least = min(least, float(np.min(result.stderr["d"] / result.d)))
         print(f"{distance:g} points away: stuck {stuck} of {seeds}, least standard error of d {least:.1e}", flush=True)
@@ -118,7 +118,9 @@ def outlier(seeds: int) -> None:
         size = 0.01 * np.abs(exact)
         values = exact + noise(size, seed)
         values[seed % len(omega)] += by * size[seed % len(omega)]
-        return phc.pem(ct.frd(values, omega, smooth=False), 3, weights=1 / size**2), seed % len(omega)
+        return phc.pem(ct.frd(values, omega, smooth=False), 3, weights=1 / size**2, structure="lossless"), seed % len(
+            omega
+        )
 
     def of_record(seed: int, by: float) -> Any:
         rng = np.random.default_rng(seed)
@@ -126,7 +128,7 @@ def outlier(seeds: int) -> None:
         y = np.array(phc.forced_response(truth, np.arange(400.0), u, intersample="zoh").outputs)
         y += 0.1 * rng.standard_normal(400)
         y[seed] += 0.1 * by
-        return phc.pem((u, y), 2, dt=1.0), seed
+        return phc.pem((u, y), 2, dt=1.0, structure="lossless"), seed
 
     kinds: dict[str, Callable[[int, float], Any]] = {"response": of_response, "record": of_record}
     for name, fit in kinds.items():
