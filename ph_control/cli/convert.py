@@ -23,10 +23,10 @@ from typing import Any
 import ph_control as phc
 
 from ..exceptions import StructureError
-from .inputs import Model, read_models, system_name_of
+from .inputs import Model, read_models, source_and_target, system_name_of
 from .options import Parser, add_model, add_written, system_name
 from .outcome import DONE, emit
-from .outputs import check_files, deliver, emit_json, strict
+from .outputs import deliver, emit_json, strict
 
 USAGE = "MODEL FILE [options]"
 
@@ -53,14 +53,7 @@ def add_options(parser: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Read, convert, write."""
-    sources, target = options.files[:-1], options.files[-1]
-    wanted = int(options.num is None and options.den is None)
-    if len(sources) != wanted:
-        raise StructureError(
-            ("name the model and the file to write" if wanted else "with --num and --den, name the file to write only")
-            + f"; {len(options.files)} given"
-        )
-    check_files(options, sources, [target])
+    sources, target = source_and_target(options, "the file to write")
     kind = options.format or _format_of(target)
     (model,) = read_models(sources, options)
     form = options.to or ("tf" if kind in ("txt", "csv") else None)

@@ -18,6 +18,7 @@ import ph_control as phc
 from ..exceptions import FileFormatError, NotLosslessError, PHControlError, StructureError
 from .options import list_of_numbers
 from .outcome import NoError, complain
+from .outputs import check_files
 
 _NETLISTS = (".cir", ".net", ".sp")
 
@@ -237,6 +238,19 @@ def read_models(names: Sequence[str], options: Namespace) -> list[Model]:
         Model(model.source, model.source if labels.count(model.label) > 1 else model.label, model.content)
         for model in found
     ]
+
+
+def source_and_target(options: Namespace, written: str) -> tuple[list[str], str]:
+    """Files of a command that reads one model, if it is not given by coefficients, and writes another file."""
+    sources, target = options.files[:-1], options.files[-1]
+    wanted = int(options.num is None and options.den is None)
+    if len(sources) != wanted:
+        raise StructureError(
+            (f"name the model and {written}" if wanted else f"with --num and --den, name {written} only")
+            + f"; {len(options.files)} given"
+        )
+    check_files(options, sources, [target])
+    return sources, target
 
 
 def labels_of(models: Sequence[Model], options: Namespace) -> list[str]:

@@ -17,11 +17,10 @@ from argparse import Namespace
 
 import ph_control as phc
 
-from ..exceptions import StructureError
-from .inputs import read_models
+from .inputs import read_models, source_and_target
 from .options import Parser, add_model, add_written
 from .outcome import DONE, emit
-from .outputs import check_files, deliver, emit_json
+from .outputs import deliver, emit_json
 
 USAGE = "MODEL FILE [options]"
 
@@ -44,14 +43,7 @@ def add_options(parser: Parser) -> None:
 
 def run(options: Namespace) -> int:
     """Read, synthesize, write."""
-    sources, target = options.files[:-1], options.files[-1]
-    wanted = int(options.num is None and options.den is None)
-    if len(sources) != wanted:
-        raise StructureError(
-            ("name the model and the netlist" if wanted else "with --num and --den, name the netlist only")
-            + f"; {len(options.files)} given"
-        )
-    check_files(options, sources, [target])
+    sources, target = source_and_target(options, "the netlist")
     (model,) = read_models(sources, options)
     circuit = phc.netlist(model.port_hamiltonian(), options.form, kind=options.kind)
     deliver(circuit.spice(), target, options.overwrite)

@@ -34,13 +34,13 @@ from ..regression.prediction import (
 from ..search.circumstances import Finding
 from ..search.path import Start
 from ..search.response_noise import NoiseLaw
+from ..structure.layout import POWERS
 from ..uncertainty.draws import ModeSamples, draw, intervals
 from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .report import FitReport, residue_errors
 from .result import OrderRow, PEMResult, kind_plot, output_plot
-from .scaled_shapes import POWERS
 
 
 @dataclass(frozen=True, eq=False, repr=False)

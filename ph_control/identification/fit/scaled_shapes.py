@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask
-
-POWERS = {"displacement": 0, "velocity": 1, "acceleration": 2, "free": 0}
+from ..structure.layout import POWERS
 
 Ports = Sequence[tuple[int, int]]  # (output, input) of each driving point
 
