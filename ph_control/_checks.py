@@ -503,6 +503,38 @@ def _text(what: str, name: Any) -> None:
         raise StructureError(f"{what} is {shown(name)}; a name is a text without dots")
 
 
+def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Numbers of the output and the input of each port, given by labels or numbers, as pairs or as a mapping."""
+    try:
+        listed = [(one, other) for one, other in (ports.items() if isinstance(ports, Mapping) else ports)]
+        if any(isinstance(pair, str) for pair in ports) and not isinstance(ports, Mapping):
+            raise TypeError
+    except (TypeError, ValueError):
+        raise StructureError(
+            f"ports={shown(ports)} is no list of pairs (output, input), such as [(0, 0), (2, 1)] or [('y1', 'u1')]"
+        ) from None
+    sides = []
+    for k, (role, labels) in enumerate((("output", outputs), ("input", inputs))):
+        chosen = [_signal(role, pair[k], labels) for pair in listed]
+        repeated = [one for one in chosen if chosen.count(one) > 1]
+        if repeated:
+            label = labels[repeated[0]]
+            raise StructureError(f"{role} {label!r} is at {chosen.count(repeated[0])} ports; each belongs to one")
+        sides.append(chosen)
+    return tuple(zip(*sides, strict=True))
+
+
+def _signal(role: str, value: Any, labels: Sequence[str]) -> int:
+    if isinstance(value, str) and value in labels:
+        return list(labels).index(value)
+    if is_whole(value) and 0 <= int(value) < len(labels):
+        return int(value)
+    listed = ", ".join(map(repr, labels)) or "none"
+    raise StructureError(
+        f"ports have the {role} {shown(value)}; the {role}s are {listed}, numbered from 0 to {len(labels) - 1}"
+    )
+
+
 def random_generator(rng: Any) -> np.random.Generator:
     """Check where random numbers come from."""
     sources = np.random.Generator | np.random.BitGenerator | np.random.SeedSequence | np.random.RandomState

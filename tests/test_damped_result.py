@@ -208,7 +208,7 @@ def test_recordings_that_have_other_inputs_keep_the_names_of_all():
         recordings.append(ct.TimeResponseData(
             np.arange(400.0), y, inputs=u[k], issiso=True, input_labels=[f"hit {k + 1}"], output_labels=["v"]
         ))  # fmt: skip
-    found = phc.pem(recordings, 2, structure="classical", ports=[("v", "hit 2")])
+    found = phc.pem(recordings, 2, structure="classical", ports={"v": "hit 2"})
     assert found.input_labels == ("hit 1", "hit 2") and found.residues.shape == (2, 1, 2)
     assert "hit 1" in found.summary() and "v:hit 2" in found.summary().replace("'", "")
 

@@ -261,7 +261,7 @@ def test_outputs_that_are_no_ports_become_sensors():
     B = np.vstack([np.zeros((4, 1)), inverse @ F])
     rows = np.vstack([np.eye(8)[0], np.r_[np.zeros(4), F[:, 0]], np.eye(8)[6]])
     system = ct.ss(T @ A @ T.T, T @ B, rows @ T.T, 0, inputs=["force"], outputs=["position", "velocity", "far"])
-    for ports in ([(1, 0)], [("velocity", "force")]):
+    for ports in ([(1, 0)], [("velocity", "force")], {"velocity": "force"}):
         form = phc.ph(system, ports=ports)
         assert form.output_labels == ["velocity", "position", "far"] and form.noutputs == 3
         s = 1j * np.geomspace(0.1, 10, 7)
@@ -276,11 +276,12 @@ def test_outputs_that_are_no_ports_become_sensors():
     ("ports", "message"),
     [
         ([(0, 0)], "no output for input 1"),
-        ([(0, 0), (0, 1)], "output twice"),
-        ([(0, 0), (2, 1)], "allowed are 0 to 1"),
+        ([(0, 0), (0, 1)], "is at 2 ports"),
+        ([(0, 0), (2, 1)], "numbered from 0 to 1"),
         ([0, 1], "no list of pairs"),
         (3, "no list of pairs"),
-        ([("y", 0), (1, 1)], "no output"),
+        ([("y", 0), (1, 1)], "have the output 'y'"),
+        (["ab", (1, 1)], "no list of pairs"),
     ],
 )
 def test_ports_that_are_none_are_refused(ports, message):

@@ -82,17 +82,8 @@ class PortRows:
 def in_port_order(sys: ct.StateSpace, pairs: Any) -> ct.StateSpace:
     """The system with the outputs of its ports first, each in the place of its input; the others follow as sensors."""
     p, m = sys.noutputs, sys.ninputs
-    try:
-        listed = [(one, other) for one, other in pairs]
-    except (TypeError, ValueError):
-        raise StructureError(
-            f"ports={_checks.shown(pairs)} is no list of pairs (output, input), such as [(0, 0), (2, 1)]"
-        ) from None
-    outputs = [_signal("output", one, sys.output_labels) for one, _ in listed]
-    inputs = [_signal("input", other, sys.input_labels) for _, other in listed]
-    for kind, chosen in (("output", outputs), ("input", inputs)):
-        if len(set(chosen)) < len(chosen):
-            raise StructureError(f"ports={_checks.shown(pairs)} has an {kind} twice; each belongs to one port")
+    found = _checks.port_pairs(pairs, sys.output_labels, sys.input_labels)
+    outputs, inputs = [one for one, _ in found], [other for _, other in found]
     missing = sorted(set(range(m)) - set(inputs))
     if missing:
         raise StructureError(
@@ -106,16 +97,6 @@ def in_port_order(sys: ct.StateSpace, pairs: Any) -> ct.StateSpace:
         A, B[:, inputs], C[outputs], D[np.ix_(outputs, inputs)], **names,
         inputs=[sys.input_labels[k] for k in inputs], outputs=[sys.output_labels[k] for k in outputs],
     )  # fmt: skip
-
-
-def _signal(kind: str, which: Any, labels: list[str]) -> int:
-    if isinstance(which, str) and which in labels:
-        return labels.index(which)
-    if isinstance(which, int | np.integer) and not isinstance(which, bool) and 0 <= which < len(labels):
-        return int(which)
-    raise StructureError(
-        f"{_checks.shown(which)} is no {kind} of the system; allowed are 0 to {len(labels) - 1}, and {labels}"
-    )
 
 
 def passive_parts(

@@ -578,7 +578,7 @@ def ph(
         the matrices where they show mass and stiffness, that of the modes where damping is classical, else the mean.
     lossless : bool
         Whether to refuse a system with losses.
-    ports : list of (output, input), optional
+    ports : list of (output, input), or mapping from output to input, optional
         Numbers or names of the output at the port of each input; the other outputs become sensors. Default: output k
         belongs to input k.
     method : {'exact', 'midpoint', 'euler'}, optional

@@ -158,7 +158,7 @@ def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> A
     """What is asked of a fit to these channels, checked."""
     outputs, inputs = channels[0].output_labels, channels[0].input_labels
     assumed = ports is None and len(outputs) == len(inputs) == 1
-    pairs = ((0, 0),) if assumed else () if ports is None else checked_ports(ports, outputs, inputs)
+    pairs = ((0, 0),) if assumed else () if ports is None else _checks.port_pairs(ports, outputs, inputs)
     if structure == "passive" and not pairs:
         raise StructureError("a passive structure needs driving points: name them, ports=[(output, input), ..]")
     return Asked(structure, pairs, checked_quantities(quantity, outputs), assumed)
@@ -178,38 +178,6 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
     if len(each) != len(labels):
         raise StructureError(f"quantity has {len(each)} entries for {len(labels)} outputs; give one for each, or one")
     return tuple(_checks.choice("quantity", one, QUANTITIES) for one in each)
-
-
-def checked_ports(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
-    """Pairs of an output and an input, given by labels or numbers."""
-    if isinstance(ports, str) or not hasattr(type(ports), "__iter__"):
-        raise StructureError(
-            f"ports is {_checks.shown(ports)}; pass a list of pairs (output, input), labels or numbers"
-        )
-    found: list[tuple[int, int]] = []
-    for port in ports:
-        if isinstance(port, str) or not hasattr(type(port), "__len__") or len(port) != 2:
-            raise StructureError(f"port {_checks.shown(port)} is no pair (output, input)")
-        found.append((_place("output", port[0], outputs), _place("input", port[1], inputs)))
-    for k, role in enumerate(("output", "input")):
-        sides = [port[k] for port in found]
-        repeated = [one for one in sides if sides.count(one) > 1]
-        if repeated:
-            label = (outputs, inputs)[k][repeated[0]]
-            raise StructureError(f"{role} {label!r} is at {sides.count(repeated[0])} ports; each belongs to one")
-    return tuple(found)
-
-
-def _place(role: str, value: Any, labels: Sequence[str]) -> int:
-    if isinstance(value, str):
-        if value in labels:
-            return list(labels).index(value)
-    elif _checks.is_whole(value) and 0 <= int(value) < len(labels):
-        return int(value)
-    listed = ", ".join(map(repr, labels)) or "none"
-    raise StructureError(
-        f"ports have the {role} {_checks.shown(value)}; the {role}s are {listed}, numbered from 0 to {len(labels) - 1}"
-    )
 
 
 def starting_poles(guess: Any) -> ComplexArray | None:

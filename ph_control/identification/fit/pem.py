@@ -26,7 +26,7 @@ from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Fit, conclude
 from .lossless_result import LosslessResult
-from .modal_fit import asked_of, checked_ports, fit_channels, starting_poles
+from .modal_fit import asked_of, fit_channels, starting_poles
 from .result import STRUCTURES, OrderRow, PEMResult
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
@@ -105,7 +105,7 @@ def pem(
     structure : {'auto', 'lossless', 'classical', 'passive', 'free'}
         What is assumed: no losses and sensors at the actuators; damping that the real modes of the lossless plant
         decouple; a plant that gives no energy; nothing.  'auto' takes the simplest that is not rejected at 5 %.
-    ports : list of (output, input), optional
+    ports : list of (output, input), or mapping from output to input, optional
         Driving points, where an output is measured where and along which an input acts: labels, or numbers from 0.
         They set the scale of mode shapes.  One input and output are taken for one.
 
@@ -171,7 +171,7 @@ def pem(
             callback=callback, start=starting_poles(initial_guess), moving=initial_state == "estimate",
         )  # fmt: skip
     if ports is not None:
-        checked_ports(ports, *_labels_of(data, dt, weights))
+        _checks.port_pairs(ports, *_labels_of(data, dt, weights))
     result = _lossless_fit(
         data, order, dt, method, intersample, initial_state, offset, quantity, representation, initial_guess, weights,
         criterion, max_order, workers, rng, callback,
