@@ -121,6 +121,50 @@ def test_the_search_starts_from_a_guess_and_tells_of_its_progress():
         phc.pem(recording(), dt=1.0, initial_guess="this")
 
 
+@pytest.mark.parametrize("error", [StopIteration, KeyboardInterrupt])
+@pytest.mark.parametrize("order, structure", [(2, "free"), ("auto", "auto"), (2, "classical")])
+def test_an_interrupted_fit_gives_the_best_so_far_and_says_so(order, structure, error):
+    calls, losses, data = 0, [], recording(samples=300)
+
+    def callback(progress):
+        nonlocal calls
+        calls += 1
+        assert 1 <= progress.order <= progress.max_order and progress.iteration >= 1 and progress.loss > 0
+        if calls > allowed:
+            raise error
+
+    allowed = np.inf
+    options = {"dt": 1.0, "structure": structure, "callback": callback}
+    whole = phc.pem(data, order, **options)
+    total = calls
+    for allowed in [0, 3, total // 2, total - 1]:
+        calls = 0
+        result = phc.pem(data, order, **options)
+        assert calls == allowed + 1, "no call after the one that ended the fit"
+        assert result.outcome.name == "INTERRUPTED" and not result.success and "interrupted" in result.summary()
+        assert 1 <= result.order <= 3 and np.isfinite(result.stderr["damping_ratios"]).all()
+        assert result.structure == ("free" if structure == "auto" and allowed < total - 1 else result.structure)
+        losses.append(result.loglik)
+    assert whole.success and losses[0] < whole.loglik - 10 and losses[-1] > whole.loglik - 10
+
+
+def test_an_interrupted_fit_of_one_output_gives_damped_modes_as_soon_as_there_are_some():
+    (u, y), orders = recording(), []
+    u, y = u[0], PLANT.velocities(np.stack([u[0], 0 * u[0]]))[2] + 0.02 * np.random.default_rng(0).standard_normal(600)
+
+    def stop(progress):
+        orders.append(progress.order)
+        if len(orders) > allowed:
+            raise StopIteration
+
+    allowed = np.inf
+    whole = phc.pem((u, y), dt=1.0, callback=stop)
+    total, orders, allowed = len(orders), [], len(orders) - 1
+    late = phc.pem((u, y), dt=1.0, callback=stop)
+    assert len(orders) == total and late.outcome.name == "INTERRUPTED"
+    assert np.allclose(late.poles, whole.poles, rtol=1e-3) and isinstance(late, phc.DampedResult)
+
+
 def test_noise_alone_is_nothing_to_model():
     rng = np.random.default_rng(0)
     found = phc.pem((rng.standard_normal((2, 300)), rng.standard_normal((2, 300))), dt=1.0)

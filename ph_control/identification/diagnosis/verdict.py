@@ -12,6 +12,7 @@ from .damped_model import HypothesisTest
 
 WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
+CUT_SHORT = "The fit was interrupted; the numbers above are the best found until then."
 _LISTED = 6  # samples named one by one
 _FEW = 20  # samples to spare below which nothing is said of the quality
 
@@ -110,7 +111,7 @@ class FitVerdict:
                 + (" The residues asked for are all negative: check the polarity of the sensor." * self.reversed_sign)
             )
         if self.interrupted:
-            parts.append("The fit was interrupted; the numbers above are the best found until then.")
+            parts.append(CUT_SHORT)
         elif not self.converged:
             parts.append("The refinement did not converge; the numbers above are the best found.")
         if self.n == 0:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.damped_model import HypothesisTest
-from ..diagnosis.verdict import GOOD_FIT, WHITE, Outcome
+from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, Outcome
 from ..regression.free import FreeProjection
 from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, unexplained
 from ..regression.prediction import FittedExperiment
@@ -31,12 +31,14 @@ from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
 from ..structure.layout import POWERS, ChannelLayout
 from ..uncertainty.residual_tests import ljung_box
 from .damped_result import DampedResult
+from .lossless_result import LosslessResult
 from .result import STRUCTURES, OrderRow, PEMResult
 from .scaled_shapes import ModeShapes, shape_errors
 
 QUANTITIES = tuple(POWERS)
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
+Result = TypeVar("Result", DampedResult, LosslessResult)
 
 
 @dataclass(frozen=True)
@@ -65,22 +67,30 @@ def fit_channels(
     most = _checks.whole_number("max_order", max_order, 1)
     if callback is not None and not callable(callback):
         raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
-    report = None if callback is None else _reporter(channels, callback, most)
+    report = None if callback is None else _reporter(callback, most if isinstance(wanted, str) else wanted)
 
     def fit(hold: str, order: int | str, start: ComplexArray | None) -> DampedResult:
         free = free_fit(
             channels, order, quantities=asked.quantities, intersample=hold, offset=bool(offset), moving=moving,
             max_order=most, criterion=criterion, callback=report, start=start,
         )  # fmt: skip
-        return _structured(free, asked, findings)
+        try:
+            return _structured(free, asked, findings)
+        except KeyboardInterrupt:
+            return _structured(replace(free, interrupted=True), asked, findings)
 
     found = fit(intersample, wanted, start)
     settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
     in_time = isinstance(channels[0], Recording) and len(channels[0].u) > 0
-    if intersample != "auto" or not in_time or not found.order or found.structure in settled:
+    if intersample != "auto" or not in_time or not found.order or found.structure in settled or is_cut_short(found):
         return found
     # free residues and a feedthrough are the same models under either hold; only structures tell the two apart
-    other = fit("foh" if found.intersample == "zoh" else "zoh", found.order, found.poles)
+    try:
+        other = fit("foh" if found.intersample == "zoh" else "zoh", found.order, found.poles)
+    except KeyboardInterrupt:
+        return cut_short(found)
+    if is_cut_short(other):
+        return cut_short(found)
     if asked.structure == "auto":
         return min(found, other, key=lambda one: STRUCTURES.index(one.structure))
     return other if other.loglik > found.loglik + TUNING.sure else found
@@ -96,23 +106,36 @@ def _structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> D
     tests: tuple[HypothesisTest, ...] = ()
     if not free.order:
         fit = _without_modes(free)
+    elif asked.structure == "auto" and free.interrupted:
+        fit = constrained(free.projection, layout, "free", free.region)
     elif asked.structure == "auto":
         found = structure_tests(free.projection, layout, free.region)
         tests, fit = found.tests, choose(found)
     else:
-        fit = constrained(free.projection, layout, asked.structure, free.region)
+        fit = constrained(free.projection, layout, asked.structure, free.region, 1 if free.interrupted else None)
     return _result(free, fit, tests, asked, findings)
 
 
-def _reporter(channels: Channels, callback: Callback, most: int) -> Callable[[int, float], None]:
-    """What tells a callback of each model; its loss is that of outputs in a common unit of noise."""
-    samples, seen = sum(int(one.observed.sum()) for one in channels), [0]
+def _reporter(callback: Callback, most: int) -> Callable[[int, int, float], None]:
+    """What tells a callback of the iterations of each model."""
 
-    def told(order: int, loglik: float) -> None:
-        seen[0] += 1
-        callback(Progress(order, most, seen[0], float(np.exp(-2 * loglik / samples - 1) / (2 * np.pi))))
+    def told(order: int, iteration: int, loss: float) -> None:
+        try:
+            callback(Progress(order, most, iteration, loss))
+        except StopIteration:
+            raise KeyboardInterrupt from None
 
     return told
+
+
+def is_cut_short(result: PEMResult) -> bool:
+    """Whether a fit was interrupted."""
+    return result.outcome is Outcome.INTERRUPTED
+
+
+def cut_short(result: Result) -> Result:
+    """A result of a fit that was interrupted on the way to a better one."""
+    return replace(result, success=False, outcome=Outcome.INTERRUPTED, message=CUT_SHORT)
 
 
 def _refuse_still(channels: Channels) -> None:
@@ -252,7 +275,7 @@ def _result(
         ),
         tests=tests,
         findings=findings,
-        success=fit.converged,
+        success=fit.converged and not free.interrupted,
         outcome=outcome,
         message=_message(free, poles, tests, findings, shapes, whiteness, outcome),
         intersample="zoh" if free.per_entry else free.intersample,
@@ -420,6 +443,8 @@ def _rejection(test: HypothesisTest) -> Finding:
 
 
 def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int) -> Outcome:
+    if free.interrupted:
+        return Outcome.INTERRUPTED
     if not free.order:
         return Outcome.NOTHING
     if whiteness < WHITE:
@@ -434,7 +459,7 @@ def _message(
     """What the judgement rests on, in sentences."""
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
-    parts = []
+    parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
     parts += [sentence_of(one, free.intersample) for one in findings if worth_telling(one, free.intersample)]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:

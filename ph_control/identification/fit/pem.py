@@ -14,7 +14,6 @@ from ...exceptions import StructureError
 from ...modal.discretization import METHODS
 from ..data.channels import as_channels, has_several_channels
 from ..diagnosis.damping import DampingWatch, beside
-from ..diagnosis.verdict import Outcome
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
@@ -26,7 +25,7 @@ from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Fit, conclude
 from .lossless_result import LosslessResult
-from .modal_fit import asked_of, fit_channels, starting_poles
+from .modal_fit import asked_of, cut_short, fit_channels, starting_poles
 from .result import STRUCTURES, OrderRow, PEMResult
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
@@ -100,8 +99,7 @@ def pem(
         Seeds of further starts; always the same by default.
     callback : callable, optional
         Called as `callback(progress)` after each iteration, `progress` with `order`, `max_order`, `iteration`, `loss`.
-        If it raises `StopIteration`, or on `KeyboardInterrupt`, the best lossless model so far is returned, and says
-        so; a search for damped modes is over without one.
+        If it raises `StopIteration`, or on `KeyboardInterrupt`, the best model so far is returned, and says so.
     structure : {'auto', 'lossless', 'classical', 'passive', 'free'}
         What is assumed: no losses and sensors at the actuators; damping that the real modes of the lossless plant
         decouple; a plant that gives no energy; nothing.  'auto' takes the simplest that is not rejected at 5 %.
@@ -179,10 +177,9 @@ def pem(
     if structure == "lossless" or result.damped is None or method != "exact" or not result.success:
         return result
     try:
-        return _damped_instead(result, order, ports, criterion, max_order, intersample, initial_state)
+        return _damped_instead(result, order, ports, criterion, max_order, intersample, initial_state, callback)
     except KeyboardInterrupt:
-        said = "The fit was interrupted; the numbers above are the best found until then."
-        return replace(result, success=False, outcome=Outcome.INTERRUPTED, message=said)
+        return cut_short(result)
 
 
 def _refuse_lossless_options(structure: str, method: str, representation: str, criterion: str) -> None:
@@ -216,6 +213,7 @@ def _damped_instead(
     max_order: int,
     intersample: str,
     initial_state: str,
+    callback: Callback | None,
 ) -> PEMResult:
     """The damped model of data that reject a lossless one; this one where none of the structures is simpler."""
     channels = as_channels([one.record for one in result.experiments])
@@ -226,7 +224,7 @@ def _damped_instead(
     found = fit_channels(
         channels, asked, order, intersample=intersample, offset=bool(np.isfinite(result.offset_stderr).any()),
         max_order=max_order, criterion="bic" if criterion == "holdout" else criterion, start=start,
-        findings=result.findings, moving=initial_state == "estimate",
+        findings=result.findings, moving=initial_state == "estimate", callback=callback,
     )  # fmt: skip
     return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
 

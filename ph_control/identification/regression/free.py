@@ -21,7 +21,7 @@ from .elimination import LinearProjection, column_lengths, eliminate, inverse_gr
 from .time_rows import FreeRows
 from .triangular import reduced, triangle
 from .tuning import TUNING
-from .variable_projection import refine
+from .variable_projection import Progress, refine
 
 _STEPS = 40
 _NUDGE = 1e-6  # of a frequency: a step towards a border
@@ -439,11 +439,11 @@ class FreeProblem:
 
 def refine_free(
     make: Make, p: ComplexArray, region: PoleRegion, rtol: float = 1e-8, fed: Mask | None = None, last: bool = True,
-    steps: int = _STEPS,
+    steps: int = _STEPS, progress: Progress | None = None,
 ) -> FreeProjection:  # fmt: skip
     """Poles refined from a start; of those without a decay rate (NaN) it is looked for first.
 
-    What is not the `last` refinement ends where steps get small.
+    What is not the `last` refinement ends where steps get small.  `progress` is told the mean of the squared rows.
     """
     p = p.copy()
     for k in np.flatnonzero(np.isnan(p.real)):
@@ -451,11 +451,16 @@ def refine_free(
     for _ in range(3):  # peaks turn out wider than their window
         problem = FreeProblem(make(p), region, fed)
         start = problem.inside(np.concatenate([p.imag, p.real]))
-        end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last)
+        report = None if progress is None else _averaged(progress, problem.samples)
+        end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last, progress=report)
         before, p = p, end.projection.p
         if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
             break
     return end.projection
+
+
+def _averaged(progress: Progress, samples: int) -> Progress:
+    return lambda iteration, loss: progress(iteration, loss / samples)
 
 
 def _first_decay(make: Make, p: ComplexArray, k: int, region: PoleRegion) -> complex:

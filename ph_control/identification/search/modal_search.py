@@ -7,7 +7,7 @@ jointly, and each output counts by the variance of its own noise, which is estim
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +23,7 @@ from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_fr
 from ..regression.frequency_rows import FreeResponse
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import autoregression, correlations
 from .criteria import Criteria, past_of_noise
@@ -31,7 +32,7 @@ from .free_search import FreeSearch, Left, Records, Responses
 from .steps import stands_out
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
-Report = Callable[[int, float], None]  # modes, log-likelihood
+Report = Callable[[int, int, float], None]  # modes, iteration, mean squared residual
 
 _STEPS = 15  # of a refinement on the way
 _ROUNDS = 6  # of fit and variances in turn
@@ -167,8 +168,8 @@ def free_fit(
     criterion : {'bic', 'aicc', 'aic'}
         What chooses the order.
     callback : callable, optional
-        Called with the number of modes and the log-likelihood of each model on the way.  If it raises `StopIteration`,
-        or on `KeyboardInterrupt`, the best model so far is returned.
+        Called after each iteration with the number of modes, the iteration, and the mean squared residual, of outputs
+        in a common unit of noise.  On `KeyboardInterrupt` the best model so far is returned, if it has a mode.
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
 
@@ -194,19 +195,21 @@ def free_fit(
     path.check(1 if automatic else int(order))
     most = min(max_order, path.carried) if automatic else int(order)
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
-    interrupted = False
     try:
-        step = path.chosen(begin, most, automatic)
-    except (KeyboardInterrupt, StopIteration):
-        if path.best is None:
+        path.best = path.chosen(begin, most, automatic)
+        found = path.finished(path.best, tuple(channels), per_entry, holds[0])
+    except KeyboardInterrupt:
+        if path.best is None or not len(path.best.p):
             raise
-        step, interrupted = path.best, True
-    found = path.finished(step, tuple(channels), per_entry, holds[0], interrupted)
-    if len(holds) > 1 and found.order and found.projection.inputs and not interrupted:
+        return path.finished(path.best, tuple(channels), per_entry, holds[0], interrupted=True)
+    if len(holds) > 1 and found.order and found.projection.inputs:
         # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
-        other = _Path.of(channels, quantities, holds[1], offset, criterion, None, moving)
+        other = _Path.of(channels, quantities, holds[1], offset, criterion, callback, moving)
         other.table = path.table
-        rival = other.finished(step, tuple(channels), per_entry, holds[1], interrupted)
+        try:
+            rival = other.finished(path.best, tuple(channels), per_entry, holds[1])
+        except KeyboardInterrupt:
+            return replace(found, interrupted=True)
         found = rival if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure else found
     return found
 
@@ -378,19 +381,36 @@ class _Path:
     def model(self, p: ComplexArray, rtol: float = _ROUGH) -> _Model:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
         search = self.scaled
-        at = refine_free(search.rows, p, search.region, rtol, last=False, steps=_STEPS)
+        try:
+            report = self.report(len(p))
+            at = refine_free(search.rows, p, search.region, rtol, last=False, steps=_STEPS, progress=report)
+        except Interrupted as cut:
+            imag, real = np.split(cut.x, 2)
+            self.judged(FreeProjection(search.rows(real + 1j * imag), real + 1j * imag))
+            raise
+        return self.judged(at)
+
+    def judged(self, at: FreeProjection) -> _Model:
+        """What modes leave, entered into the table."""
+        search = self.scaled
         left = search.left(at)
         losses = search.losses(left) / self.sizes**2
         found = _Model(at, left, losses, self.loglik(losses))
-        unknowns, n = self.unknowns(len(p)), len(p)
-        judged = self.criteria(found.loglik, unknowns)
+        n = len(at.p)
+        judged = self.criteria(found.loglik, self.unknowns(n))
         if n not in self.table or self.table[n].loglik < found.loglik:
             self.table[n] = FreeOrder(n, found.loglik, judged.aic, judged.aicc, judged.bic, at.p[np.argsort(at.d)])
         if self.best is None or self.cost(found) < self.cost(self.best):
             self.best = found
-        if self.callback is not None:
-            self.callback(n, found.loglik)
         return found
+
+    def report(self, n: int) -> Progress | None:
+        """What tells the callback of the iterations of n modes."""
+        callback = self.callback
+        if callback is None:
+            return None
+        unit = float(np.exp(-2 * np.sum(self.counts * np.log(self.sizes)) / self.counts.sum()))
+        return lambda iteration, loss: callback(n, iteration, unit * loss)
 
     def reweighted(self, model: _Model) -> _Model:
         """The same model with the weights of what it leaves."""
@@ -531,15 +551,19 @@ class _Path:
 
     def fitted(self, p: ComplexArray, rtol: float = TUNING.rough, fed: Mask | None = None) -> FreeProjection:
         """Modes refined over all data."""
-        return refine_free(lambda _: self.scaled.all_rows(), p, self.scaled.region, rtol, fed)
+        report = self.report(len(p))
+        return refine_free(lambda _: self.scaled.all_rows(), p, self.scaled.region, rtol, fed, progress=report)
 
-    def settled(self, at: FreeProjection, fed: Mask | None) -> tuple[FreeProjection, Array]:
-        """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
+    def settled(self, at: FreeProjection, fed: Mask | None, rounds: int = _ROUNDS) -> tuple[FreeProjection, Array]:
+        """The minimum over all data, with the variances that belong to it; and the losses of outputs.
+
+        A single round leaves the poles where they are.
+        """
         before = -np.inf
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             losses = self.scaled.losses(self.scaled.left(at)) / self.sizes**2
             now = self.loglik(losses)
-            alone = len(losses) == 1
+            alone = len(losses) == 1 or rounds == 1
             self.weigh(losses)
             at = self.fitted(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.all_rows(), at.p, fed)
             if alone or now - before <= _SETTLED * max(1.0, abs(now)) / len(losses):
@@ -548,16 +572,24 @@ class _Path:
         return at, losses
 
     def finished(
-        self, model: _Model, channels: tuple[Any, ...], per_entry: bool, hold: str, interrupted: bool
+        self, model: _Model, channels: tuple[Any, ...], per_entry: bool, hold: str, interrupted: bool = False
     ) -> FreeFit:
-        """The last minimum; what is fed through only where it stands out, or has to be."""
+        """The last minimum; what is fed through only where it stands out, or has to be.
+
+        Who interrupts wants an end: then the poles stay as they are.
+        """
         self.weigh(model.losses)
-        at, losses = self.settled(self.fitted(model.p), None)
+        rounds = 1 if interrupted else _ROUNDS
+
+        def fitted(p: ComplexArray, fed: Mask | None) -> FreeProjection:
+            return FreeProjection(self.scaled.all_rows(), p, fed) if interrupted else self.fitted(p, fed=fed)
+
+        at, losses = self.settled(fitted(model.p, None), None, rounds)
         fed: Mask | None = None
         if at.has_feedthrough and not self.felt.all():
             fed = self.felt | self.stands_out(at)
             if not fed.all():
-                at, losses = self.settled(self.fitted(at.p, fed=fed), fed)
+                at, losses = self.settled(fitted(at.p, fed), fed, rounds)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
         unknowns = self.unknowns(len(rank)) - (0 if fed is None else int(np.sum(~fed)))
