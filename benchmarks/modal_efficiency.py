@@ -21,7 +21,8 @@ ComplexArray = NDArray[np.complex128]
 
 SAMPLES = 800
 NOISE = 0.1  # 20 dB
-QUIET = 1e-3  # of the noise, with which a fit has the bound at the truth
+QUIET = 1e-3  # of the noise, with which fits have the bound at the truth,
+QUIET_SEEDS = range(10_000, 10_025)  # each estimates its variances: the mean of so many is right to a per cent
 LEVEL = 0.95
 PARAMETERS = ("natural_frequencies", "damping_ratios", "residues", "shapes")
 
@@ -95,9 +96,13 @@ def data_of(plant: Plant, kind: str, samples: int, seed: int, noise: float) -> A
 
 @dataclass(frozen=True)
 class Efficiency:
-    """Of one kind of parameter: mean squared error over the bound, mean error, share of intervals that cover."""
+    """Of one kind of parameter: mean squared error over the bound, mean error, share of intervals that cover.
+
+    `uncertain` is the standard error of the ratio.
+    """
 
     ratio: float
+    uncertain: float
     bias: float
     cover: float
 
@@ -110,26 +115,29 @@ def study(
     ports = [] if kind == "decay" else [(k, k) for k in range(plant.inputs)]
     options: dict[str, Any] = {"structure": structure, "ports": ports, "order": len(plant.poles)}
     options |= {} if kind == "response" else {"dt": 1.0, "intersample": "zoh"}
-    quiet = phc.pem(data_of(plant, kind, samples, 0, NOISE * QUIET), **options)
+    quiet = [phc.pem(data_of(plant, kind, samples, one, NOISE * QUIET), **options) for one in QUIET_SEEDS]
     truth = plant.truth
     if kind == "decay":
         lead = np.abs(plant.shapes).argmax(axis=1)
         truth["shapes"] = plant.shapes / plant.shapes[np.arange(len(lead)), lead][:, None] + 0j
         truth.pop("residues")
+    squares = {name: np.mean([_parts(one.stderr[name]) ** 2 for one in quiet], axis=0) for name in truth}
     errors: dict[str, list[Array]] = {name: [] for name in truth}
     covers: dict[str, list[NDArray[Any]]] = {name: [] for name in truth}
     for seed in range(1, seeds + 1):
-        found = phc.pem(data_of(plant, kind, samples, seed, NOISE), initial_guess=quiet, **options)
+        found = phc.pem(data_of(plant, kind, samples, seed, NOISE), initial_guess=quiet[0], **options)
         intervals = found.confidence_interval(LEVEL)
         for name, true in truth.items():
-            bound = _parts(quiet.stderr[name]) / QUIET
+            bound = np.sqrt(squares[name]) / QUIET
             shown = bound > 1e-6 * np.abs(true).max()  # some are fixed by the scale, or by the structure
             errors[name].append((_parts(getattr(found, name)) - _parts(true))[shown] / bound[shown])
             low, high = _parts(intervals[name][..., 0]), _parts(intervals[name][..., 1])
             covers[name].append(((low <= _parts(true)) & (_parts(true) <= high))[shown])
+    each = {name: np.mean(np.square(errors[name]), axis=1) for name in truth}
     return {
         name: Efficiency(
-            float(np.mean(np.square(errors[name]))),
+            float(np.mean(each[name])),
+            float(np.std(each[name]) / np.sqrt(seeds)),
             float(np.abs(np.mean(errors[name], axis=0)).max()),
             float(np.mean(covers[name])),
         )
@@ -158,7 +166,8 @@ def main() -> None:
             print(f"{kind}, {structure}: {options.seeds} seeds in {took:.0f} s")
             for name, one in found.items():
                 print(
-                    f"  {name:20s} ratio {one.ratio:5.3f}, largest bias {one.bias:5.3f}, cover {100 * one.cover:5.1f} %"
+                    f"  {name:20s} ratio {one.ratio:5.3f} +- {one.uncertain:5.3f}, largest bias {one.bias:5.3f}, "
+                    f"cover {100 * one.cover:5.1f} %"
                 )
 
 
