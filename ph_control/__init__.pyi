@@ -58,6 +58,7 @@ from .identification.fit.lossless_result import LosslessResult as LosslessResult
 from .identification.fit.pem import pem as pem
 from .identification.fit.pem import prediction_error_fit as prediction_error_fit
 from .identification.fit.result import PEMResult as PEMResult
+from .identification.fit.stabilisation import Stabilisation as Stabilisation
 from .identification.regression.free_prediction import FittedChannels as FittedChannels
 from .identification.regression.prediction import FittedExperiment as FittedExperiment
 from .identification.search.order_selection import OrderSelection as OrderSelection

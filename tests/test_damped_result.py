@@ -220,3 +220,61 @@ def test_models_are_drawn_around_a_free_decay_which_has_no_residues():
     draws = fit.sample(5, 0)
     assert draws.residues.shape == (5, 1, 1, 0) and draws.feedthrough.shape == (5, 1, 0)
     assert np.abs(draws.natural_frequencies / fit.natural_frequencies - 1).max() < 0.01
+
+
+# --- ascending orders ------------------------------------------------------------------------------------------------
+
+
+def test_true_modes_are_stable_in_all_orders_beyond_and_the_result_is_among_them(result):
+    found = result.stabilisation(beyond=3)
+    assert found.orders.tolist() == [1, 2, 3, 4, 5] and found.order == 2
+    assert np.array_equal(found.poles[1], result.poles) and np.allclose(np.diag(result.mac(found.shapes[1])), 1)
+    for poles, hertz, stable, level, assurance in zip(
+        found.poles[2:], found.hertz[2:], found.stable[2:], found.stability[2:], found.mac[2:], strict=True
+    ):
+        true = np.abs(poles[:, None] - result.poles).argmin(axis=0)
+        assert stable[true].all() and np.all(level[true] == 3) and np.all(assurance[true] > 0.95)
+        assert np.allclose(hertz, np.abs(poles) / (2 * np.pi)) and len(poles) > np.sum(level > 0)
+    table = found.table
+    assert len(table) == 15 and np.array_equal(table.order, np.repeat(found.orders, found.orders))
+    assert np.array_equal(table.hertz, np.concatenate(found.hertz)) and table.stable.sum() == sum(
+        map(np.sum, found.stable)
+    )
+
+
+def test_tolerances_of_a_diagram_are_those_of_its_picture(result):
+    found = result.stabilisation(beyond=1, frequency_tolerance=0.5, damping_tolerance=0.0)
+    assert not any(level.max() > 1 for level in found.stability[1:]) and not any(map(np.any, found.stable))
+    plot = found.plot()
+    assert [line.get_label() for line in plot.lines[0, 0]][1] == "stable frequency (50 %)"
+    drawn = sum(len(line.get_xdata()) for line in plot.lines[0, 0])
+    assert drawn == sum(found.orders) and len(plot.figure.axes) == 2  # over what was measured
+    again = phc.stabilisation_plot(result)
+    assert max(line.get_ydata().max(initial=0) for line in again.lines[0, 0]) == result.order + 5
+    plt.close("all")
+
+
+def test_a_diagram_of_one_output_asks_for_no_shape_and_comes_of_files_as_well(single, tmp_path):
+    found = single.stabilisation(beyond=1)
+    assert max(map(np.max, found.stability)) == 2 and found.stable[-1].sum() >= single.order
+    assert all(np.isnan(one).all() for one in found.mac) and "shape" not in str(found)
+    single.save(tmp_path / "result.json")
+    again = pickle.loads(pickle.dumps(phc.load(tmp_path / "result.json"))).stabilisation(beyond=1)
+    assert all(np.array_equal(*pair) for pair in zip(found.poles, again.poles, strict=True))
+
+
+@pytest.mark.parametrize("options", [{"beyond": -1}, {"least_mac": 2}, {"frequency_tolerance": np.nan}])
+def test_a_diagram_refuses_what_is_out_of_range(single, options):
+    with pytest.raises(phc.StructureError, match=next(iter(options))):
+        single.stabilisation(**options)
+
+
+def test_lossless_results_have_a_diagram_of_frequencies():
+    rng, plant = np.random.default_rng(0), phc.ph(phc.modes([0.5, 2.0], [1.0, 0.25]))
+    u = rng.standard_normal(400)
+    y = phc.forced_response(plant, 0.5 * np.arange(400), u, intersample="zoh").outputs
+    lossless = phc.pem((u, y + 0.1 * rng.standard_normal(400)), dt=0.5, structure="lossless")
+    found = lossless.stabilisation(beyond=2)
+    assert found.orders.tolist() == [1, 2, 3, 4] and np.array_equal(found.poles[1], 1j * lossless.d)
+    assert all(np.abs(np.abs(poles)[:, None] - lossless.d).min(axis=0).max() < 0.01 for poles in found.poles[1:])
+    assert found.stable[-1].sum() >= 2 and not np.any(found.damping_ratios[-1])

@@ -82,6 +82,7 @@ SYSTEMS = (plant(), phc.ch([1.0], [1.0, 0.0]), phc.oh([1.0], [1.0, 0.0]), phc.af
 CALLS: dict[str, list[Callable[..., Any]]] = {
     "OrderSelection.plot": [lambda **k: phc.order_selection(fitted().record, 2).plot(**k)],
     "LosslessResult.plot": [lambda **k: fitted().plot(**k)],
+    "Stabilisation.plot": [lambda **k: damped_fit().stabilisation(1).plot(**k)],
     "DampedResult.plot": [lambda **k: damped_fit().plot(**k)],
     "AffineHamiltonian": [lambda **k: phc.AffineHamiltonian(np.eye(2), [1, 0], **k)],
     "AffineHamiltonian.derivative": [lambda **k: phc.affine(np.eye(2), [1, 0]).derivative(**k)],

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from .._checks import TINY
+from .._checks import TINY, shown
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 
@@ -75,15 +75,23 @@ def stable_poles(
     frequency_tolerance: float = 0.01,
     damping_tolerance: float = 0.05,
     least_mac: float = 0.95,
-) -> list[NDArray[np.int8]]:
+) -> tuple[list[NDArray[np.int8]], list[Array]]:
     """For the poles (k,) of each order, with shapes (k, p), their `Stability` against those of the order before.
+
+    And the MAC with the pole of the order before that confirms each; NaN without one, and of a single output.
 
     A pole is stable in frequency if one of the order before has the same `|p|` to `frequency_tolerance`, in damping if
     its ratio is the same to `damping_tolerance` as well, both relative to the larger one, and in shape if besides the
     MAC of both reaches `least_mac`.  Each pole of the order before confirms one at most: that of the most in common,
     then the nearest.  A single output has no shape.
     """
+    for name, value in (
+        ("frequency_tolerance", frequency_tolerance), ("damping_tolerance", damping_tolerance), ("least_mac", least_mac)
+    ):  # fmt: skip
+        if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 <= value <= 1):
+            raise StructureError(f"{name} is {shown(value)}; it must be a number from 0 to 1")
     found = [np.zeros(len(row), np.int8) for row in poles]
+    assurance = [np.full(len(row), np.nan) for row in poles]
     seen = shapes is not None and all(row.shape[1] > 1 for row in shapes)
     for k in range(1, len(poles)):
         d, before = np.abs(poles[k])[:, None], np.abs(poles[k - 1])[None, :]
@@ -93,13 +101,14 @@ def stable_poles(
         sizes = np.maximum(np.abs(zeta)[:, None], np.abs(earlier))
         in_damping = in_frequency & (np.abs(zeta[:, None] - earlier) <= damping_tolerance * sizes)
         level = in_frequency.astype(np.int8) + in_damping
-        if seen and shapes is not None:
-            level += in_damping & (mac(shapes[k], shapes[k - 1]) >= least_mac)
+        alike = mac(shapes[k], shapes[k - 1]) if seen and shapes is not None else np.full(level.shape, np.nan)
+        level += in_damping & (alike >= least_mac)
         # one level outweighs any sum of distances, of which each counts less than its share of 1
         near = distance / (frequency_tolerance or 1.0) / (2.0 * (len(d) + 1))
         mine, its = linear_sum_assignment(np.where(in_frequency, near - level, 0.0))
         found[k][mine] = level[mine, its]
-    return found
+        assurance[k][mine] = np.where(in_frequency, alike, np.nan)[mine, its]
+    return found, assurance
 
 
 def _ratios(poles: ComplexArray) -> Array:

@@ -289,9 +289,9 @@ def stabilisation_plot(
 
     Parameters
     ----------
-    poles : PEMResult, or sequence of pairs (poles, shapes) or of arrays of poles
+    poles : PEMResult, Stabilisation, or sequence of pairs (poles, shapes) or of arrays of poles
         For each order the poles, shape (k,), rad per unit time, one of each pair, and mode shapes, shape (k, p); or a
-        result whose `stabilisation()` gives these.
+        result, whose `stabilisation()` gives these, with five orders above its own.
     data : control.FrequencyResponseData, control.TimeResponseData, or list of them, optional
         Measurement to draw behind: the sum of the sizes of all responses, or the power spectrum of all outputs; by
         default what a result was fitted to.
@@ -389,11 +389,6 @@ def stabilisation_data(
     least_mac: float = 0.95,
 ) -> StabilisationData:  # fmt: skip
     """Compute what `stabilisation_plot` draws, of its arguments."""
-    for name, value in (
-        ("frequency_tolerance", frequency_tolerance), ("damping_tolerance", damping_tolerance), ("least_mac", least_mac)
-    ):  # fmt: skip
-        if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 <= value <= 1):
-            raise StructureError(f"{name} is {_checks.shown(value)}; it must be a number from 0 to 1")
     found = given.stabilisation() if hasattr(given, "stabilisation") else given
     try:
         rows = [_one_order(k, one) for k, one in enumerate(found)]
@@ -408,7 +403,7 @@ def stabilisation_data(
         raise StructureError("the orders differ in the outputs of their shapes; give shapes of the same ones with each")
     poles = [row for row, _ in rows]
     shapes = [row for _, row in rows if row is not None]
-    levels = stable_poles(
+    levels, _ = stable_poles(
         poles, shapes or None, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance,
         least_mac=least_mac,
     )  # fmt: skip

@@ -25,11 +25,13 @@ from ..diagnosis.verdict import Outcome
 from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
 from ..regression.prediction import FittedExperiment, chosen_experiment
 from ..search.circumstances import Finding
+from ..search.modal_search import orders_about
 from ..uncertainty.draws import draw, intervals
 from ..uncertainty.modal_draws import ModalSamples
 from .report import DampedReport
 from .result import OrderRow, PEMResult, kind_plot, output_plot
 from .scaled_shapes import ModeShapes, Ports, in_velocity_units
+from .stabilisation import Orders
 
 _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of its own does not stand for
 
@@ -350,6 +352,20 @@ class DampedResult(DampedReport, PEMResult):
         """Driving points that set the scale of the shapes."""
         return self.ports if self.shapes_scaled else ()
 
+    def _orders_about(self, most: int) -> Orders:
+        """Poles and shapes of models of one mode more each, this result among them."""
+        records: Any = as_channels([one.record for one in self.experiments])
+        moving = any(bool(np.any(one.free_amplitudes)) for one in self.experiments)
+        rows = orders_about(
+            records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
+            offset=bool(self.offsets.any()), moving=moving,
+        )  # fmt: skip
+        return [
+            (self.poles, self.shapes) if len(poles) == self.order
+            else (poles, ModeShapes.of(poles, residues, self.quantities, ()).shapes)
+            for poles, residues in rows
+        ]  # fmt: skip
+
     # --- prediction ------------------------------------------------------------------------------------------------
 
     @property
@@ -489,9 +505,9 @@ class DampedResult(DampedReport, PEMResult):
         ----------
         experiment : int
             Which of several experiments, counted from 0.
-        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'residuals', 'tests'}
+        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
             What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
-            `residual_plot` or `hypothesis_plot`.
+            `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
         output, input : int
             Which output, and of a response from which input, counted from 0; by default the first, and of 'circles' of
             each mode those in which it counts most.

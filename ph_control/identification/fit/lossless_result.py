@@ -32,6 +32,7 @@ from ..regression.prediction import (
     step_after,
 )
 from ..search.circumstances import Finding
+from ..search.order_selection import order_selection
 from ..search.path import Start
 from ..search.response_noise import NoiseLaw
 from ..structure.layout import POWERS
@@ -41,6 +42,7 @@ from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .report import FitReport, residue_errors
 from .result import OrderRow, PEMResult, kind_plot, output_plot
+from .stabilisation import Orders
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -369,6 +371,17 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         found = draw(mean, self.covariance, k, rng, nonnegative=(place >= n) & (place < 2 * n), positive=place < n)
         return ModeSamples(found[:, :n], found[:, n : 2 * n], found[:, 2 * n :])
 
+    def _orders_about(self, most: int) -> Orders:
+        """Poles and shapes of models of one mode more each, this result among them."""
+        selection = order_selection(
+            [one.record for one in self.experiments], most, method=self.method, intersample=self.intersample,
+            initial_state="estimate" if any(one.free_amplitudes.any() for one in self.experiments) else "zero",
+            offset=bool(np.isfinite(self.offset_stderr).any()), quantity=self.quantity,
+            representation=self.representation,
+        )  # fmt: skip
+        found = {len(d): d for d in selection.frequencies if len(d)} | {self.order: self.d}
+        return [(np.asarray(1j * found[n]), np.ones((n, 1), np.complex128)) for n in sorted(found)]
+
     # --- prediction ------------------------------------------------------------------------------------------------
 
     def _hold(self, dt: float) -> Hold:
@@ -488,9 +501,9 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         ----------
         experiment : int
             Which of several experiments, counted from 0.
-        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'residuals', 'tests'}
+        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
             What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
-            `residual_plot` or `hypothesis_plot`.
+            `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
         **kwargs
             Passed to the plotting function: labels and units.
 

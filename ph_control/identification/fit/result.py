@@ -21,8 +21,9 @@ from ...numerics.mode_shapes import mac, phase_collinearity
 from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
-from ...plotting.validation_plot import hypothesis_plot
+from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
 from ..regression.prediction import fit_percent
+from .stabilisation import Stabilisation, compared
 
 STRUCTURES = ("lossless", "classical", "passive", "free")  # the simplest first
 
@@ -196,6 +197,72 @@ class PEMResult(Report, Frozen):
         """What the prediction leaves, all experiments one after the other; NaN where the output is missing."""
         return _checks.readonly(np.concatenate([one.residuals for one in self.experiments], axis=-1))
 
+    def stabilisation(
+        self,
+        beyond: int = 5,
+        *,
+        frequency_tolerance: float = 0.01,
+        damping_tolerance: float = 0.05,
+        least_mac: float = 0.95,
+    ) -> Stabilisation:
+        """Fit models of ascending order to the same data, and tell which poles stay from one to the next.
+
+        Parameters
+        ----------
+        beyond : int
+            Number of orders above that of the result.
+        frequency_tolerance, damping_tolerance : float
+            Relative change up to which a frequency, or a damping ratio, counts as the same.
+        least_mac : float
+            Modal assurance criterion from which on a shape does.
+
+        Returns
+        -------
+        Stabilisation
+            Poles and shapes of each order, their stability, and a picture.
+
+        Raises
+        ------
+        StructureError
+            If `beyond` or a tolerance is out of range, or the result has no modes.
+
+        See Also
+        --------
+        stabilisation_plot : draws the same of a result.
+
+        Notes
+        -----
+        Models of one mode more each, from a single one to `order + beyond`, or to what the data can carry; that of this
+        order is the result itself.  Of damped modes they have free residues, of lossless ones none has damping, and a
+        mode of noise joins at each order beyond: it may stay as well, which is why the criteria, and not this diagram,
+        choose the order.  The cost is that of a search for so many modes.
+
+        Examples
+        --------
+        >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
+        >>> rng, plant = np.random.default_rng(0), phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5], damping=[0.01, 0.02]))
+        >>> u = rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.5 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u, y + 0.05 * rng.standard_normal(500)), dt=0.5)
+        >>> diagram = result.stabilisation(beyond=2)
+        >>> print(diagram)
+          order  new  frequency  damping
+              1    1          0        0
+              2    1          0        1  the result
+              3    1          0        2
+              4    2          0        2
+        >>> diagram.stable[1].tolist(), diagram.damping_ratios[1].round(3).tolist()
+        ([True, False], [0.01, 0.02])
+        >>> plt.close(diagram.plot(time_unit="s").figure)
+        """
+        beyond = _checks.whole_number("beyond", beyond, 0)
+        if not self.order:
+            raise StructureError("this result has no modes, and there are none to follow over orders")
+        return compared(
+            self._orders_about(self.order + beyond), self, frequency_tolerance=frequency_tolerance,
+            damping_tolerance=damping_tolerance, least_mac=least_mac,
+        )  # fmt: skip
+
     def summary(self) -> str:
         """Report for people: model, uncertainty, quality, verdict.
 
@@ -247,7 +314,7 @@ class PEMResult(Report, Frozen):
         save(self, path, overwrite=overwrite)
 
 
-KINDS = ("fit", "responses", "circles", "shapes", "assurance", "residuals", "tests")
+KINDS = ("fit", "responses", "circles", "shapes", "assurance", "stabilisation", "residuals", "tests")
 
 
 def kind_plot(result: PEMResult, kind: str, experiment: int, **kwargs: Any) -> Any:
@@ -258,7 +325,7 @@ def kind_plot(result: PEMResult, kind: str, experiment: int, **kwargs: Any) -> A
         return residual_plot(result, experiment, **kwargs)
     pictures: dict[str, Callable[..., Any]] = {
         "responses": frf_plot, "circles": circle_plot, "shapes": shape_plot, "assurance": mac_plot,
-        "tests": hypothesis_plot,
+        "stabilisation": stabilisation_plot, "tests": hypothesis_plot,
     }  # fmt: skip
     return pictures[kind](result, **kwargs)
 

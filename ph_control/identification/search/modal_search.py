@@ -214,6 +214,25 @@ def free_fit(
     return found
 
 
+def orders_about(
+    channels: Experiments, poles: ComplexArray, most: int, *, quantities: Sequence[str], intersample: str, offset: bool,
+    moving: bool,
+) -> list[tuple[ComplexArray, ComplexArray]]:  # fmt: skip
+    """Poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and from these to the most.
+
+    Without inputs the residues are motions in the experiments.
+    """
+    path = _Path.of(channels, quantities, intersample, offset, "bic", None, moving)
+    found = []
+    for start, end in ((poles[:0], len(poles) - 1), (poles, min(most, path.carried))):
+        model: _Model | None = path.reweighted(path.model(start))
+        while model is not None:
+            if len(model.p):
+                found.append((model.p, path.residues(model.at, channels)))
+            model = path.joined(model, len(model.p) + 1, False) if len(model.p) < end else None
+    return found
+
+
 # --- data ------------------------------------------------------------------------------------------------------------
 
 
@@ -411,6 +430,19 @@ class _Path:
             return None
         unit = float(np.exp(-2 * np.sum(self.counts * np.log(self.sizes)) / self.counts.sum()))
         return lambda iteration, loss: callback(n, iteration, unit * loss)
+
+    def residues(self, at: FreeProjection, channels: Experiments) -> ComplexArray:
+        """Residues in the units of the data, shape (n, p, m); without inputs motions in the experiments."""
+        n, p, m = len(at.p), len(channels[0].output_labels), len(channels[0].input_labels)
+        if m:
+            return np.asarray(at.residues / self.sizes[:, None]).reshape(n, p, m)
+        motions = np.zeros((n, p, len(channels)), complex)
+        measured, done = np.cumsum([int(one.observed.any(axis=-1).sum()) for one in channels]), 0
+        for rows, own in zip(at.experiments, at.own, strict=True):
+            place = int(np.searchsorted(measured, done, side="right"))
+            motions[:, rows.outputs, place] = (own[:n] + 1j * own[n : 2 * n]) / self.sizes[rows.outputs]
+            done += len(rows.outputs)
+        return motions
 
     def reweighted(self, model: _Model) -> _Model:
         """The same model with the weights of what it leaves."""

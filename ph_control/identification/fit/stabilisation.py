@@ -1,0 +1,137 @@
+"""Modes of models of ascending order: which of them stay in frequency, damping and shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..._display import Report, aligned
+from ..._frozen import Frozen
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..._units import hertz_size
+from ...numerics.mode_shapes import stable_poles
+from ...plotting.validation_plot import stabilisation_plot
+
+Orders = Sequence[tuple[ComplexArray, ComplexArray]]  # poles (n,) and shapes (n, p) of each
+
+_LEVELS = ("new", "frequency", "damping", "shape")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stabilisation(Report, Frozen):
+    """Poles of ascending orders, compared with those of the order before; made by `PEMResult.stabilisation`.
+
+    Its text is a table of the orders, and of how many poles are new, stable in frequency only, in damping as well, and
+    in shape as well; iterated, it gives the pairs (poles, shapes).
+
+    Attributes
+    ----------
+    orders : ndarray, shape (K,)
+        Numbers of modes, ascending.
+    poles : tuple of ndarray of complex, shapes (n,)
+        Of each order, those of positive imaginary part, by their natural frequencies.
+    shapes : tuple of ndarray of complex, shapes (n, p)
+        Mode shapes, in units of velocity, the largest entry 1.
+    stability : tuple of ndarray of int, shapes (n,)
+        0 of a pole that is new, 1 if its frequency is that of a pole of the order before, 2 if its damping is as well,
+        3 if its shape is as well.
+    mac : tuple of ndarray, shapes (n,)
+        Modal assurance criterion with that pole; NaN where there is none, and of a single output.
+    order : int
+        That of the result.
+    frequency_tolerance, damping_tolerance, least_mac : float
+        What counts as the same.
+    experiments : tuple
+        What the fit says of each experiment, for the picture.
+    time_unit : str or None
+        Unit of time of the data.
+    """
+
+    orders: Indices
+    poles: tuple[ComplexArray, ...]
+    shapes: tuple[ComplexArray, ...]
+    stability: tuple[NDArray[np.int8], ...]
+    mac: tuple[Array, ...]
+    order: int
+    frequency_tolerance: float
+    damping_tolerance: float
+    least_mac: float
+    experiments: tuple[Any, ...]
+    time_unit: str | None
+
+    def __iter__(self) -> Iterator[tuple[ComplexArray, ComplexArray]]:
+        return iter(zip(self.poles, self.shapes, strict=True))
+
+    @property
+    def hertz(self) -> tuple[Array, ...]:
+        """Natural frequencies of each order in Hz; where `time_unit` is not known, as if it were the second."""
+        return tuple(np.abs(one) / hertz_size(self.time_unit) for one in self.poles)
+
+    @property
+    def damping_ratios(self) -> tuple[Array, ...]:
+        """Damping ratios of each order."""
+        return tuple(0.0 - one.real / np.abs(one) for one in self.poles)
+
+    @property
+    def stable(self) -> tuple[Mask, ...]:
+        """Which poles of each order are stable in frequency, damping and, of several outputs, in shape."""
+        most = 3 if self.shapes and self.shapes[0].shape[1] > 1 else 2
+        return tuple(one == most for one in self.stability)
+
+    @property
+    def table(self) -> NDArray[Any]:
+        """All poles one after the other, as a structured array: order, hertz, damping_ratio, mac, stability, stable."""
+        of_orders: list[Any] = [self.hertz, self.damping_ratios, self.mac, self.stability, self.stable]
+        columns = [np.repeat(self.orders, self.orders), *(np.concatenate(one) for one in of_orders)]
+        kinds = zip(("order", "hertz", "damping_ratio", "mac", "stability", "stable"), columns, strict=True)
+        return np.array(list(zip(*columns, strict=True)), [(name, one.dtype) for name, one in kinds]).view(np.recarray)
+
+    def __str__(self) -> str:
+        """Table of the orders."""
+        levels = _LEVELS if self.shapes and self.shapes[0].shape[1] > 1 else _LEVELS[:3]
+        rows = [["order", *levels, ""]]
+        for order, one in zip(self.orders, self.stability, strict=True):
+            counts = np.bincount(one, minlength=len(levels))
+            rows.append([str(order), *map(str, counts), "the result" if order == self.order else ""])
+        return "\n".join(aligned(rows))
+
+    def _headline(self) -> str:
+        place = np.flatnonzero(self.orders == self.order)
+        stable = int(self.stable[place[0]].sum()) if len(place) else 0
+        return f"orders {self.orders[0]} to {self.orders[-1]}, {stable} of {self.order} modes stable"
+
+    def plot(self, data: Any = None, **kwargs: Any) -> ct.ControlPlot:
+        """Stabilisation diagram, over the measured responses or the spectra of the outputs.
+
+        Parameters
+        ----------
+        data : control.FrequencyResponseData, control.TimeResponseData, or list of them, optional
+            What to draw behind the poles; by default what was fitted.
+        **kwargs
+            As in `stabilisation_plot`.
+
+        Returns
+        -------
+        control.ControlPlot
+
+        Examples
+        --------
+        See `stabilisation_plot`.
+        """
+        limits = {name: getattr(self, name) for name in ("frequency_tolerance", "damping_tolerance", "least_mac")}
+        return stabilisation_plot(self, data, **{**limits, **kwargs})
+
+
+def compared(rows: Orders, result: Any, **limits: float) -> Stabilisation:
+    """Poles and shapes of ascending orders about that of a result, compared with those before."""
+    ranks = [np.argsort(np.abs(poles), kind="stable") for poles, _ in rows]
+    poles, shapes = (tuple(np.asarray(row[k])[rank] for row, rank in zip(rows, ranks, strict=True)) for k in (0, 1))
+    stability, assurance = stable_poles(poles, shapes, **limits)
+    return Stabilisation(
+        np.array([len(one) for one in poles]), poles, shapes, tuple(stability), tuple(assurance), result.order,
+        experiments=result.experiments, time_unit=result.time_unit, **limits,
+    )  # fmt: skip
