@@ -12,6 +12,7 @@ import numpy as np
 from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array, Mask, NDArray
+from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ...modal.modal_form import ModalForm
 from ..data.time_record import Record
@@ -19,8 +20,7 @@ from ..regression.frequency_rows import FrequencyRows
 from ..regression.prediction import state_from_amplitudes
 from ..regression.time_rows import RecordRows, Rows
 from ..regression.variable_projection import Problem, Projection, refine
-from ..search.formulation import check_workers, rows_of
-from ..search.path import mapped
+from ..search.formulation import rows_of
 from ..uncertainty.draws import ModeSamples, draws_from, tail_of
 
 _OFF = 0.3  # standard errors by which an estimate may miss the minimum of its loss
@@ -153,8 +153,8 @@ class Resampled:
             Number of resamples.
         rng : numpy.random.Generator or int, optional
             Random numbers, or a seed of them; fresh ones by default.
-        workers : int or map-like callable
-            Processes, -1 for all; the result does not depend on it.
+        workers : int, executor, Dask client or map-like callable
+            Number of processes for the refits, -1 for all, or what runs them; the result does not depend on it.
 
         Returns
         -------

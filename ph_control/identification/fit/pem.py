@@ -10,6 +10,7 @@ import numpy as np
 
 from ... import _checks
 from ..._types import Array
+from ..._workers import check_workers
 from ...exceptions import StructureError
 from ...modal.discretization import METHODS
 from ..data.channels import as_channels, has_several_channels
@@ -17,7 +18,7 @@ from ..diagnosis.damping import DampingWatch, beside
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
-from ..search.formulation import REPRESENTATIONS, Callback, Formulation, check_workers, reporter
+from ..search.formulation import REPRESENTATIONS, Callback, Formulation, reporter
 from ..search.free_path import FreeStep
 from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
@@ -93,8 +94,8 @@ def pem(
         What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
     max_order : int
         Largest order tried by 'auto'.
-    workers : int or map-like callable
-        Processes for further starts, -1 for all; the result does not depend on it.
+    workers : int, executor, Dask client or map-like callable
+        Number of processes for further starts, -1 for all, or what runs them; the result does not depend on it.
     rng : numpy.random.Generator or int, optional
         Seeds of further starts; always the same by default.
     callback : callable, optional
@@ -290,7 +291,7 @@ def _found(
     if automatic:
         values = [preference(problem, step, criterion) for step in path]
         if criterion == "holdout":
-            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT)[1])
+            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT, workers)[1])
         place = int(np.argmin(values))
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d

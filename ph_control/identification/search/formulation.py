@@ -456,11 +456,3 @@ def reporter(problem: Problem, largest: int, callback: Callback | None) -> Calla
         return told
 
     return report
-
-
-def check_workers(workers: Any) -> None:
-    """Check that this is a number of processes, -1 for all, or a map-like callable."""
-    whole = isinstance(workers, int | np.integer) and not isinstance(workers, bool)
-    if not (callable(workers) or (whole and (workers >= 1 or workers == -1))):
-        shown = _checks.shown(workers)
-        raise StructureError(f"workers is {shown}; it must be a number of processes, -1 for all, or a map")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, cast
 
@@ -15,6 +16,7 @@ from ..._display import Report
 from ..._frozen import Frozen
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, unit_for
+from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ...plotting.validation_plot import order_selection_plot
 from ..regression.frequency_rows import FrequencyRows
@@ -156,6 +158,7 @@ def order_selection(
     initial_guess: Any = None,
     weights: Any = None,
     callback: Callback | None = None,
+    workers: Any = 1,
     **options: Any,
 ) -> OrderSelection:
     """Look for one mode after the other, and show what speaks for each number of them.
@@ -174,6 +177,8 @@ def order_selection(
         the end, of a frequency response points all over it.
     initial_guess, weights, callback : optional
         As for `pem`.
+    workers : int, executor, Dask client or map-like callable
+        Number of processes for the models of `holdout`, -1 for all, or what runs them; the result is the same.
     **options
         `method`, `intersample`, `initial_state`, `offset`, `quantity` and `representation`, as for `pem`.
 
@@ -228,6 +233,7 @@ def order_selection(
         if name in options:
             raise TypeError(f"unexpected keyword argument {name!r}: the orders to try are the argument orders")
     part = _part(holdout)
+    check_workers(workers)
     posed = Formulation.of(data, dt, weights, **options)
     problem, guess = posed.problem, posed.guess(initial_guess)
     posed.check_signals()
@@ -249,7 +255,7 @@ def order_selection(
     stable = _stable(path, problem.bin)
     steps = [path[k] for k in kept]
     rows = [criteria(problem, step.loss, len(step.d)) for step in steps]
-    ahead, losses = held_out_losses(posed, guess, [len(step.d) for step in steps], part) if part else (0, None)
+    ahead, losses = held_out_losses(posed, guess, [len(step.d) for step in steps], part, workers) if part else (0, None)
     return OrderSelection(
         orders=np.array([len(step.d) for step in steps]),
         loss=np.array([step.loss / problem.samples for step in steps]),
@@ -332,7 +338,9 @@ class HeldOut:
         return float(np.mean(np.concatenate(found) ** 2))
 
 
-def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], part: float) -> tuple[int, Array]:
+def held_out_losses(
+    posed: Formulation, guess: Array, orders: Sequence[int], part: float, workers: Any
+) -> tuple[int, Array]:
     """Number of equations held out, and the mean squared error of each order there; infinite if too few are left.
 
     The models are those of a path of their own: frequencies found in all of the data would know what is to be foretold.
@@ -349,10 +357,10 @@ def held_out_losses(posed: Formulation, guess: Array, orders: Sequence[int], par
         # under the circumstances that all of the data have decided
         posed = replace(posed, problem=rest.training, open=frozenset(), searched=None, trail=[])
         path = posed.path(guess, posed.largest_order(largest, largest, guess)).steps
-    losses = {len(step.d): rest.loss(step.d) for step in path if len(step.d) in orders}
-    losses.setdefault(0, rest.loss(np.zeros(0)))
+    judged = {0: np.zeros(0)} | {len(step.d): step.d for step in path if len(step.d) in orders or step is path[-1]}
+    losses = dict(zip(judged, mapped(rest.loss, list(judged.values()), workers, float), strict=True))
     # a path that ended in rounding has no better model of higher order
-    last = rest.loss(path[-1].d) if path and len(path[-1].d) < largest else np.inf
+    last = losses[len(path[-1].d)] if path and len(path[-1].d) < largest else np.inf
     return rest.ahead, np.array([losses.get(n, last if n <= largest else np.inf) for n in orders])
 
 
@@ -363,12 +371,11 @@ def _split(one: Rows, part: float) -> tuple[Rows, int, Callable[[Array, Array, A
     one = cast(RecordRows, one)
     cut = len(one.u) - max(1, round(part * len(one.u)))
     first = replace(one, u=one.u[:cut], y=one.y[:cut], observed=one.observed[:cut])
-    kept = one.observed[cut:]
+    return first, int(one.observed[cut:].sum()), partial(_errors_after, one, cut)
 
-    def errors(d: Array, kappa: Array, own: Array) -> Array:
-        return (one.y - one.at(d).predict(kappa, own))[cut:][kept]
 
-    return first, int(kept.sum()), errors
+def _errors_after(one: RecordRows, cut: int, d: Array, kappa: Array, own: Array) -> Array:
+    return np.asarray((one.y - one.at(d).predict(kappa, own))[cut:][one.observed[cut:]])
 
 
 def _thinned(one: FrequencyRows, part: float) -> tuple[Rows, int, Callable[[Array, Array, Array], Array]]:
@@ -380,9 +387,10 @@ def _thinned(one: FrequencyRows, part: float) -> tuple[Rows, int, Callable[[Arra
     response = record.response.copy()
     response[out] = np.nan
     first = replace(one, record=replace(record, response=response))
+    return first, 2 * len(out), partial(_errors_at, one, out)
 
-    def errors(d: Array, kappa: Array, own: Array) -> Array:
-        left = ((record.response - one.at(d).predict(kappa, own)) * np.sqrt(record.weights))[out]
-        return np.concatenate([left.real, left.imag])
 
-    return first, 2 * len(out), errors
+def _errors_at(one: FrequencyRows, out: Indices, d: Array, kappa: Array, own: Array) -> Array:
+    record = one.record
+    left = ((record.response - one.at(d).predict(kappa, own)) * np.sqrt(record.weights))[out]
+    return np.concatenate([left.real, left.imag])

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
-from ... import _checks
 from ..._frozen import Frozen
 from ..._types import Array
-from ...exceptions import StructureError
+from ..._workers import mapped
 from ..regression.tuning import TUNING
 from .steps import Report, Search, Step
 
@@ -154,40 +153,3 @@ def _random_path(
         return int(rng.choice(len(gains), p=gains / gains.sum())) if gains.any() else 0
 
     return grow(search, empty, order, rtol=rtol, floor=floor, pick=pick)[-1]
-
-
-def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, kind: type) -> Iterable[Any]:
-    """Results of a kind in the order of the items, by a number of processes or a map-like callable."""
-    if callable(workers):
-        try:
-            found = workers(function, items)
-        except TypeError as error:
-            shown = _checks.shown(workers)
-            raise StructureError(
-                f"workers is {shown}, which does not take a function and a list as a map does: {error}"
-            ) from error
-        return _one_each(found, len(items), kind)
-    if workers == 1 or len(items) < 2:
-        return map(function, items)
-    import multiprocessing
-
-    with multiprocessing.Pool(None if workers == -1 else min(workers, len(items))) as pool:
-        return pool.map(function, items)
-
-
-def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
-    """What a map of the user gives, refused where it is not one result for each item."""
-    given = 0
-    for one in found if np.iterable(found) else ():
-        if given == count or not isinstance(one, kind):
-            found = one
-            break
-        given += 1
-        yield one
-    else:
-        if given == count:
-            return
-    raise StructureError(
-        f"workers is to give one result for each of {count} items, in their order, as the built-in map does; after "
-        f"{given} of them it gave {_checks.shown(found)}"
-    )
