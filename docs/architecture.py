@@ -22,6 +22,7 @@ FOLDERS = {
     "circuits": "Foster, Cauer, SPICE netlists",
     "io": "CSV, JSON, .mat",
     "plotting": "numbers, then pictures",
+    "controllers": "damping, observers, LQG",
     "analysis": "time responses, energy, margins",
     "equivalence": "coordinates, morphisms",
     "structures": "mass, damping, stiffness",

@@ -18,6 +18,11 @@ from .analysis.time_response import step_response as step_response
 from .circuits.elements import Netlist as Netlist
 from .circuits.nodal import read_netlist as read_netlist
 from .circuits.synthesis import netlist as netlist
+from .controllers.damping_injection import damping_injection as damping_injection
+from .controllers.energy_observers import lqg as lqg
+from .controllers.energy_observers import observer as observer
+from .controllers.optimal_damping import OptimalDamping as OptimalDamping
+from .controllers.optimal_damping import optimal_damping as optimal_damping
 from .equivalence.filters import Verdict as Verdict
 from .equivalence.groupoids import PortHamiltonianGroupoid as PortHamiltonianGroupoid
 from .equivalence.groupoids import ReducedGroupoid as ReducedGroupoid
@@ -83,6 +88,7 @@ from .io.universal_file import read_uff as read_uff
 from .modal.modal_form import ModalForm as ModalForm
 from .numerics.polynomials import ScaledCoefficients as ScaledCoefficients
 from .plotting.bode_plot import bode_plot as bode_plot
+from .plotting.damping_plot import damping_plot as damping_plot
 from .plotting.energy_plot import energy_plot as energy_plot
 from .plotting.energy_plot import passivity_plot as passivity_plot
 from .plotting.fit_plot import fit_plot as fit_plot

@@ -515,7 +515,7 @@ def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tup
         ) from None
     sides = []
     for k, (role, labels) in enumerate((("output", outputs), ("input", inputs))):
-        chosen = [_signal(role, pair[k], labels) for pair in listed]
+        chosen = [signal_number(role, pair[k], labels) for pair in listed]
         repeated = [one for one in chosen if chosen.count(one) > 1]
         if repeated:
             label = labels[repeated[0]]
@@ -524,14 +524,15 @@ def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tup
     return tuple(zip(*sides, strict=True))
 
 
-def _signal(role: str, value: Any, labels: Sequence[str]) -> int:
+def signal_number(role: str, value: Any, labels: Sequence[str]) -> int:
+    """Number of an input or output, given by its number or label."""
     if isinstance(value, str) and value in labels:
         return list(labels).index(value)
     if is_whole(value) and 0 <= int(value) < len(labels):
         return int(value)
     listed = ", ".join(map(repr, labels)) or "none"
     raise StructureError(
-        f"ports have the {role} {shown(value)}; the {role}s are {listed}, numbered from 0 to {len(labels) - 1}"
+        f"there is no {role} {shown(value)}; the {role}s are {listed}, numbered from 0 to {len(labels) - 1}"
     )
 
 

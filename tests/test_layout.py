@@ -16,10 +16,10 @@ PACKAGE = Path(__file__).resolve().parents[1] / "ph_control"
 
 # low to high; what lies in the package itself is below all folders
 ORDER = (
-    "", "numerics", "symplectic", "modal", "systems", "structures", "equivalence", "analysis", "reduction", "plotting",
-    "io", "circuits", "identification.data", "identification.regression", "identification.uncertainty",
-    "identification.excitation", "identification.search", "identification.diagnosis", "identification.structure",
-    "identification.fit", "identification.validation", "cli",
+    "", "numerics", "symplectic", "modal", "systems", "structures", "equivalence", "analysis", "reduction",
+    "controllers", "plotting", "io", "circuits", "identification.data", "identification.regression",
+    "identification.uncertainty", "identification.excitation", "identification.search", "identification.diagnosis",
+    "identification.structure", "identification.fit", "identification.validation", "cli",
 )  # fmt: skip
 
 DOCS = PACKAGE.parent / "docs"

@@ -447,7 +447,7 @@ GOOD = np.random.default_rng(0).standard_normal((2, 100))
         ((["a"] * 100, GOOD[1]), {}, phc.StructureError, "the input does not hold real numbers"),
         ((GOOD.T, GOOD), {}, phc.StructureError, r"the inputs have shape \(100, 2\)"),
         ((GOOD, GOOD), {"method": "midpoint"}, phc.StructureError, "method='midpoint' is for lossless models"),
-        ((GOOD, GOOD), {"ports": [("y3", "u1")]}, phc.StructureError, "ports have the output 'y3'.*'y1', 'y2'"),
+        ((GOOD, GOOD), {"ports": [("y3", "u1")]}, phc.StructureError, "no output 'y3'.*'y1', 'y2'"),
         ((GOOD, GOOD), {"ports": [(0, 0), (0, 1)]}, phc.StructureError, "output 'y1' is at 2 ports"),
         ((GOOD, GOOD), {"ports": "y1:u1"}, phc.StructureError, "pass a list of pairs"),
         ((GOOD, GOOD), {"quantity": ["velocity"]}, phc.StructureError, "1 entries for 2 outputs"),

@@ -172,6 +172,21 @@ def feedback(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
     return None if K is None else _looped(_side_by_side([first]), -K, np.eye(m))
 
 
+def through_ports(
+    first: PortHamiltonian, other: PortHamiltonian | Array, ports: Sequence[int], **names: Any
+) -> PortHamiltonian:
+    """Negative feedback between chosen ports of a system and those of another, or a matrix `K + K^T >= 0`.
+
+    The ports of `first` stay, and the sensors of both.
+    """
+    m, k = first.ninputs, len(ports)
+    joint = np.eye(m)[:, list(ports)]
+    if not isinstance(other, PortHamiltonian):
+        return _looped(_side_by_side([first]), -joint @ other @ joint.T, np.eye(m), names=names)
+    F = np.block([[np.zeros((m, m)), -joint], [joint.T, np.zeros((k, k))]])
+    return _looped(_side_by_side([first, other]), F, np.eye(m + k)[:, :m], kept=m, names=names)
+
+
 def parallel(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
     """Sum of a PH system and another, or a matrix `K + K^T >= 0`; None where it is not PH."""
     m = first.ninputs

@@ -1,0 +1,1 @@
+"""Controllers that take energy out: damping injection, absorbers, observers and passive LQG."""

@@ -1,0 +1,208 @@
+"""Observers and output feedback whose Lyapunov function is an energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from control import care
+
+from .. import _checks
+from .._types import Array, ArrayLike
+from ..exceptions import StructureError
+from ..systems.dissipative import parts_of
+from ..systems.port_hamiltonian import PortHamiltonian, ph
+from .damping_injection import controller_of, plant, port_numbers
+from .optimal_damping import energy_coordinates, optimal_damping
+
+_ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for rounding
+
+
+def observer(
+    sys: PortHamiltonian,
+    gain: ArrayLike | None = None,
+    *,
+    ports: Sequence[int | str] | None = None,
+    **names: Any,
+) -> PortHamiltonian:
+    """Observer of the states from inputs and outputs of ports, with the energy of the error as Lyapunov function.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian
+        The plant, without feedthrough at the ports that are measured.
+    gain : float, array_like of shape (k,) or (k, k), optional
+        `K` of the correction `B K (y - C x)`, with `K + K^T >= 0`.  Default: that which maximises the smallest damping
+        ratio of the error, see `optimal_damping`.
+    ports : sequence of int or str, optional
+        Ports whose outputs are measured, by number or the name of their input.  Default: all.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Returns
+    -------
+    PortHamiltonian
+        Inputs: the m inputs of the plant, then the k measured outputs.  Outputs: those of its own m + k ports, then the
+        estimates of all states of the plant, which are also its states.
+
+    Raises
+    ------
+    StructureError
+        If a measured port has feedthrough, or `K + K^T` has a negative eigenvalue.
+
+    Notes
+    -----
+    `x^' = (J - R - B_k K B_k^T) Q x^ + (B - P) u + B_k K y`: the error `e` obeys the same equation without inputs, so
+    that its energy `e^T Q e / 2` never rises; with losses or where ports see all modes it falls to 0.  Sensors away
+    from the ports have no such law; for these use `control.lqe`.
+
+    Examples
+    --------
+    >>> import numpy as np, control as ct, ph_control as phc
+    >>> sys = phc.spring_chain([1.0, 1.0], [2.0], ground=1.0)
+    >>> estimator = phc.observer(sys)
+    >>> t, u = np.linspace(0.0, 60.0, 601), np.zeros(601)
+    >>> seen = phc.forced_response(sys, t, u, [0.1, 0.2, 0.0, 0.0])
+    >>> found = phc.forced_response(estimator, t, np.vstack([u, seen.outputs]))
+    >>> bool(np.abs(found.outputs[2:] - seen.states)[:, -1].max() < 1e-3)
+    True
+    """
+    plant(sys)
+    at = port_numbers(sys, ports)
+    energy_coordinates(sys, at)  # refuses feedthrough
+    chosen = optimal_damping(sys, at, criterion="damping").gains if gain is None else gain
+    if isinstance(chosen, PortHamiltonian):
+        raise StructureError("the gain of an observer is a matrix; it is a system")
+    K = np.asarray(controller_of(chosen, len(at)))
+    part = parts_of(sys)
+    B = (part["G"] + part["P"])[:, at]
+    into = (part["G"] - part["P"])[:, at]
+    correction = into @ K
+    loss = into @ K @ B.T
+    n = len(part["G"])
+    skew = part["J"] - 0.5 * (loss - loss.T)
+    R = part["R"] + 0.5 * (loss + loss.T)
+    G, P = np.hstack([part["G"], correction]), np.hstack([part["P"], np.zeros_like(correction)])
+    through = [np.pad(part[name], ((0, len(at)), (0, len(at)))) for name in "SN"]
+    made = ph(part["Q"], G, J=skew, R=R, P=P, S=through[0], N=through[1], sensors=np.eye(n), **_named(sys, at, names))
+    made.time_unit = sys.time_unit
+    return made
+
+
+def _named(sys: PortHamiltonian, at: list[int], names: dict[str, Any]) -> dict[str, Any]:
+    """Names of the signals of an observer: of the plant where they have any."""
+    measured = [sys.output_labels[k] for k in at]
+    inputs = [*sys.input_labels, *measured]
+    outputs = [*(f"{one} of the observer" for one in sys.output_labels[: sys.ninputs]),
+               *(f"correction at {one}" for one in measured), *sys.state_labels]  # fmt: skip
+    given = {"inputs": inputs, "outputs": outputs, "states": list(sys.state_labels)}
+    unique = {kind: labels for kind, labels in given.items() if len(set(labels)) == len(labels)}
+    return {**unique, **names}
+
+
+def lqg(
+    sys: PortHamiltonian,
+    effort: ArrayLike = 1.0,
+    *,
+    weight: ArrayLike | None = None,
+    ports: Sequence[int | str] | None = None,
+    **names: Any,
+) -> PortHamiltonian:
+    r"""Output feedback that is optimal for a quadratic cost, and passive.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian
+        The plant, without feedthrough at the ports that are used.
+    effort : float or array_like, shape (k, k)
+        Weight `E > 0` of the inputs in the cost; small ones make a strong controller.
+    weight : array_like, shape (n, n), optional
+        Weight of the states, symmetric positive semidefinite.  Default: the energy, `Q`.
+    ports : sequence of int or str, optional
+        Ports for feedback, by number or the name of their input.  Default: all.
+    **names
+        `name`, `inputs`, `outputs`, `states` as for `control.ss`.
+
+    Returns
+    -------
+    PortHamiltonian
+        The controller from the outputs of the ports to what is subtracted from their inputs, with as many states as the
+        plant has energies: `damping_injection(sys, controller, ports=ports)` is the closed loop.
+
+    Raises
+    ------
+    StructureError
+        If a port has feedthrough, `effort` is not positive definite, or `weight` not semidefinite.
+
+    Notes
+    -----
+    In coordinates of unit energy, `Q = I` and `C = B^T`: the noise of the measurement has the covariance `E`, that of
+    the states `2 R + B E^{-1} B^T`, such as thermal noise; the covariance of the estimates is then the identity and
+    the gain of the filter `B E^{-1}`.  With the cost `x^T (W + B E^{-1} B^T) x + u^T E u` and the solution `X` of its
+    Riccati equation, `u = -E^{-1} B^T X x^`, and
+
+        `X A_c + A_c^T X = -W - (X B + B) E^{-1} (X B + B)^T`
+
+    for the dynamics `A_c` of the controller: its energy is `x^^T X x^ / 2`, and it is passive (Lozano-Leal and Joshi).
+    The loop is stable with every passive plant, not only with the one it was made for.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> sys = phc.spring_chain([1.0, 1.0], [2.0], ground=1.0)
+    >>> controller = phc.lqg(sys, 0.1)
+    >>> closed = phc.damping_injection(sys, controller)
+    >>> phc.passivity(controller).is_passive, bool(closed.poles().real.max() < -0.05)
+    (True, True)
+    """
+    plant(sys)
+    at = port_numbers(sys, ports)
+    A, into, _, _ = energy_coordinates(sys, at)
+    B, E = into[:, at], _effort(effort, len(at))
+    W = np.eye(len(A)) if weight is None else _weight(sys, weight)
+    root = np.linalg.cholesky(E)
+    scaled = np.linalg.solve(root, B.T)
+    gained = np.linalg.solve(root.T, scaled)
+    X, _, _ = care(A, B, W + scaled.T @ scaled, E)
+    lead = np.linalg.solve(root, B.T @ X + B.T)
+    inverse = np.linalg.inv(X)
+    loss = inverse @ (W + lead.T @ lead) @ inverse
+    dynamics = A - B @ gained @ X - gained.T @ B.T
+    flow = dynamics @ inverse
+    labels = {
+        "inputs": [sys.output_labels[k] for k in at], "outputs": [f"{sys.input_labels[k]} feedback" for k in at]
+    }  # fmt: skip
+    made = ph(0.5 * (X + X.T), gained.T, J=0.5 * (flow - flow.T), R=0.25 * (loss + loss.T), **{**labels, **names})
+    made.time_unit = sys.time_unit
+    return made
+
+
+def _effort(effort: ArrayLike, k: int) -> Array:
+    E = _checks.real_array("the effort", effort)
+    if E.shape == ():
+        E = E * np.eye(k)
+    if E.shape != (k, k):
+        raise StructureError(f"the effort has shape {E.shape}; it must be a number, or of shape ({k}, {k})")
+    E = _checks.symmetric_matrix(E, name="the effort", even=False)
+    least = float(np.linalg.eigvalsh(E).min(initial=np.inf))
+    if not least > 0:
+        raise StructureError(f"the effort has the eigenvalue {least:.3g}; it must be positive definite")
+    return E
+
+
+def _weight(sys: PortHamiltonian, weight: ArrayLike) -> Array:
+    """Weight of the states in coordinates of unit energy."""
+    W = _checks.symmetric_matrix(weight, name="the weight", even=False)
+    n = sys.nstates
+    if W.shape != (n, n):
+        raise StructureError(f"the weight has shape {W.shape}; it must be ({n}, {n})")
+    least, largest = (float(f(np.linalg.eigvalsh(W), initial=0.0)) for f in (np.min, np.max))
+    if least < -_ROUNDING * n * _checks.EPS * largest:
+        raise StructureError(f"the weight has the eigenvalue {least:.3g}; allowed are none below 0")
+    energies, vectors = np.linalg.eigh(parts_of(sys)["Q"])
+    kept = energies > _ROUNDING * n * _checks.EPS * energies.max(initial=0.0)
+    back = vectors[:, kept] / np.sqrt(energies[kept])
+    if np.abs(W @ vectors[:, ~kept]).max(initial=0.0) > 1e-9 * largest:
+        raise StructureError("the weight sees a rigid displacement, which has no energy; leave it out")
+    return back.T @ W @ back

@@ -1,0 +1,448 @@
+"""Dampers and tuned mass dampers whose constants minimise the response of a plant, or damp its modes best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+from scipy.linalg import eig, eigh, solve_continuous_lyapunov
+from scipy.optimize import minimize
+
+from .. import _checks
+from .._frozen import Frozen
+from .._types import Array, ArrayLike
+from ..exceptions import StructureError
+from ..systems.dissipative import parts_of
+from ..systems.interconnection import interconnect, through_ports
+from ..systems.port_hamiltonian import PortHamiltonian, ph
+from .damping_injection import plant, port_numbers
+
+CRITERIA = ("h2", "damping", "fixed points")
+_REACH = 1e4  # constants are looked for within this factor of those to start from
+_AT_BORDER = 0.99  # of that reach, in logarithms: where no optimum was found
+_EDGE = 1e-9  # of the largest pole: damping of the plant with dampers that are as good as none
+_TUNED = 3  # modes that an absorber is tuned to, to begin with
+
+
+@dataclass(frozen=True, eq=False)
+class OptimalDamping(Frozen):
+    """Dampers or tuned mass dampers found by `optimal_damping`, and the closed loop.
+
+    Attributes
+    ----------
+    plant, controller, system : PortHamiltonian
+        The plant, what is joined to its ports, and both together.
+    ports : tuple of str
+        Inputs of the plant where the devices are, one for each.
+    gains : ndarray, shape (k,)
+        Damping constants, such as N s/m.
+    stiffnesses, masses : ndarray, shape (k,), or None
+        Of tuned mass dampers; None of dashpots.
+    criterion : str
+        What was optimised.
+    cost, cost_before : float
+        H2 norm with and without the devices, infinite where a mode of the plant has no damping; of the criterion
+        'damping' the smallest damping ratio.
+    """
+
+    plant: PortHamiltonian
+    controller: PortHamiltonian
+    system: PortHamiltonian
+    ports: tuple[str, ...]
+    gains: Array
+    stiffnesses: Array | None
+    masses: Array | None
+    criterion: str
+    cost: float
+    cost_before: float
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.array(self.gains, dtype=dtype)
+
+    @property
+    def tuned_frequencies(self) -> Array | None:
+        """Natural frequencies of tuned mass dampers on a fixed base, rad per unit time; None of dashpots."""
+        return None if self.masses is None or self.stiffnesses is None else np.sqrt(self.stiffnesses / self.masses)
+
+    @property
+    def tuned_damping_ratios(self) -> Array | None:
+        """Damping ratios of tuned mass dampers on a fixed base; None of dashpots."""
+        if self.masses is None or self.stiffnesses is None:
+            return None
+        return self.gains / (2 * np.sqrt(self.stiffnesses * self.masses))
+
+    def plot(self, **kwargs: Any) -> ct.ControlPlot:
+        """Picture of the damping of all modes over the gain, see `damping_plot`.
+
+        Parameters
+        ----------
+        **kwargs
+            Keywords of `damping_plot`.
+
+        Returns
+        -------
+        control.ControlPlot
+
+        Examples
+        --------
+        See `damping_plot`.
+        """
+        from ..plotting.damping_plot import damping_plot
+
+        return damping_plot(self.plant, self.controller, ports=self.ports, **kwargs)
+
+    def __str__(self) -> str:
+        """Table of the devices, and what they bring."""
+        kind = "dashpots" if self.masses is None else "tuned mass dampers"
+        rows = [f"{len(self.gains)} {kind}, criterion {self.criterion}: {self.cost:.6g}, before {self.cost_before:.6g}"]
+        rows += [f"  {port:12s} damping {gain:.6g}" for port, gain in zip(self.ports, self.gains, strict=True)]
+        frequencies, ratios = self.tuned_frequencies, self.tuned_damping_ratios
+        if self.masses is not None and self.stiffnesses is not None and frequencies is not None and ratios is not None:
+            table = zip(self.masses, self.stiffnesses, frequencies, 100 * ratios, strict=True)
+            for k, (m, stiffness, frequency, percent) in enumerate(table, 1):
+                rows[k] += (
+                    f"   mass {m:.6g}   stiffness {stiffness:.6g}   on a fixed base {frequency:.6g} rad/time and "
+                    f"{percent:.4g} %"
+                )
+        return "\n".join(rows)
+
+
+def optimal_damping(
+    sys: PortHamiltonian,
+    ports: Sequence[int | str] | None = None,
+    *,
+    mass: ArrayLike | None = None,
+    criterion: str = "h2",
+    outputs: str | Sequence[int | str] = "energy",
+    inputs: Sequence[int | str] | None = None,
+    mode: int | None = None,
+) -> OptimalDamping:
+    r"""Best constants of dashpots, or of tuned mass dampers, at ports of a plant.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian
+        The plant, such as a structure with forces as inputs and velocities as outputs.
+    ports : sequence of int or str, optional
+        Where the devices are, one for each: numbers of ports, or names of their inputs.  Default: a device at each.
+    mass : float or array_like, shape (k,), optional
+        Masses of tuned mass dampers, each on a spring and a dashpot.  Default: dashpots to the ground.
+    criterion : {'h2', 'damping', 'fixed points'}
+        'h2' minimises the H2 norm from `inputs` to `outputs`, the root mean square of the response to white noise;
+        'damping' maximises the smallest damping ratio; 'fixed points' gives the closed form of den Hartog for one
+        mode, a first choice where the force is a sine of any frequency (tuned mass dampers only).
+    outputs : {'energy', 'displacement', 'velocity'} or sequence of int or str
+        For 'h2': the stored energy of the plant (the H2 norm is then `sqrt(2 E)` of its mean `E`), the outputs of all
+        ports or their integrals, or outputs of the plant by number or name.
+    inputs : sequence of int or str, optional
+        For 'h2': ports at which the noise acts.  Default: all; for the stored energy none, the cost is then that of all
+        initial states of one energy alike, `sqrt(tr X)` with `A X + X A^T + I = 0`.
+    mode : int, optional
+        Number of the mode, from 0 by frequency, that tuned mass dampers start from.  Default: several are tried; for
+        'fixed points' the one that gives most of the displacement at the port.
+
+    Returns
+    -------
+    OptimalDamping
+        The constants, the closed loop, and the cost; it can be used as an array of damping constants.
+
+    Raises
+    ------
+    StructureError
+        If a port has feedthrough; if a mode is not damped by any device, or the cost falls with the gain without end,
+        as that of a single mass with a dashpot.
+
+    Notes
+    -----
+    With `A(theta) = A - sum_j theta_j b_j c_j^T`, `A X + X A^T + B B^T = 0` and `A^T Y + Y A + C^T C = 0`, the square
+    of the H2 norm is `tr(C X C^T)` and its derivatives are `-2 c_j^T X Y b_j`.  The optimum is local, found by a
+    quasi-Newton method from several starts; O(n^3) an iteration.
+
+    Examples
+    --------
+    A tuned mass damper of 5 % of the mass, for white noise: the closed form of Warburton.
+
+    >>> import ph_control as phc
+    >>> found = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=0.05, outputs="displacement")
+    >>> print(f"{found.tuned_frequencies[0]:.7f} {found.tuned_damping_ratios[0]:.7f}")
+    0.9642122 0.1097722
+    """
+    plant(sys)
+    _checks.choice("criterion", criterion, CRITERIA)
+    at = port_numbers(sys, ports)
+    if not at:
+        raise StructureError("there are no ports to put a device at; name at least one")
+    masses = None if mass is None else _masses(mass, len(at))
+    loop = _Loop.of(sys, at, masses, outputs, inputs)
+    if criterion == "fixed points":
+        if masses is None:
+            raise StructureError("the fixed points are those of tuned mass dampers; give their mass")
+        theta = _tuned(loop, at, masses, _dominant(loop, mode)[0], _fixed_points)
+    else:
+        starts = _starts(loop, sys, at, masses, mode)
+        theta = _best(loop, starts, loop.h2 if criterion == "h2" else loop.damping)
+    return _result(sys, at, masses, theta, criterion, loop)
+
+
+# --- the loop as a function of its constants -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """Closed loop `x' = (A - sum_j theta_j b_j c_j^T) x + B w`, `z = C x`, in coordinates of unit energy."""
+
+    A: Array
+    b: Array
+    c: Array
+    B: Array
+    C: Array
+    own: int  # states of the plant, which come first
+
+    @classmethod
+    def of(cls, sys: PortHamiltonian, at: list[int], masses: Array | None, outputs: Any, inputs: Any) -> _Loop:
+        """Loop of a plant with devices whose constants are still 0."""
+        A, B, Cy, sensors = energy_coordinates(sys, at)
+        C = _performance(sys, A, Cy, sensors, outputs)
+        every = inputs is None and isinstance(outputs, str) and outputs == "energy"
+        noise = np.eye(len(A)) if every else B[:, port_numbers(sys, inputs)]
+        n, k = len(A), len(at)
+        if masses is None:
+            return cls(A, B[:, at], Cy[at].T, noise, C, n)
+        # displacement and velocity of each absorber, relative and absolute, beside the plant
+        whole = np.zeros((n + 2 * k, n + 2 * k))
+        whole[:n, :n] = A
+        b, c = np.zeros((n + 2 * k, 2 * k)), np.zeros((n + 2 * k, 2 * k))
+        for j, port in enumerate(at):
+            stretch, speed = n + 2 * j, n + 2 * j + 1
+            whole[stretch, :n], whole[stretch, speed] = Cy[port], -1.0
+            for kind in (0, 1):
+                b[:n, 2 * j + kind], b[speed, 2 * j + kind] = B[:, port], -1.0 / masses[j]
+            c[stretch, 2 * j] = 1.0
+            c[:n, 2 * j + 1], c[speed, 2 * j + 1] = Cy[port], -1.0
+        pad = ((0, 2 * k), (0, 0))
+        return cls(whole, b, c, np.pad(noise, pad), np.pad(C.T, pad).T, n)
+
+    def matrix(self, theta: Array) -> Array:
+        """Dynamics matrix at these constants."""
+        return self.A - (self.b * theta) @ self.c.T
+
+    def h2(self, theta: Array) -> tuple[float, Array]:
+        """Logarithm of the H2 norm, and its gradient by the logarithms of the constants; infinite if not stable."""
+        A = self.matrix(theta)
+        if np.linalg.eigvals(A).real.max(initial=-np.inf) >= 0:
+            return np.inf, np.zeros(len(theta))
+        X = solve_continuous_lyapunov(A, -self.B @ self.B.T)
+        square = float(np.trace(self.C @ X @ self.C.T))
+        if square <= 0:
+            return -np.inf, np.zeros(len(theta))
+        Y = solve_continuous_lyapunov(A.T, -self.C.T @ self.C)
+        slope = -2 * np.einsum("ij,ij->j", self.c, X @ Y @ self.b)
+        return 0.5 * np.log(square), 0.5 * theta * slope / square
+
+    def damping(self, theta: Array) -> tuple[float, Array]:
+        """Minus the smallest damping ratio, and its gradient by the logarithms of the constants."""
+        p, left, right = eig(self.matrix(theta), left=True, right=True)
+        size = np.maximum(np.abs(p), np.finfo(float).tiny)
+        zeta = np.where(np.abs(p) > _EDGE * np.abs(p).max(), -p.real / size, np.inf)
+        l = int(np.argmin(zeta))
+        w, v = left[:, l].conj(), right[:, l]
+        slope = -((w @ self.b) * (self.c.T @ v)) / (w @ v)
+        change = -slope.real / size[l] + p[l].real * (np.conj(p[l]) * slope).real / size[l] ** 3
+        return -float(zeta[l]), -theta * change
+
+
+def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:
+    """`A, B, C` of the ports and the rows of the sensors, for states `x` of the energy `|x|^2 / 2`.
+
+    Raises
+    ------
+    StructureError
+        If a port of `at` has feedthrough, beside which a gain is another one.
+    """
+    part = parts_of(sys)
+    through = part["S"] + part["N"]
+    for port in at:
+        if through[port].any() or through[:, port].any():
+            raise StructureError(
+                f"port {sys.input_labels[port]!r} has feedthrough; devices are chosen for ports without any, such as a "
+                "velocity at a mass"
+            )
+    energies, vectors = eigh(part["Q"])
+    kept = energies > 64 * len(energies) * _checks.EPS * energies.max(initial=0.0)
+    root = np.sqrt(energies[kept])
+    T, back = root[:, None] * vectors[:, kept].T, vectors[:, kept] / root
+    rows, through = part["sensor_rows"], part["sensor_feedthrough"]
+    unseen = np.abs(rows @ vectors[:, ~kept]).max(axis=1, initial=0.0) > 1e-9 * np.abs(rows).max(axis=1, initial=1e-300)
+    seen = np.where(unseen[:, None], np.nan, rows @ back)
+    C = (part["G"] + part["P"]).T @ T.T
+    return T @ (part["J"] - part["R"]) @ T.T, T @ (part["G"] - part["P"]), C, (seen, through)
+
+
+def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array, Array], outputs: Any) -> Array:
+    """Rows of what is kept small."""
+    if isinstance(outputs, str):
+        _checks.choice("outputs", outputs, ("energy", "displacement", "velocity"))
+        if outputs == "energy":
+            return np.eye(len(A))
+        if outputs == "velocity":
+            return C
+        if not np.linalg.cond(A) < 1e12:
+            raise StructureError("the plant has a rigid mode, whose displacement has no mean; use outputs='velocity'")
+        return np.linalg.solve(A.T, C.T).T
+    rows = np.vstack([C, sensors[0]])
+    numbers = [_checks.signal_number("output", one, sys.output_labels) for one in outputs]
+    for k in numbers:
+        through = sys.D[k]
+        if through.any() or np.isnan(rows[k]).any():
+            why = "has feedthrough, so that white noise makes it infinite" if through.any() else "sees a rigid mode"
+            raise StructureError(f"output {sys.output_labels[k]!r} {why}; take another one, or outputs='energy'")
+    return rows[numbers]
+
+
+# --- where to start --------------------------------------------------------------------------------------------------
+
+
+def _masses(mass: ArrayLike, k: int) -> Array:
+    found = _checks.real_array("the mass", mass)
+    if found.shape not in ((), (k,)):
+        raise StructureError(f"the mass has shape {found.shape}; give a number, or one for each of {k} devices")
+    if not np.all(found > 0):
+        raise StructureError(f"a mass is {float(found.min()):.4g}; masses of tuned mass dampers are positive")
+    return np.array(np.broadcast_to(found, k))
+
+
+def _modal_weights(loop: _Loop) -> tuple[Array, Array]:
+    """Natural frequencies that are not 0, ascending, and inverse modal masses at the port of each device."""
+    n, devices = loop.own, slice(None) if loop.own == len(loop.A) else slice(1, None, 2)
+    p, left, right = eig(loop.A[:n, :n], left=True, right=True)
+    residues = (right.T @ loop.c[:n, devices]) * (left.conj().T @ loop.b[:n, devices])
+    residues /= np.einsum("ij,ij->j", left.conj(), right)[:, None]
+    order = np.argsort(np.abs(p))
+    order = order[p.imag[order] > _EDGE * np.abs(p).max(initial=0.0)]
+    p, residues = p[order], residues[order]
+    return np.abs(p), np.maximum((2j * p.imag[:, None] * residues / p[:, None]).real, 0.0)
+
+
+def _dominant(loop: _Loop, mode: int | None) -> list[int]:
+    """Modes by their share of the displacements at the ports, or the one that is asked for."""
+    d, weights = _modal_weights(loop)
+    if not len(d):
+        raise StructureError("the plant has no mode that oscillates; there is nothing to damp")
+    if mode is not None:
+        return [_checks.whole_number("mode", mode, 0, len(d) - 1)]
+    return [int(k) for k in np.argsort(-(weights.sum(axis=1) / d**2))[:_TUNED]]
+
+
+def _warburton(mu: float) -> tuple[float, float]:
+    return np.sqrt(1 + mu / 2) / (1 + mu), np.sqrt(mu * (1 + 3 * mu / 4) / ((1 + mu) * (1 + mu / 2))) / 2
+
+
+def _fixed_points(mu: float) -> tuple[float, float]:
+    return 1 / (1 + mu), np.sqrt(3 * mu / (8 * (1 + mu)))
+
+
+def _tuned(loop: _Loop, at: list[int], masses: Array, mode: int, rule: Callable[[float], tuple[float, float]]) -> Array:
+    """Stiffness and damping constant of each absorber, tuned to a mode by its modal mass at the port."""
+    d, weights = _modal_weights(loop)
+    theta = np.empty(2 * len(at))
+    for j, port in enumerate(at):
+        ratio, zeta = rule(float(masses[j] * weights[mode, j]))
+        # absorbers at one port begin beside each other
+        twins = [k for k, other in enumerate(at) if other == port]
+        frequency = d[mode] * ratio * 1.05 ** (twins.index(j) - 0.5 * (len(twins) - 1))
+        theta[2 * j : 2 * j + 2] = masses[j] * frequency**2, 2 * zeta * masses[j] * frequency
+    return theta
+
+
+def _starts(loop: _Loop, sys: PortHamiltonian, at: list[int], masses: Array | None, mode: int | None) -> list[Array]:
+    if masses is not None:
+        return [_tuned(loop, at, masses, one, _warburton) for one in _dominant(loop, mode)]
+    d, weights = _modal_weights(loop)
+    reached = weights > 1e-12 * weights.max(initial=0.0)
+    # the impedance of a mode at its port, with which a dashpot damps it by half
+    impedance = np.where(reached, d[:, None] / np.where(reached, weights, 1.0), np.nan)
+    if np.isnan(impedance).all(axis=0).any():
+        dead = int(np.flatnonzero(np.isnan(impedance).all(axis=0))[0])
+        raise StructureError(f"port {sys.input_labels[at[dead]]!r} reaches no mode that oscillates")
+    low, high = np.nanmin(impedance, axis=0), np.nanmax(impedance, axis=0)
+    return [low ** (1 - t) * high**t * factor for t in (0.0, 0.5, 1.0) for factor in (0.1, 1.0)]
+
+
+# --- the search ------------------------------------------------------------------------------------------------------
+
+
+def _best(loop: _Loop, starts: list[Array], cost: Callable[[Array], tuple[float, Array]]) -> Array:
+    """Constants of the least cost that is reached from any start."""
+    _refuse_undamped(loop, starts[0])
+    found = []
+    for start in starts:
+        reach = [(-np.log(_REACH), np.log(_REACH))] * len(start)
+
+        def shifted(x: Array, start: Array = start) -> tuple[float, Array]:
+            value, slope = cost(start * np.exp(x))
+            return (value, slope) if np.isfinite(value) else (1e3, slope)
+
+        at = minimize(shifted, np.zeros(len(start)), jac=True, method="L-BFGS-B", bounds=reach,
+                      options={"ftol": 1e-16, "gtol": 1e-11, "maxiter": 1000})  # fmt: skip
+        if cost == loop.damping:  # two poles meet at the optimum, where there is no gradient
+            at = minimize(lambda x: shifted(x)[0], at.x, method="Nelder-Mead",
+                          options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 400 * len(start)})  # fmt: skip
+        found.append((float(at.fun), np.abs(at.x).max(), start * np.exp(at.x)))
+    _, reached, theta = min(found, key=lambda one: one[0])
+    if reached > _AT_BORDER * np.log(_REACH):
+        raise StructureError(
+            f"no optimum: the criterion still improves with constants {_REACH:.0e} times those to start from; another "
+            "choice of ports, outputs or criterion has one, or set the gain by damping_injection"
+        )
+    return theta
+
+
+def _refuse_undamped(loop: _Loop, theta: Array) -> None:
+    p = np.linalg.eigvals(loop.matrix(theta))
+    still = p.real > -_EDGE * 1e-3 * np.abs(p).max()
+    if still.any():
+        w = float(np.abs(p[np.flatnonzero(still)[0]]))
+        which = f"the mode at {w:.6g} rad/time" if w > _EDGE * np.abs(p).max() else "a rigid mode"
+        raise StructureError(
+            f"{which} is damped by no device: none of their ports moves in it, or a tuned mass damper moves with it; "
+            "add a port that moves, or a dashpot"
+        )
+
+
+def _result(
+    sys: PortHamiltonian, at: list[int], masses: Array | None, theta: Array, criterion: str, loop: _Loop
+) -> OptimalDamping:
+    if masses is None:
+        gains, stiffnesses = theta, None
+        controller = _dashpots(gains)
+    else:
+        stiffnesses, gains = theta[::2], theta[1::2]
+        each = [_absorber(*one) for one in zip(masses, stiffnesses, gains, strict=True)]
+        controller = each[0] if len(each) == 1 else interconnect(each, np.zeros((len(each),) * 2))
+    sign, of = (-1.0, loop.damping) if criterion == "damping" else (1.0, lambda t: (np.exp(loop.h2(t)[0]), None))
+    before = np.linalg.eigvals(loop.A[: loop.own, : loop.own])
+    bare = _Loop(loop.A[: loop.own, : loop.own], loop.b[: loop.own, :0], loop.c[: loop.own, :0], loop.B[: loop.own],
+                 loop.C[:, : loop.own], loop.own)  # fmt: skip
+    without = bare.damping(np.empty(0))[0] if criterion == "damping" else float(np.exp(bare.h2(np.empty(0))[0]))
+    if criterion != "damping" and before.real.max(initial=-1.0) > -1e-13 * np.abs(before).max(initial=0.0):
+        without = np.inf
+    return OptimalDamping(
+        sys, controller, through_ports(sys, controller, at), tuple(sys.input_labels[k] for k in at), gains, stiffnesses,
+        masses, criterion, sign * float(of(theta)[0]), sign * float(without),
+    )  # fmt: skip
+
+
+def _dashpots(gains: Array) -> PortHamiltonian:
+    k = len(gains)
+    return ph(np.zeros((0, 0)), np.zeros((0, k)), S=np.diag(gains))
+
+
+def _absorber(m: float, k: float, c: float) -> PortHamiltonian:
+    """Mass on a spring and a dashpot, from the velocity of its base to the force on it."""
+    return ph(
+        np.diag([k, 1 / m]), [-1.0, 0.0], R=np.diag([0.0, c]), P=[[0.0], [-c]], S=[[c]], inputs=["base velocity"],
+        outputs=["base force"], states=["q", "p"],
+    )  # fmt: skip

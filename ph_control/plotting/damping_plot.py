@@ -1,0 +1,129 @@
+"""Picture of a loop over its gain: damping of each mode, and where the poles go in frequency and damping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import control as ct
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from .. import _checks
+from .._types import Array, ArrayLike
+from .._units import unit_for
+from ..controllers.damping_injection import controller_of, damping_injection, plant, port_numbers
+from ..exceptions import StructureError
+from ..systems.port_hamiltonian import PortHamiltonian
+from .style import LineStyle, Look, frequency_axis, labelled, picture
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+_FACTORS = np.geomspace(1e-2, 1e2, 161)
+_NAMED = 10  # modes that a legend names
+_START: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 6.0, "zorder": 3, "clip_on": False}
+_CHOSEN: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.0, "zorder": 4, "clip_on": False}
+
+
+def damping_plot(
+    sys: PortHamiltonian,
+    controller: PortHamiltonian | ArrayLike,
+    *,
+    ports: Sequence[int | str] | None = None,
+    factors: ArrayLike | None = None,
+    Hz: bool = False,
+    time_unit: str | None = None,
+    ax: Any = None,
+    **style: Unpack[LineStyle],
+) -> ct.ControlPlot:
+    """Damping of the modes of a loop over the strength of its controller, and the locus of its poles.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian
+        The plant.
+    controller : PortHamiltonian, float or array_like
+        What is joined to its ports, as for `damping_injection`.
+    ports : sequence of int or str, optional
+        Ports of the plant, as for `damping_injection`.
+    factors : array_like, shape (N,), optional
+        What the controller is multiplied by, positive and ascending; of a tuned mass damper mass, stiffness and
+        dashpot together.  Default: 0.01 to 100.
+    Hz : bool
+        Frequencies in Hz instead of rad per unit time.
+    time_unit : str, optional
+        Unit of time, for the labels; by default that of the plant, none where it is not known.
+    ax : array of matplotlib.axes.Axes, shape (1, 2), optional
+        Axes to draw on.  By default a new figure.
+    **style
+        `title`, `grid`, `show_legend`, `legend_loc`, `rcParams` and, for the curves, `color`, `linestyle`, `linewidth`,
+        as in `control.root_locus_plot`.
+
+    Returns
+    -------
+    control.ControlPlot
+        `lines` and `axes` of shape (1, 2), `figure`, `legend`.  Left, the damping ratio of each mode over the factor;
+        right, its damping ratio over its natural frequency, a cross at the least factor, a dot at 1.
+
+    Raises
+    ------
+    StructureError
+        If the controller gives energy or does not fit the ports, or a factor is not positive.
+
+    Notes
+    -----
+    Modes are followed from factor to factor by the nearest pole.  What oscillates nowhere is left out.
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> import matplotlib.pyplot as plt
+    >>> plot = phc.damping_plot(phc.spring_chain([1.0, 1.0], [2.0], ground=1.0), 1.0)
+    >>> [axis.get_xlabel() for axis in plot.axes[0]]
+    ['Factor of the controller', 'Natural frequency [rad/time]']
+    >>> plt.close(plot.figure)
+    """
+    plant(sys)
+    gain = controller_of(controller, len(port_numbers(sys, ports)))
+    scale = _FACTORS if factors is None else _checks.real_array("the factors", factors, 1)
+    if not len(scale) or np.any(scale <= 0) or np.any(np.diff(scale) <= 0):
+        raise StructureError("the factors must be positive and ascend, at least one of them")
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, sys))
+    first, at_one, paths = _loci(sys, gain, ports, scale)
+    moving = np.flatnonzero((paths.imag > 0).any(axis=0))
+    moving = moving[np.argsort(np.abs(first[moving]))]
+    look = Look.of(style)
+    with look.context():
+        drawn = picture(look, ax, (1, 2), (9.0, 3.8))
+        left, right = drawn.axes[0]
+        drawn.lines[0, :] = [[], []]
+        for k, column in enumerate(moving):
+            p = np.where(paths[:, column].imag > 0, paths[:, column], np.nan)
+            size, zeta = np.abs(p) / unit, -100 * p.real / np.abs(p)
+            line = {**look.curve(k), "label": f"mode {k + 1}" if len(moving) <= _NAMED else None}
+            drawn.lines[0, 0] += left.semilogx(scale, zeta, **line)
+            drawn.lines[0, 1] += right.plot(size, zeta, **{**line, "label": None})
+            color = drawn.lines[0, 1][-1].get_color()
+            right.plot(abs(first[column]) / unit, -100 * first[column].real / abs(first[column]), color=color, **_START)
+            if at_one[column].imag > 0:
+                chosen = -100 * at_one[column].real / abs(at_one[column])
+                right.plot(abs(at_one[column]) / unit, chosen, color=color, **_CHOSEN)
+        left.axvline(1.0, color="0.5", linewidth=0.8, linestyle="--")
+        left.set(xlabel="Factor of the controller", ylabel="Damping ratio [%]", ylim=(0, None))
+        right.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Damping ratio [%]", ylim=(0, None))
+        right.set_xlim(0, None)
+        for axis in (left, right):
+            look.lattice(axis)
+        return drawn.finished("Damping over the gain", look.legend(left))
+
+
+def _loci(sys: PortHamiltonian, gain: Any, ports: Any, scale: Array) -> tuple[Any, Any, Any]:
+    """Poles at the least factor, at 1, and at all, (N, poles), each column one pole that moves."""
+    every = np.union1d(scale, [1.0])
+    rows = [damping_injection(sys, factor * gain, ports=ports).poles() for factor in every]
+    for k in range(1, len(rows)):
+        distance = np.abs(rows[k - 1][:, None] - rows[k])
+        rows[k] = rows[k][linear_sum_assignment(distance)[1]]
+    paths = np.array(rows)
+    return paths[0], paths[np.searchsorted(every, 1.0)], paths[np.isin(every, scale)]

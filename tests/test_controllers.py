@@ -1,0 +1,279 @@
+"""Damping injection, tuned mass dampers, observers and passive LQG, against closed forms and python-control."""
+
+from __future__ import annotations
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.optimize import minimize_scalar
+
+import ph_control as phc
+
+CHAIN = phc.spring_chain(np.ones(5), np.linspace(1.0, 2.0, 4), ground=[1.0, 0, 0, 0, 0], c=0.01, port=[0, 2, 4])
+
+
+def plain(sys):
+    return ct.ss(sys.A, sys.B, sys.C, sys.D)
+
+
+def random_plant(seed, m=2):
+    """Port-Hamiltonian system with random energy and losses, in any coordinates."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 7))
+    J = rng.normal(size=(n, n))
+    L = rng.normal(size=(n, n))
+    loss = rng.normal(size=(n, int(rng.integers(1, n + 1))))
+    return phc.ph(L @ L.T + 0.1 * np.eye(n), rng.normal(size=(n, m)), J=J - J.T, R=loss @ loss.T)
+
+
+def random_gain(rng, m):
+    K = rng.normal(size=(m, m))
+    return K @ K.T + (K - K.T)
+
+
+# --- closed loops --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_closed_loops_are_port_hamiltonian_and_those_of_python_control(seed):
+    rng = np.random.default_rng(seed)
+    sys = random_plant(seed)
+    for controller in (random_gain(rng, 2), random_plant(seed + 100), phc.lqg(sys, 0.3)):
+        closed = phc.damping_injection(sys, controller)
+        assert isinstance(closed, phc.PortHamiltonian)
+        assert np.linalg.eigvalsh(closed.R).min() >= -1e-12 * np.abs(closed.R).max()
+        other = plain(controller) if isinstance(controller, ct.StateSpace) else ct.ss([], [], [], controller)
+        expected = ct.feedback(plain(sys), other)
+        s = 1j * np.geomspace(0.01, 100.0, 9)
+        np.testing.assert_allclose(closed(s), expected(s), rtol=1e-6, atol=1e-9)
+        assert closed.poles().real.max() <= 1e-12 * np.abs(closed.poles()).max()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_energy_never_rises_without_input(seed):
+    sys = random_plant(seed)
+    closed = phc.damping_injection(sys, random_plant(seed + 50))
+    t = np.linspace(0.0, 5.0, 400)
+    start = np.random.default_rng(seed).normal(size=closed.nstates)
+    states = phc.forced_response(closed, t, np.zeros((2, 400)), start).states
+    energy = 0.5 * np.einsum("it,ij,jt->t", states, closed.Q, states)
+    assert np.diff(energy).max() <= 1e-12 * energy[0]
+
+
+def test_gain_at_chosen_ports_and_its_forms():
+    at_ends = phc.damping_injection(CHAIN, [0.5, 0.2], ports=["F_1", 2])
+    whole = phc.damping_injection(CHAIN, np.diag([0.5, 0.0, 0.2]))
+    np.testing.assert_array_equal(at_ends.A, whole.A)
+    assert at_ends.input_labels == CHAIN.input_labels
+    sensed = phc.ph(np.eye(2), [0.0, 1.0], R=np.zeros((2, 2)), sensors=[[1.0, 0.0]], outputs=["v", "x"])
+    closed = phc.damping_injection(sensed, 0.5)
+    assert closed.output_labels == ["v", "x"]
+    np.testing.assert_allclose(closed.damping_ratios, [0.25])
+
+
+@pytest.mark.parametrize(
+    ("gain", "options", "message"),
+    [
+        (-0.1, {}, "gives energy"),
+        ([[1.0, 3.0, 0], [3.0, 1.0, 0], [0, 0, 1]], {}, "gives energy"),
+        ([1.0, 2.0], {}, "shape"),
+        (1.0, {"ports": ["F_9"]}, "no input 'F_9'"),
+        (np.nan, {}, "not finite"),
+        (phc.spring_chain([1.0]), {}, "1 ports"),
+    ],
+)
+def test_gains_that_do_not_fit_are_refused(gain, options, message):
+    with pytest.raises(phc.StructureError, match=message):
+        phc.damping_injection(CHAIN, gain, **options)
+    with pytest.raises(phc.StructureError, match="StateSpace"):
+        phc.damping_injection(plain(CHAIN), 1.0)
+
+
+# --- optimal dampers -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mu", [0.01, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("start", [0, None])
+def test_tuned_mass_damper_under_white_noise_is_that_of_warburton(mu, start):
+    m, k = 3.0, 7.0
+    found = phc.optimal_damping(phc.spring_chain([m], ground=k), mass=mu * m, outputs="displacement", mode=start)
+    ratio = np.sqrt(1 + mu / 2) / (1 + mu)
+    zeta = np.sqrt(mu * (1 + 3 * mu / 4) / ((1 + mu) * (1 + mu / 2))) / 2
+    assert found.tuned_frequencies[0] / np.sqrt(k / m) == pytest.approx(ratio, rel=1e-6)
+    assert found.tuned_damping_ratios[0] == pytest.approx(zeta, rel=1e-6)
+    # nothing near it is better, by a norm that is computed elsewhere
+    assert found.cost == pytest.approx(displacement_norm(found.system), rel=1e-9)
+    for factor in (0.999, 1.001):
+        for kind in (0, 1):
+            k_a, c_a = found.stiffnesses[0], found.gains[0]
+            k_a, c_a = (k_a * factor, c_a) if kind else (k_a, c_a * factor)
+            absorber = phc.ph(
+                np.diag([k_a, 1 / (mu * m)]), [-1.0, 0.0], R=np.diag([0, c_a]), P=[[0.0], [-c_a]], S=[[c_a]]
+            )
+            other = phc.damping_injection(phc.spring_chain([m], ground=k), absorber)
+            assert displacement_norm(other) > found.cost
+
+
+def displacement_norm(closed):
+    """H2 norm from force to displacement."""
+    integrated = ct.ss(closed.A, closed.B, np.linalg.solve(closed.A.T, closed.C.T).T, 0)
+    return float(
+        np.sqrt(np.trace(integrated.C @ ct.lyap(integrated.A, integrated.B @ integrated.B.T) @ integrated.C.T))
+    )
+
+
+def test_tuned_mass_damper_finds_the_optimum_from_another_mode_of_a_structure():
+    found = [phc.optimal_damping(CHAIN, [2], mass=0.3, outputs="displacement", mode=k) for k in (0, 1, None)]
+    assert found[2].cost <= min(found[0].cost, found[1].cost) * (1 + 1e-9)
+    assert found[2].cost < 0.5 * found[2].cost_before
+
+
+@pytest.mark.parametrize("mu", [0.02, 0.05, 0.2])
+def test_fixed_points_are_den_hartogs_and_equally_high(mu):
+    found = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=mu, criterion="fixed points")
+    assert found.tuned_frequencies[0] == pytest.approx(1 / (1 + mu), rel=1e-12)
+    assert found.tuned_damping_ratios[0] == pytest.approx(np.sqrt(3 * mu / (8 * (1 + mu))), rel=1e-12)
+    omega = np.linspace(0.6, 1.4, 20001)
+    gain = np.abs(found.system(1j * omega) / (1j * omega))
+    peaks = gain[1:-1][(gain[1:-1] > gain[:-2]) & (gain[1:-1] > gain[2:])]
+    assert len(peaks) == 2
+    np.testing.assert_allclose(peaks, np.sqrt(1 + 2 / mu), rtol=5e-3)
+
+
+def test_one_dashpot_minimises_the_mean_energy():
+    sys = phc.spring_chain([1.0, 2.0, 1.0], [3.0, 1.0], ground=[1.0, 0, 0])
+
+    def energy(g):
+        A = phc.damping_injection(sys, g).A
+        T = np.linalg.cholesky(sys.Q).T
+        A = T @ A @ np.linalg.inv(T)
+        return np.trace(solve_continuous_lyapunov(A, -np.eye(len(A))))
+
+    best = minimize_scalar(lambda x: energy(np.exp(x)), bracket=(-2.0, 1.0), options={"xtol": 1e-9})
+    found = phc.optimal_damping(sys)
+    assert found.cost == pytest.approx(np.sqrt(best.fun), rel=1e-9)
+    assert found.gains[0] == pytest.approx(np.exp(best.x), rel=1e-5)
+    assert found.cost_before == np.inf
+    np.testing.assert_array_equal(np.asarray(found), found.gains)
+
+
+def test_several_dashpots_damp_the_least_damped_mode_best():
+    found = phc.optimal_damping(CHAIN, ["F_1", "F_3"], criterion="damping")
+    zeta = found.system.damping_ratios.min()
+    assert found.cost == pytest.approx(zeta, rel=1e-9)
+    assert found.cost_before == pytest.approx(CHAIN.damping_ratios.min(), rel=1e-6)
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        gains = found.gains * np.exp(rng.normal(scale=0.3, size=2))
+        assert phc.damping_injection(CHAIN, gains, ports=["F_1", "F_3"]).damping_ratios.min() <= zeta * (1 + 1e-6)
+
+
+def test_what_no_damper_reaches_is_refused_by_its_frequency():
+    symmetric = phc.spring_chain([1.0, 1.0, 1.0], ground=[1.0, 0.0, 1.0], port=1)
+    with pytest.raises(phc.StructureError, match=r"mode at 1\.41421"):
+        phc.optimal_damping(symmetric)
+    with pytest.raises(phc.StructureError, match="rigid mode"):
+        phc.optimal_damping(phc.spring_chain([1.0, 1.0]), mass=0.1, outputs="velocity")
+    with pytest.raises(phc.StructureError, match="feedthrough"):
+        phc.optimal_damping(phc.ph([[1.0]], [1.0], J=[[0.0]], R=[[1.0]], S=[[1.0]]))
+    with pytest.raises(phc.StructureError, match="positive"):
+        phc.optimal_damping(CHAIN, mass=-1.0)
+    with pytest.raises(phc.StructureError, match="give their mass"):
+        phc.optimal_damping(CHAIN, criterion="fixed points")
+
+
+# --- observers -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_energy_of_the_error_of_an_observer_never_rises(seed):
+    rng = np.random.default_rng(seed)
+    sys = random_plant(seed)
+    estimator = phc.observer(sys, random_gain(rng, 2))
+    t = np.linspace(0.0, 8.0, 500)
+    u = np.sin(np.outer([1.0, 1.7], t))
+    plant = phc.forced_response(sys, t, u, rng.normal(size=sys.nstates))
+    # outputs of the plant bend where the input does: a joint simulation has no error of interpolation
+    n, m = sys.nstates, sys.ninputs
+    joint = ct.ss(
+        np.block([[sys.A, np.zeros((n, n))], [estimator.B[:, m:] @ sys.C, estimator.A]]),
+        np.vstack([sys.B, estimator.B[:, :m]]), np.eye(2 * n), 0,
+    )  # fmt: skip
+    start = np.r_[plant.states[:, 0], np.zeros(n)]
+    both = ct.forced_response(joint, t, u, start).outputs
+    error = both[:n] - both[n:]
+    energy = 0.5 * np.einsum("it,ij,jt->t", error, sys.Q, error)
+    assert np.diff(energy).max() <= 1e-9 * energy[0]
+    np.testing.assert_allclose(estimator.C[-n:], np.eye(n))
+
+
+def test_gain_of_an_observer_is_chosen_where_none_is_given():
+    estimator = phc.observer(CHAIN, ports=[0, 2])
+    best = phc.optimal_damping(CHAIN, [0, 2], criterion="damping")
+    assert estimator.damping_ratios.min() == pytest.approx(best.cost, rel=1e-9)
+    assert estimator.input_labels == ["F_1", "F_2", "F_3", "v_1", "v_3"]
+
+
+# --- passive LQG ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_lqg_is_passive_and_minimises_its_cost(seed):
+    sys = random_plant(seed)
+    E = random_gain(np.random.default_rng(seed), 2)
+    E = E + E.T + 0.1 * np.eye(2)
+    controller = phc.lqg(sys, E)
+    assert phc.passivity(controller).is_passive
+
+    # the cost of any controller of this form, by the covariance of plant and controller under the noise of the notes
+    def cost(K):
+        A, B, C = sys.A, sys.B, sys.C
+        n, k = len(A), K.nstates
+        closed = np.block([[A, -B @ K.C], [K.B @ C, K.A]])
+        noise = np.zeros((n + k, n + k))
+        inverse = np.linalg.inv(sys.Q)
+        noise[:n, :n] = 2 * sys.R + B @ np.linalg.solve(E, B.T)
+        noise[n:, n:] = K.B @ E @ K.B.T
+        X = solve_continuous_lyapunov(closed, -noise)
+        assert np.linalg.eigvals(closed).real.max() < 0 and np.isfinite(inverse).all()
+        weight = sys.Q + C.T @ np.linalg.solve(E, C)
+        return np.trace(weight @ X[:n, :n]) + np.trace(E @ K.C @ X[n:, n:] @ K.C.T)
+
+    best = cost(controller)
+    rng = np.random.default_rng(seed + 1)
+    for _ in range(5):
+        changed = ct.ss(
+            controller.A, controller.B * (1 + 0.02 * rng.normal(size=controller.B.shape)),
+            controller.C * (1 + 0.02 * rng.normal(size=controller.C.shape)), 0,
+        )  # fmt: skip
+        assert cost(changed) >= best * (1 - 1e-10)
+
+
+def test_lqg_is_stable_with_every_passive_plant():
+    controller = phc.lqg(CHAIN, 0.05)
+    for seed in range(10):
+        closed = phc.damping_injection(random_plant(seed, 3), controller)
+        assert closed.poles().real.max() <= 1e-10
+    weight = np.zeros((10, 10))
+    weight[0, 0] = 4.0
+    strong = phc.damping_injection(CHAIN, phc.lqg(CHAIN, 0.05, weight=weight))
+    assert strong.poles().real.max() < CHAIN.poles().real.max()
+    for bad in (0.0, -1.0, np.eye(2)):
+        with pytest.raises(phc.StructureError, match="effort"):
+            phc.lqg(CHAIN, bad)
+    with pytest.raises(phc.StructureError, match="weight"):
+        phc.lqg(CHAIN, weight=-np.eye(10))
+
+
+def test_damping_plot_shows_the_loop_at_each_factor():
+    found = phc.optimal_damping(CHAIN, [2], criterion="damping")
+    plot = found.plot(factors=[0.5, 1.0, 2.0], Hz=True, time_unit="s")
+    drawn = np.array([line.get_ydata()[1] for line in plot.lines[0, 0]])
+    zeta = 100 * found.system.damping_ratios
+    np.testing.assert_allclose(np.sort(drawn[~np.isnan(drawn)]), np.sort(zeta[zeta < 100]), rtol=1e-9)
+    assert plot.axes[0, 1].get_xlabel() == "Natural frequency [Hz]"
+    plt.close(plot.figure)
+    with pytest.raises(phc.StructureError, match="ascend"):
+        phc.damping_plot(CHAIN, 1.0, factors=[1.0, 0.5])
