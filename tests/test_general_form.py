@@ -195,6 +195,21 @@ def test_of_proportional_damping_frequencies_ratios_and_masses_are_as_given():
     assert phc.modes([2.0], [1.0], damping=0.0).is_lossless
 
 
+@pytest.mark.parametrize("decades", [2, 4])
+def test_modes_far_slower_than_others_of_a_stiff_structure_stand_alone(decades):
+    d, zeta, Q = np.geomspace(1, 10**decades, 12), 0.01, np.linalg.qr(np.random.default_rng(0).normal(size=(12, 12)))[0]
+    K, C, F = Q * d**2 @ Q.T, Q * (2 * zeta * d) @ Q.T, np.eye(12)[:, :2]
+    A = np.block([[np.zeros((12, 12)), np.eye(12)], [-K, -C]])
+    modes = phc.modes(ct.ss(A, np.concatenate([0 * F, F]), np.concatenate([0 * F, F]).T, 0))
+    assert not modes.clusters
+    assert np.abs(modes.natural_frequencies / d - 1).max() < 1e-9
+    assert np.abs(modes.damping_ratios / zeta - 1).max() < 1e-7
+    points = 1j * np.geomspace(0.1, 10 * d[-1], 40)
+    terms = points / (points**2 + 2 * zeta * d[:, None] * points + d[:, None] ** 2)
+    truth = np.einsum("al,bl,lk->abk", Q[:2], Q[:2], terms)
+    assert np.abs(modes.evaluate(points) - truth).max() < 1e-8 * np.abs(truth).max()
+
+
 def test_frequencies_and_ratios_of_matrices_are_those_of_control():
     sys = chain(4, 0.02, np.random.default_rng(3))
     wn, zeta, _ = ct.damp(sys, doprint=False)

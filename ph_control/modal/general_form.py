@@ -333,7 +333,11 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
         none, shapes, participation = (np.zeros(size, complex) for size in (0, (0, len(D)), (0, len(D.T))))
         return GeneralModalForm(none, shapes, participation, D)
     A, B, C = equilibrated(A, B, C)
-    T, X, sizes, _ = mb03rd(len(A), *schur(A), sort="B", pmax=_CONDITION)
+    rounding = len(A) * _checks.EPS * float(np.linalg.norm(A))
+    T, U = schur(A)
+    T, X = _in_units_of_modes(T, U, rounding)
+    T, X, sizes, _ = mb03rd(len(A), T, X, sort="C", pmax=_CONDITION)
+    T, X = _in_units_of_modes(T, X, rounding)
     W = np.linalg.inv(X)
     inputs, outputs = W @ B, C @ X
     # what rounding of A makes of a real pole at 0
@@ -463,6 +467,20 @@ def _without_noise(block: Array, noise: float) -> Array:
     cleared = block.copy()
     cleared[np.diag_indices_from(block)] = np.where(still, 0.0, np.diag(block))
     return cleared
+
+
+def _in_units_of_modes(T: Array, X: Array, rounding: float) -> tuple[Array, Array]:
+    """`T` and `X`, `A X = X T`, with states in units in which both halves of each 2 x 2 block of `T` are alike in size.
+
+    Modes far slower or faster than others have blocks that are out of scale, and are no less sure.  Poles that nearly
+    coincide, or are 0 but for rounding, have such blocks by nature: they stay.
+    """
+    units = np.ones(len(T))
+    for k in np.flatnonzero(np.diag(T, -1)):
+        up, down = abs(T[k, k + 1]), abs(T[k + 1, k])
+        if np.sqrt(up) * np.sqrt(down) * _CONDITION >= abs(T[k, k]) and min(up, down) > _CONDITION * rounding:
+            units[k + 1] = 2.0 ** round(0.5 * np.log2(down / up))  # a power of 2 rounds nothing
+    return T * units / units[:, None], X * units
 
 
 def _single_mode(block: Array, b: Array, c: Array, noise: float) -> tuple[complex, NDArray[Any], NDArray[Any]] | None:
