@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import builtins
 import copy
 import dataclasses
@@ -12,7 +13,9 @@ import math
 import os
 import re
 import stat
+import struct
 import tempfile
+import zlib
 from pathlib import Path
 
 import control as ct
@@ -519,6 +522,27 @@ def test_a_document_of_schema_1_is_read(path, model):
 NOTHING = object()
 
 
+def packed(numbers, *shape):
+    """An array as its bytes."""
+    content = base64.b64encode(zlib.compress(struct.pack(f"<{len(numbers)}d", *numbers)))
+    return {"shape": list(shape), "float64": content.decode()}
+
+
+def test_long_arrays_are_their_bytes_and_short_ones_as_well_where_they_are_so(path, tmp_path):
+    modes = phc.modes(np.arange(1.0, 12_002.0), np.linspace(0.1, 1.0, 12_001))
+    save(modes, path)
+    assert 2 * path.stat().st_size < len(repr(modes.d.tolist()) + 3 * repr(modes.r.tolist()))
+    assert_same_modes(modes, load(path))
+    document = json.loads(path.read_text())
+    assert document["data"]["d"] == packed(modes.d, 12_001)
+    save(phc.modes([0.1, 2.0], [1.0, 1.0]), path, overwrite=True)
+    document = json.loads(path.read_text())
+    document["data"]["d"] = packed([0.1, 2.0], 2)
+    del document["sha256"]
+    path.write_text(json.dumps(document))
+    assert load(path).d.tolist() == [0.1, 2.0]
+
+
 @pytest.mark.parametrize(
     ("place", "value", "expected"),
     [
@@ -557,7 +581,12 @@ NOTHING = object()
         (["data", "modes", "d"], [0.1, True], "data: modes: d is true, needed a number"),
         (["data", "modes", "d"], [0.1, [2.0]], "data: modes: d is a list with 1 entries, needed a number"),
         (["data", "modes", "d"], 0.1, "data: modes: d has shape (), needed (any)"),
-        (["data", "modes", "d"], {}, "data: modes: d has shape (), needed (any)"),
+        (["data", "modes", "d"], {}, "data: modes: d is an object with 0 entries, needed an array of numbers, or"),
+        (["data", "modes", "d"], {"shape": [2], "float64": "no"}, "data: modes: d is an object with 2 entries, need"),
+        (["data", "modes", "d"], {"shape": [2.0], "float64": ""}, "data: modes: d is an object with 2 entries, need"),
+        (["data", "modes", "d"], packed([0.1, 2.0, 3.0], 2), "data: modes: d is an object with 2 entries, need"),
+        (["data", "modes", "d"], packed([0.1], 10**9), "data: modes: d is an object with 2 entries, need"),
+        (["data", "modes", "d"], packed([0.1, np.inf], 2), "data: modes: d holds NaN, or a number that is too large"),
         (["data", "modes", "nu"], [[[1.7e308, 1.7e308]], [[0.7, 0.0]]], "holds no valid PortHamiltonian: r is not"),
         (["data", "modes", "nu"], [1.0, 2.0], "data: modes: nu has shape (2,), needed (2, 1, 2)"),
         (["data", "modes", "r"], [0.5], "data: modes: r has shape (1,), needed (2)"),

@@ -21,7 +21,7 @@ from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamilto
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .files import as_path, read_bytes, source_name, write_atomically
-from .json_format import Fields, compose, decompose, plain
+from .json_format import Fields, compose, decompose
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -228,7 +228,7 @@ def document_of(obj: Any) -> str:
             f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
             "a passive system of another type can be converted with ph(sys), any other with modes(sys)"
         )
-    text = compose(kind, plain(codec.to_dict(obj)))
+    text = compose(kind, codec.to_dict(obj))
     try:
         restore(text.encode(), type(obj).__name__)
     except FileFormatError as error:

@@ -3,13 +3,16 @@
 A document is an object with `format`, `schema`, `kind`, `data` and the checksum of kind and data.  Every float is
 written with the shortest digits that give the same double again; a complex number is `[re, im]`.  JSON has no word
 for NaN and infinity: they are the strings "nan", "inf" and "-inf", and only fields that allow them may hold them.
+Long arrays are their bytes, as `{"shape": [..], "float64": ".."}`: little-endian doubles, compressed by zlib, base64.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import math
+import zlib
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -26,6 +29,7 @@ FORMAT = "ph_control"
 SCHEMA = 2  # that is written; 1, of lossless systems, is a part of it
 _READ = (1, 2)
 _NON_FINITE = ("nan", "inf", "-inf")
+_LONG = 10_000  # numbers of an array whose digits nobody reads one by one
 
 
 # --- values to JSON ----------------------------------------------------------------------------------------------
@@ -35,16 +39,22 @@ def _spelt(value: float) -> str | None:
     return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
 
 
-def plain(value: Any, spelt: Callable[[float], str | None] = _spelt) -> Any:
-    """Turn arrays, numpy scalars, tuples and complex numbers into what JSON has; `spelt` says what is not finite."""
+def plain(value: Any, spelt: Callable[[float], str | None] = _spelt, *, long: float = np.inf) -> Any:
+    """Turn arrays, numpy scalars, tuples and complex numbers into what JSON has.
+
+    `spelt` says what is not finite; from `long` numbers on an array is its bytes.
+    """
     if isinstance(value, dict):
-        return {key: plain(item, spelt) for key, item in value.items()}
+        return {key: plain(item, spelt, long=long) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         if np.iscomplexobj(value):
             value = np.stack([np.real(value), np.imag(value)], axis=-1)
+        if value.size >= long and value.dtype == float:
+            packed = base64.b64encode(zlib.compress(value.astype("<f8").tobytes()))
+            return {"shape": list(value.shape), "float64": packed.decode()}
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [plain(item, spelt) for item in value]
+        return [plain(item, spelt, long=long) for item in value]
     if isinstance(value, complex):
         return [plain(value.real, spelt), plain(value.imag, spelt)]
     if isinstance(value, float) and not math.isfinite(value):
@@ -53,7 +63,8 @@ def plain(value: Any, spelt: Callable[[float], str | None] = _spelt) -> Any:
 
 
 def compose(kind: str, data: dict[str, Any]) -> str:
-    """Text of a document; `data` holds plain values."""
+    """Text of a document."""
+    data = plain(data, long=_LONG)
     document = {"format": FORMAT, "schema": SCHEMA, "kind": kind, "data": data, "sha256": _checksum(kind, data)}
     return _pretty(document) + "\n"
 
@@ -186,7 +197,8 @@ class Fields:
 
     def array(self, key: str, shape: tuple[int | None, ...], *, finite: bool = True) -> Array:
         """Take an array of that shape; None stands for a length that the file decides."""
-        entries = np.array(self.take(key), dtype=object)
+        value = self.take(key)
+        entries = self._unpacked(key, value) if isinstance(value, dict) else np.array(value, dtype=object)
         if not entries.size:
             # an empty list says nothing about the lengths inside it
             entries = entries.reshape([*entries.shape, *(length or 0 for length in shape[entries.ndim :])])
@@ -196,7 +208,7 @@ class Fields:
                 f"{self.place}: {key} has shape {entries.shape}, needed ({needed}); the file is damaged or incomplete"
             )
         words = () if finite else _NON_FINITE
-        for entry in entries.flat:
+        for entry in entries.flat if entries.dtype == object else ():
             # not isinstance: true and false are no numbers here
             if type(entry) is not float and type(entry) is not int and entry not in words:
                 raise self.error(key, entry, "a number")
@@ -207,6 +219,20 @@ class Fields:
         if finite and not np.isfinite(numbers).all():
             raise FileFormatError(f"{self.place}: {key} holds NaN, or a number that is too large for a double")
         return numbers
+
+    def _unpacked(self, key: str, value: dict[str, Any]) -> Array:
+        """Array of its bytes."""
+        shape: Any = value.get("shape")
+        packed = value.get("float64")
+        fits = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
+        try:
+            if len(value) != 2 or not fits or not isinstance(packed, str):
+                raise ValueError
+            size = 8 * math.prod(shape)
+            content = zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), size + 1)
+            return np.frombuffer(content, "<f8").reshape(shape).astype(float)
+        except (ValueError, zlib.error):
+            raise self.error(key, value, "an array of numbers, or its shape and bytes that make it") from None
 
     def complex_array(self, key: str, shape: tuple[int | None, ...], *, finite: bool = True) -> ComplexArray:
         """Take an array of complex numbers, each `[re, im]`."""

@@ -308,6 +308,7 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     J = np.eye(len(given))
     J[: 2 * n, : 2 * n] = natural_jacobian(fit.p)
     inner = J @ given @ J.T
+    inner = 0.5 * (inner + inner.T)  # but for rounding
     size = np.concatenate(unit)
     found = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that no experiment shows

@@ -235,7 +235,9 @@ def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:
 
 
 def _modal_to_dict(result: DampedResult) -> dict[str, Any]:
+    rows, columns = np.triu_indices(len(result.covariance))
     return _written(result, "experiments", "order_table", "ports") | {
+        "covariance": result.covariance[rows, columns],
         "experiments": _counted(map(_written, result.experiments)),
         "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
         "ports": {"output": [o for o, _ in result.ports], "input": [i for _, i in result.ports]},
@@ -254,13 +256,16 @@ def _modal_from_dict(fields: Fields) -> Any:
     numbers = [table.array(name, (len(orders),)).tolist() for name in ("loss", "aic", "bic")]
     per_entry = isinstance(experiments[0].record, ResponseMatrix | FrequencyRecord)
     shapes: Shapes = {
-        "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs), "covariance": (size, size),
+        "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs),
         "shapes": (n, outputs), "shape_stderr": (n, outputs), "participation": (n, inputs),
         "noise_variance": (outputs, inputs) if per_entry else (outputs,),
     }  # fmt: skip
     pairs = zip(_places(ports, "output", outputs), _places(ports, "input", inputs), strict=True)
+    rows, columns = np.triu_indices(size)
+    covariance = np.empty((size, size))
+    covariance[rows, columns] = covariance[columns, rows] = fields.array("covariance", (len(rows),), finite=False)
     return _read(
-        DampedResult, fields, shapes, experiments=experiments, ports=tuple(pairs),
+        DampedResult, fields, shapes, experiments=experiments, ports=tuple(pairs), covariance=covariance,
         order_table=tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True)),
     )  # fmt: skip
 
