@@ -11,6 +11,7 @@ import numpy as np
 
 from ... import _checks
 from ..._frozen import Frozen, ReadOnlyMapping
+from ..._threads import on_one_thread
 from ..._types import Array, Mask, NDArray
 from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
@@ -141,6 +142,7 @@ class Bootstrap(Frozen):
 class Resampled:
     """The bootstrap of a result that is the minimum of a problem."""
 
+    @on_one_thread
     def bootstrap(self: Any, k: int = 200, *, rng: Any = None, workers: Any = 1) -> Bootstrap:
         """Refit to resampled noise: errors that do not rest on a normal distribution, nor on one noise level for all.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ... import _checks
+from ..._threads import on_one_thread
 from ..._types import Array
 from ..._workers import check_workers
 from ...exceptions import StructureError
@@ -32,6 +33,7 @@ from .result import STRUCTURES, OrderRow, PEMResult
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
 
 
+@on_one_thread
 def pem(
     data: Any,
     order: int | str = "auto",

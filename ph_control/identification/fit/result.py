@@ -12,6 +12,7 @@ import numpy as np
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._threads import on_one_thread
 from ..._types import Array, NDArray
 from ..._units import common_unit, hertz_size, unit_for
 from ...exceptions import StructureError
@@ -197,6 +198,7 @@ class PEMResult(Report, Frozen):
         """What the prediction leaves, all experiments one after the other; NaN where the output is missing."""
         return _checks.readonly(np.concatenate([one.residuals for one in self.experiments], axis=-1))
 
+    @on_one_thread
     def stabilisation(
         self,
         beyond: int = 5,

@@ -14,6 +14,7 @@ import numpy as np
 from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
+from ..._threads import on_one_thread
 from ..._types import Array, Indices, Mask
 from ..._units import common_unit, unit_for
 from ..._workers import check_workers, mapped
@@ -149,6 +150,7 @@ class OrderSelection(Report, Frozen):
 _WRITTEN = {"aic": "AIC", "aicc": "AICc", "bic": "BIC", "holdout": "hold-out"}
 
 
+@on_one_thread
 def order_selection(
     data: Any,
     orders: int | Sequence[int] | None = None,
