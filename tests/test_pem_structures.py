@@ -51,6 +51,19 @@ def test_a_sensor_elsewhere_leaves_free_residues_without_a_scale():
     assert {one.hypothesis for one in found.tests if one.p < 0.05} >= {"lossless", "classical"}
 
 
+def test_one_output_may_be_any_sensor_by_a_word_a_list_or_its_label():
+    u, _ = recording()
+    y = PLANT.velocities(np.stack([u[0], 0 * u[0]]))[2] + 0.02 * np.random.default_rng(0).standard_normal(600)
+    for quantity in ("free", ["free"], {"y": "free"}):
+        found = phc.pem((u[0], y), dt=1.0, quantity=quantity)
+        assert found.structure == "free" and found.quantities == ("free",) and found.ports == ()
+    assert phc.pem((u[0], y), 2, dt=1.0, quantity=["velocity"], structure="lossless").quantity == "velocity"
+    with pytest.raises(phc.StructureError, match="2 entries for 1 output"):
+        phc.pem((u[0], y), dt=1.0, quantity=["free", "free"])
+    with pytest.raises(phc.StructureError, match="passive structure needs driving points"):
+        phc.pem((u[0], y), dt=1.0, quantity="free", structure="passive")
+
+
 def test_an_interpolated_input_is_told_by_the_structure():
     """With free residues and a feedthrough a hold and an interpolation are the same models."""
     rng, t = np.random.default_rng(2), 0.1 * np.arange(1000)

@@ -180,11 +180,13 @@ def _without_modes(free: FreeFit) -> StructuredFit:
 def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> Asked:
     """What is asked of a fit to these channels, checked."""
     outputs, inputs = channels[0].output_labels, channels[0].input_labels
-    assumed = ports is None and len(outputs) == len(inputs) == 1
+    quantities = checked_quantities(quantity, outputs)
+    # a sensor of another kind has no power with the input
+    assumed = ports is None and len(outputs) == len(inputs) == 1 and quantities != ("free",)
     pairs = ((0, 0),) if assumed else () if ports is None else _checks.port_pairs(ports, outputs, inputs)
     if structure == "passive" and not pairs:
         raise StructureError("a passive structure needs driving points: name them, ports=[(output, input), ..]")
-    return Asked(structure, pairs, checked_quantities(quantity, outputs), assumed)
+    return Asked(structure, pairs, quantities, assumed)
 
 
 def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
@@ -199,7 +201,9 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
     else:
         each = list(quantity) if isinstance(quantity, tuple | list | np.ndarray) else [quantity]
     if len(each) != len(labels):
-        raise StructureError(f"quantity has {len(each)} entries for {len(labels)} outputs; give one for each, or one")
+        raise StructureError(
+            f"quantity has {len(each)} entries for {counted(len(labels), 'output')}; give one for each, or one"
+        )
     return tuple(_checks.choice("quantity", one, QUANTITIES) for one in each)
 
 

@@ -27,7 +27,7 @@ from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Fit, conclude
 from .lossless_result import LosslessResult
-from .modal_fit import asked_of, cut_short, fit_channels, starting_poles
+from .modal_fit import asked_of, checked_quantities, cut_short, fit_channels, starting_poles
 from .result import STRUCTURES, OrderRow, PEMResult
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
@@ -43,7 +43,7 @@ def pem(
     intersample: str = "auto",
     initial_state: str = "estimate",
     offset: bool | str = "auto",
-    quantity: str = "velocity",
+    quantity: Any = "velocity",
     representation: str = "observable",
     initial_guess: Any = None,
     weights: Any = None,
@@ -162,7 +162,10 @@ def pem(
     """
     _checks.choice("criterion", criterion, CRITERIA)
     _checks.choice("structure", structure, ("auto", *STRUCTURES))
-    if structure not in ("auto", "lossless") or has_several_channels(data):
+    several = structure not in ("auto", "lossless") or has_several_channels(data)
+    if not several and not isinstance(quantity, str):
+        (quantity,) = checked_quantities(quantity, as_channels(data, dt, weights=weights)[0].output_labels)
+    if several or quantity == "free":
         _refuse_lossless_options(structure, method, representation, criterion)
         _checks.choice("initial_state", initial_state, ("estimate", "zero"))
         channels = as_channels(data, dt, weights=weights)
@@ -196,7 +199,9 @@ def _refuse_lossless_options(structure: str, method: str, representation: str, c
     refused += [("criterion", criterion, "bic")] * (criterion == "holdout")
     if refused:
         name, value, instead = refused[0]
-        what = "several inputs or outputs" if structure in ("auto", "lossless") else f"structure={structure!r}"
+        what = f"structure={structure!r}"
+        if structure in ("auto", "lossless"):
+            what = "several inputs or outputs, or an output that is 'free'"
         raise StructureError(
             f"{name}={value!r} is for lossless models of one input and one output, and this fit has {what}: use "
             f"{name}={instead!r}"
