@@ -1,5 +1,8 @@
 """A few modes of sparse structures: those of dense matrices, none missed, and the right static response."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -231,6 +234,18 @@ def test_the_shapes_take_the_states_to_all_degrees_of_freedom():
     np.testing.assert_allclose(basis.T @ M @ basis, np.eye(6), atol=1e-12)
     q = np.linalg.solve(sys.A, -sys.B)[:6]
     np.testing.assert_allclose((basis @ q)[:, 0], np.linalg.inv(K.toarray())[:, 7], rtol=1e-10)
+
+
+@pytest.mark.parametrize("damped", [False, True])
+def test_copies_and_pickles_keep_the_shapes(damped):
+    M, K = membrane(9, 11)
+    sys = from_second_order(M, K, at(99, 7), modes=3, C=0.1 * M if damped else None)
+    for other in (copy.deepcopy(sys), pickle.loads(pickle.dumps(sys))):
+        kept = other.structural_modes
+        assert kept is not sys.structural_modes
+        assert kept.is_complete
+        np.testing.assert_array_equal(kept.shapes, sys.structural_modes.shapes)
+        np.testing.assert_array_equal(other.Q, sys.Q)
 
 
 def test_the_size_of_time_and_mass_does_not_matter():

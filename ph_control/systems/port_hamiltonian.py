@@ -462,7 +462,7 @@ class PortHamiltonian(LosslessSystem):
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
-        return restored, (type(self), *known), {"time_unit": self.time_unit}
+        return restored, (type(self), *known), {"time_unit": self.time_unit, "structural_modes": self.structural_modes}
 
     def _repr_eval_(self) -> str:
         if self._given is not None:
