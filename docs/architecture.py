@@ -11,6 +11,7 @@ from pathlib import Path
 FOLDERS = {
     "cli": "the command line",
     "identification.validation": "models on new data",
+    "identification.many": "many recordings, tracking",
     "identification.fit": "pem and its result",
     "identification.structure": "fits with a structure",
     "identification.diagnosis": "tests of a fit, verdict",

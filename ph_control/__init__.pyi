@@ -64,6 +64,10 @@ from .identification.fit.pem import pem as pem
 from .identification.fit.pem import prediction_error_fit as prediction_error_fit
 from .identification.fit.result import PEMResult as PEMResult
 from .identification.fit.stabilisation import Stabilisation as Stabilisation
+from .identification.many.fit_many import RecordingFitted as RecordingFitted
+from .identification.many.fit_many import fit_many as fit_many
+from .identification.many.fit_table import FitTable as FitTable
+from .identification.many.tracking import ModeTracks as ModeTracks
 from .identification.regression.free_prediction import FittedChannels as FittedChannels
 from .identification.regression.prediction import FittedExperiment as FittedExperiment
 from .identification.search.order_selection import OrderSelection as OrderSelection

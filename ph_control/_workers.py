@@ -7,8 +7,9 @@ import signal
 import threading
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from contextlib import contextmanager
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -23,7 +24,7 @@ _DEATHS = 3  # of processes that a call was alone in, after which it is given up
 _CHUNKS = 4  # for each process, of items that are there from the start
 _BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
-Ended = tuple[int, Any, "BaseException | None"]
+Ended = Generator[tuple[int, Any, "BaseException | None"], None, None]
 
 
 def check_workers(workers: Any) -> None:
@@ -90,7 +91,7 @@ def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
     )
 
 
-def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any) -> Iterator[Ended]:
+def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any) -> Ended:
     """Place, result and error of each call as it ends; items are taken as there is room, so there may be any number.
 
     Where a process of our own dies, all calls under way are lost.  Each is made again, alone: one of them may have
@@ -259,11 +260,36 @@ class _Processes(_Given):
         self._executor.shutdown(cancel_futures=True)
 
 
+class _End:
+    """Whether this process is to end, and whether that has to wait."""
+
+    asked = waits = False
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let a process of ours that is to end do this first."""
+    _End.waits = True
+    try:
+        yield
+    finally:
+        _End.waits = False
+        if _End.asked:
+            os._exit(1)
+
+
+def _end(*_: Any) -> None:
+    _End.asked = True
+    if not _End.waits:
+        os._exit(1)
+
+
 def _begin() -> None:
     """Prepare a process: what a call warns of is in its result, and interruptions are for the one that asked for it."""
     from multiprocessing import parent_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
     warnings.simplefilter("ignore", IdentifiabilityWarning)
     parent = parent_process()
 

@@ -30,6 +30,7 @@ def _results():
         phc.pem((u, np.stack([y, -y])), 2, dt=0.1, structure="free"),
     ]
     canonical = phc.ch([1.0, 2.0], [1.0, 1.0, 1.0, 1.0])
+    many = phc.fit_many([(u, y)], dt=0.1, order=2)
     start = [0.52, 1.9], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]
     bootstrap = fits[0].bootstrap(10, rng=1)
     return [
@@ -38,7 +39,8 @@ def _results():
         fits[0].identifiability, *(fit.experiments[0] for fit in fits),
         *(fit.record for fit in fits[2:]), phc.compare((u, y), fits[0], plant, dt=0.1),
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
-        phc.excitation((u, None), 1, dt=0.1),
+        phc.excitation((u, None), 1, dt=0.1), many, many.track(shortest=1), fits[0].stabilisation(1),
+        phc.RecordingFitted(1, 0, None, "name", "message"),
         phc.gradient_descent((u, y), 2, initial_guess=start, dt=0.1, epochs=3), phc.energy_balance(response, plant),
         phc.spectral_estimate(response), plant, plant.modes,
         phc.ph(np.eye(2), [0.0, 1.0], R=np.eye(2)), phc.passivity(ct.ss(-1.0, 1.0, 1.0, 0.0)),

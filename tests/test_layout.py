@@ -19,7 +19,7 @@ ORDER = (
     "", "numerics", "symplectic", "modal", "systems", "structures", "equivalence", "analysis", "reduction",
     "controllers", "plotting", "io", "circuits", "identification.data", "identification.regression",
     "identification.uncertainty", "identification.excitation", "identification.search", "identification.diagnosis",
-    "identification.structure", "identification.fit", "identification.validation", "cli",
+    "identification.structure", "identification.fit", "identification.many", "identification.validation", "cli",
 )  # fmt: skip
 
 DOCS = PACKAGE.parent / "docs"

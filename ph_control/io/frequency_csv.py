@@ -32,6 +32,7 @@ _LABELS = {
     "real": ("re", "real", "real part"),
     "imag": ("im", "imag", "imaginary", "imaginary part"),
 }
+COLUMNS = tuple(_LABELS)
 _PAIRS = _POLAR, _CARTESIAN = ("magnitude", "phase"), ("real", "imag")
 _SPELLINGS = {
     "rads": "rad/s", "rad_s": "rad/s", "rad/sec": "rad/s", "1/s": "rad/s", "s^-1": "rad/s", "hz": "Hz", "khz": "kHz",

@@ -1,0 +1,1 @@
+"""Fits to many recordings, the table of their modes, and modes followed from recording to recording."""

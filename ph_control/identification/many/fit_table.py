@@ -1,0 +1,214 @@
+"""The modes of many recordings as one table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ... import _checks
+from ..._display import Report, aligned, counted, to_its_error
+from ..._frozen import Frozen
+from ..._types import ComplexArray, NDArray
+from ...exceptions import MissingPackageError, StructureError
+from .recordings import Modes
+from .tracking import ModeTracks, followed
+
+_SHOWN = 40  # rows, beyond which the middle of a table is left out
+_WIDEST = 40  # letters of a message in a table
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FitTable(Report, Frozen):
+    """Modes of many recordings; made by `fit_many`.
+
+    Attributes
+    ----------
+    table : ndarray, structured, shape (rows,)
+        One row for each recording and mode, with the fields below.  A recording without a mode, and one that failed,
+        has one row with `mode` -1 and NaN.
+    shapes : tuple of ndarray of complex
+        Mode shape of each row, of as many entries as there are outputs; empty where there is no mode.
+    complete : bool
+        Whether all recordings are in it; not after an interruption.
+
+    Notes
+    -----
+    Fields of `table`: `recording`, its place, counted from 0; `name`; `mode`, from 0; `hertz` and `damping_ratio`, each
+    followed by its standard error, `hertz_stderr` and `damping_ratio_stderr`; `fit_percent`; `structure`; `order`, the
+    number of modes, -1 where the fit failed; `message`, its verdict or what went wrong; `result`, the name of the file
+    in the store, empty without one.
+
+    Examples
+    --------
+    See `fit_many`.
+    """
+
+    table: NDArray[np.void]
+    shapes: tuple[ComplexArray, ...]
+    complete: bool
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def failures(self) -> NDArray[np.void]:
+        """Rows of the recordings that could not be fitted, with their messages."""
+        return self.table[self.table["order"] < 0]
+
+    def to_pandas(self) -> Any:
+        """Table as a data frame of pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One column for each field.
+
+        Raises
+        ------
+        MissingPackageError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import ph_control as phc
+        >>> fits = phc.fit_many(["no such file.csv"])
+        >>> try:
+        ...     print(fits.to_pandas().shape)
+        ... except phc.MissingPackageError:
+        ...     print((1, 12))
+        (1, 12)
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise MissingPackageError(
+                "a data frame needs pandas, which is not installed: pip install pandas, or use the field table"
+            ) from None
+        return pandas.DataFrame({name: self.table[name] for name in self.table.dtype.names or ()})
+
+    def track(
+        self, *, frequency_tolerance: float = 0.05, least_mac: float = 0.5, window: int = 20, gap: int = 10,
+        shortest: int = 2,
+    ) -> ModeTracks:  # fmt: skip
+        """Follow modes from recording to recording, by their frequencies and their shapes.
+
+        Parameters
+        ----------
+        frequency_tolerance : float
+            Relative distance that a frequency may have from where its mode is expected.
+        least_mac : float
+            Modal assurance with the mean of the last shapes that a mode must have, where there are several outputs.
+        window : int
+            Number of recordings whose trend tells where a mode is expected.
+        gap : int
+            Number of recordings in which a mode may be missing, before it is given up.
+        shortest : int
+            Least number of recordings a mode is in; what is in fewer is followed by nothing.
+
+        Returns
+        -------
+        ModeTracks
+            The number of its mode for each row of the table, with a picture.
+
+        Raises
+        ------
+        StructureError
+            If a number is out of range.
+
+        Notes
+        -----
+        In each recording modes are assigned to those followed so that as many as can be are, and the sum of relative
+        distances in frequency and of `1 - MAC` is least.  A mode is expected on the line through its last frequencies
+        of the median slope, so that modes may cross: with several outputs their shapes tell them apart, with one output
+        their trends do, as far as these differ by more than the errors over the window.  O(window^2) a mode and
+        recording.
+
+        Examples
+        --------
+        See `fit_many`.
+        """
+        for name, value in (("frequency_tolerance", frequency_tolerance), ("least_mac", least_mac)):
+            if not (isinstance(value, int | float | np.number) and 0 < value < 1):
+                raise StructureError(f"{name} is {_checks.shown(value)}; needed a number between 0 and 1")
+        for name, count in (("window", window), ("gap", gap), ("shortest", shortest)):
+            _checks.whole_number(name, count, 0 if name == "gap" else 1)
+        ids = followed(self.table, self.shapes, frequency_tolerance, least_mac, window, gap, shortest)
+        return ModeTracks(self.table, ids)
+
+    def plot(self, **kwargs: Any) -> ct.ControlPlot:
+        """Natural frequencies and damping ratios against the recordings, modes followed as by `track()`.
+
+        Parameters
+        ----------
+        **kwargs
+            As for `ModeTracks.plot`.
+
+        Returns
+        -------
+        control.ControlPlot
+            `axes` of shape (2, 1).
+
+        Examples
+        --------
+        See `ModeTracks`.
+        """
+        return self.track().plot(**kwargs)
+
+    def __str__(self) -> str:
+        """Headline, and a line for each row."""
+        rows = np.arange(len(self.table))
+        if len(rows) > _SHOWN:
+            rows = np.concatenate([rows[: _SHOWN // 2], rows[-_SHOWN // 2 :]])
+        lines = aligned([["recording", "mode", "Hz", "+-", "damping %", "+-", "fit %", "structure", "message"],
+                         *(_cells(self.table[k]) for k in rows)])  # fmt: skip
+        if len(rows) < len(self.table):
+            lines.insert(1 + _SHOWN // 2, f"  ... {len(self.table) - len(rows)} more ...")
+        return "\n".join([self._headline(), *lines])
+
+    def _headline(self) -> str:
+        modes, recordings = int((self.table["mode"] >= 0).sum()), len(np.unique(self.table["recording"]))
+        failed = f", {len(self.failures)} failed" if len(self.failures) else ""
+        rest = "" if self.complete else ", interrupted"
+        return f"{counted(modes, 'mode')} of {counted(recordings, 'recording')}{failed}{rest}"
+
+
+def table_of(modes: Mapping[int, Modes], complete: bool) -> FitTable:
+    """Table of what was found of each recording, by its place."""
+    rows, shapes = [], []
+    for place in sorted(modes):
+        one = modes[place]
+        seen = [(-1, np.full(4, np.nan), np.zeros(0, complex))]
+        if one.order > 0:
+            seen = list(zip(range(one.order), one.numbers, one.shapes, strict=True))
+        for mode, numbers, shape in seen:
+            rows.append(
+                (place, one.name, mode, *numbers, one.fit_percent, one.structure, one.order, one.message, one.file)
+            )
+            shapes.append(shape)
+    widths = {k: max([1, *(len(row[k]) for row in rows)]) for k in (1, 8, 10, 11)}
+    kinds = {
+        "recording": "i8", "name": f"U{widths[1]}", "mode": "i4", "hertz": "f8", "hertz_stderr": "f8",
+        "damping_ratio": "f8", "damping_ratio_stderr": "f8", "fit_percent": "f8", "structure": f"U{widths[8]}",
+        "order": "i4", "message": f"U{widths[10]}", "result": f"U{widths[11]}",
+    }  # fmt: skip
+    return FitTable(np.array(rows, dtype=list(kinds.items())), tuple(shapes), complete)
+
+
+def _cells(row: Any) -> list[str]:
+    """Texts of a row."""
+    message = " ".join(row["message"].split())
+    message = message if len(message) <= _WIDEST or row["order"] < 0 else message[: _WIDEST - 3] + "..."
+    if row["mode"] < 0:
+        return [row["name"], "-", "-", "", "-", "", "-", row["structure"], message]
+    fit = f"{row['fit_percent']:.2f}"
+    return [row["name"], str(row["mode"]), *_with_error(row["hertz"], row["hertz_stderr"]),
+            *_with_error(100 * row["damping_ratio"], 100 * row["damping_ratio_stderr"]), fit, row["structure"],
+            message]  # fmt: skip
+
+
+def _with_error(value: float, error: float) -> tuple[str, str]:
+    return to_its_error(value, error), f"{error:.2g}" if error > 0 else ""

@@ -1,0 +1,157 @@
+"""One of many recordings: where it is, what its modes are, and where its result is kept."""
+
+from __future__ import annotations
+
+import functools
+import glob
+import hashlib
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..._types import Array, ComplexArray
+from ..._units import hertz_size
+from ..._workers import uninterrupted
+from ...exceptions import FileFormatError, PHControlError, StructureError
+from ...io.codecs import document_of, load
+from ...io.files import write_atomically
+from ...io.measurements import read_measurements
+from ..data.data_frames import is_data_frame
+from ..diagnosis.verdict import Outcome
+from ..fit.pem import pem
+from ..fit.result import PEMResult
+
+_LETTERS = 60  # of the name of a recording in that of its file
+
+
+@dataclass(frozen=True)
+class OneRecording:
+    """A recording, or the path of one, and what it is called."""
+
+    name: str
+    data: Any
+
+
+def sources(recordings: Iterable[Any]) -> Iterator[OneRecording]:
+    """Recordings one by one; a pattern of file names stands for the files that match, sorted."""
+    for place, data in enumerate(recordings):
+        if not isinstance(data, str | os.PathLike):
+            yield OneRecording(str(getattr(data, "title", None) or f"recording {place}"), data)
+            continue
+        name = os.fspath(data)
+        # a file that there is may be called like a pattern
+        found = [] if os.path.exists(name) else sorted(glob.glob(name, recursive=True))
+        yield from (OneRecording(one, Path(one)) for one in found or [name])
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What the table of many fits says of one recording; of a failure the order is -1."""
+
+    name: str
+    message: str
+    order: int = -1
+    structure: str = ""
+    fit_percent: float = np.nan
+    numbers: Array = None  # type: ignore[assignment]  # (n, 4): hertz and damping ratio, each with its standard error
+    shapes: ComplexArray = None  # type: ignore[assignment]  # (n, p)
+    file: str = ""
+
+    @classmethod
+    def of(cls, result: PEMResult, name: str, file: str) -> Modes:
+        """Those of a result."""
+        size = hertz_size(result.time_unit)
+        numbers = np.column_stack([
+            result.hertz, result.stderr["natural_frequencies"] / size, result.damping_ratios,
+            result.stderr["damping_ratios"],
+        ])  # fmt: skip
+        parts = result.order, result.structure, float(result.fit_percent), numbers, np.array(result.shapes), file
+        return cls(name, result.verdict, *parts)
+
+
+@dataclass(frozen=True)
+class FitAndKeep:
+    """Fit of one recording with these options; its result is kept in a folder, and taken from there if it is known."""
+
+    options: Mapping[str, Any]
+    reader: Callable[[Any], Any] | None = None
+    store: Path | None = None
+
+    def __call__(self, source: OneRecording) -> Modes:
+        """Modes of a recording, or the message of what went wrong."""
+        path = None
+        try:
+            path = self._place(source)
+            if path is not None and path.is_file():
+                with suppress(FileFormatError):  # of a file that was damaged since: the recording is fitted again
+                    return Modes.of(load(path), source.name, path.name)
+            result = pem(self._data(source), **self.options)
+        except PHControlError as error:
+            return Modes(source.name, str(error))
+        except Exception as error:
+            return Modes(source.name, f"{type(error).__name__}: {error}")
+        if result.outcome is Outcome.INTERRUPTED:
+            raise KeyboardInterrupt
+        if path is not None:
+            document = document_of(result)
+            with uninterrupted():
+                write_atomically(path, document, overwrite=True)
+        return Modes.of(result, source.name, "" if path is None else path.name)
+
+    def _data(self, source: OneRecording) -> Any:
+        if isinstance(source.data, Path):
+            return (self.reader or read_measurements)(source.data)
+        return source.data
+
+    def _place(self, source: OneRecording) -> Path | None:
+        """File of the result: the name of the recording, and what tells its content and the options from others."""
+        if self.store is None:
+            return None
+        mark = hashlib.sha256()
+        if isinstance(source.data, Path):
+            with open(source.data, "rb") as stream:
+                for block in iter(lambda: stream.read(1 << 20), b""):
+                    mark.update(block)
+            _tell(self.reader, mark.update)
+        else:
+            _tell(source.data, mark.update)
+        _tell(self.options, mark.update)
+        title = Path(source.name).stem if isinstance(source.data, Path) else getattr(source.data, "title", None)
+        stem = re.sub(r"[^\w.-]+", "_", str(title or "recording"))
+        return self.store / f"{stem[:_LETTERS]}-{mark.hexdigest()[:20]}.json"
+
+
+def _tell(thing: Any, write: Callable[[bytes], None]) -> None:
+    """Write what tells an object from others, the same in every process."""
+    write(f"<{type(thing).__qualname__}>".encode())
+    if isinstance(thing, np.ndarray):
+        write(f"{thing.dtype.str}{thing.shape}".encode())
+        write(np.ascontiguousarray(thing).tobytes())
+    elif isinstance(thing, Mapping):
+        for key in sorted(thing):
+            write(str(key).encode() + b"=")
+            _tell(thing[key], write)
+    elif isinstance(thing, list | tuple):
+        for one in thing:
+            _tell(one, write)
+    elif is_data_frame(thing):
+        for column in thing.columns:
+            write(str(column).encode())
+            _tell(np.asarray(thing[column]), write)
+    elif isinstance(thing, functools.partial):
+        _tell([thing.func, thing.args, thing.keywords], write)
+    elif callable(thing) and hasattr(thing, "__qualname__"):
+        write(f"{thing.__module__}.{thing.__qualname__}".encode())
+    elif hasattr(thing, "__dict__"):
+        try:
+            write(document_of(thing).encode())
+        except StructureError:  # of what is no model, such as a time response
+            _tell(vars(thing), write)
+    else:
+        write(repr(thing).encode())
