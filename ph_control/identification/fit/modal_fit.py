@@ -54,7 +54,7 @@ class Asked:
 def fit_channels(
     channels: Channels, asked: Asked, order: int | str, *, intersample: str, offset: bool | str, max_order: int,
     criterion: str, moving: bool = True, callback: Callback | None = None, start: ComplexArray | None = None,
-    findings: tuple[Finding, ...] = (),
+    findings: tuple[Finding, ...] = (), weighted: bool = True,
 ) -> DampedResult:  # fmt: skip
     """Free residues first, then the structure that is asked for, or the simplest that is not rejected."""
     _refuse_still(channels)
@@ -72,12 +72,13 @@ def fit_channels(
     def fit(hold: str, order: int | str, start: ComplexArray | None) -> DampedResult:
         free = free_fit(
             channels, order, quantities=asked.quantities, intersample=hold, offset=bool(offset), moving=moving,
-            max_order=most, criterion=criterion, callback=report, start=start,
+            max_order=most, criterion=criterion, callback=report, start=start, weighted=weighted,
         )  # fmt: skip
+        said = (*findings, *free.findings)
         try:
-            return _structured(free, asked, findings)
+            return _structured(free, asked, said)
         except KeyboardInterrupt:
-            return _structured(replace(free, interrupted=True), asked, findings)
+            return _structured(replace(free, interrupted=True), asked, said)
 
     found = fit(intersample, wanted, start)
     settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)

@@ -89,9 +89,10 @@ def pem(
         of the controllable one; of lossless models of one input and output.
     initial_guess : pair (d, r), ModalForm, PEMResult, or system of this package, optional
         Model to start from, in place of the search; with a given order, modes are added to it if it has fewer.
-    weights : array_like, shape (K,), or list of these, optional
+    weights : array_like, shape (K,) or (p, m, K), or list of these, optional
         What the squared error at each frequency of a response counts; by default all the same, unless the residuals
-        show that the noise grows with the gain: then by the law of the noise that is estimated, `noise` in the result.
+        show that the noise grows with the gain: then by the law of the noise of each response that is estimated,
+        `noise` in a lossless result, among the `findings` of a damped one.
     criterion : {'bic', 'aicc', 'aic', 'holdout'}
         What 'auto' minimises; 'holdout' is the error over the last third of each record, of models fitted to the rest.
     max_order : int
@@ -173,6 +174,7 @@ def pem(
         return fit_channels(
             channels, asked, order, intersample=intersample, offset=offset, max_order=max_order, criterion=criterion,
             callback=callback, start=starting_poles(initial_guess), moving=initial_state == "estimate",
+            weighted=weights is not None,
         )  # fmt: skip
     if ports is not None:
         _checks.port_pairs(ports, *_labels_of(data, dt, weights))
@@ -183,7 +185,8 @@ def pem(
     if structure == "lossless" or result.damped is None or method != "exact" or not result.success:
         return result
     try:
-        return _damped_instead(result, order, ports, criterion, max_order, intersample, initial_state, callback)
+        given = weights is not None
+        return _damped_instead(result, order, ports, criterion, max_order, intersample, initial_state, callback, given)
     except KeyboardInterrupt:
         return cut_short(result)
 
@@ -222,6 +225,7 @@ def _damped_instead(
     intersample: str,
     initial_state: str,
     callback: Callback | None,
+    weighted: bool,
 ) -> PEMResult:
     """The damped model of data that reject a lossless one; this one where none of the structures is simpler."""
     channels = as_channels([one.record for one in result.experiments])
@@ -232,7 +236,7 @@ def _damped_instead(
     found = fit_channels(
         channels, asked, order, intersample=intersample, offset=bool(np.isfinite(result.offset_stderr).any()),
         max_order=max_order, criterion="bic" if criterion == "holdout" else criterion, start=start,
-        findings=result.findings, moving=initial_state == "estimate", callback=callback,
+        findings=result.findings, moving=initial_state == "estimate", callback=callback, weighted=weighted,
     )  # fmt: skip
     return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
 

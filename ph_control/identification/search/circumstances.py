@@ -38,6 +38,7 @@ class Cause(Enum):
     DELAY = "delay of the input"
     COLOURED_NOISE = "coloured noise"
     INPUT_NOISE = "noise on the input"
+    GAIN_NOISE = "noise that grows with the gain"
     LOSSES = "losses, or residues that no lossless model has"
     COMPLEX_SHAPES = "damping or sensors that classical damping does not explain"
     ACTIVITY = "energy that no passive model gives"
@@ -62,7 +63,8 @@ class Finding:
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
         which the output lags; of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
-        on the input its size over that of the input, and the standard deviation of the white noise beside it; of a hold
+        on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
+        that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
         0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
         freedom.
     gain : float
@@ -332,6 +334,12 @@ def sentence_of(finding: Finding, intersample: str) -> str:
     if finding.cause in REJECTED.values():
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
         return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(values[0])})."
+    if finding.cause is Cause.GAIN_NOISE:
+        sizes = sorted({f"{100 * one:.2g} %" for one in (min(values), max(values))}, key=len)
+        return (
+            f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): this was estimated, and each "
+            "point has the weight that belongs to it."
+        )
     if finding.cause is Cause.COLOURED_NOISE:
         return (
             f"The noise is coloured ({certain}): an autoregression with the coefficient{'s' * (len(values) != 1)} "

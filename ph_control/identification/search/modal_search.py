@@ -25,10 +25,11 @@ from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
-from .circumstances import autoregression, correlations
+from .circumstances import Cause, Finding, autoregression, correlations
 from .criteria import Criteria, past_of_noise
 from .free_path import closest, decay_errors, is_sound, vagueness
 from .free_search import FreeSearch, Left, Records, Responses
+from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
 from .steps import stands_out
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
@@ -85,6 +86,8 @@ class FreeFit(Frozen):
         Whether what is left of an output is rounding, and no noise.
     interrupted : bool
         Whether the search was ended before it had come to its end.
+    findings : tuple of Finding
+        What the data show beside the modes.
     """
 
     projection: FreeProjection
@@ -98,6 +101,7 @@ class FreeFit(Frozen):
     criteria: Criteria
     rounding: bool
     interrupted: bool = False
+    findings: tuple[Finding, ...] = ()
 
     @property
     def order(self) -> int:
@@ -145,6 +149,7 @@ def free_fit(
     criterion: str = "bic",
     callback: Report | None = None,
     start: ComplexArray | None = None,
+    weighted: bool = True,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -172,6 +177,9 @@ def free_fit(
         in a common unit of noise.  On `KeyboardInterrupt` the best model so far is returned, if it has a mode.
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
+    weighted : bool
+        Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
+        is repeated with the weights of the law of each entry, which is estimated.
 
     Returns
     -------
@@ -211,6 +219,69 @@ def free_fit(
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
         found = rival if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure else found
+    if not per_entry or weighted or not found.order or found.rounding:
+        return found
+
+    def again(channels: Experiments, start: ComplexArray | None) -> FreeFit:
+        path = _Path.of(channels, quantities, "zoh", offset, criterion, callback, moving)
+        if start is None:
+            return path.finished(path.chosen(begin, most, automatic), tuple(channels), True, "zoh")
+        return path.finished(path.model(start), tuple(channels), True, "zoh")
+
+    try:
+        return _reweighted(found, again)
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
+
+
+# --- noise that grows with the gain ----------------------------------------------------------------------------------
+
+
+def _reweighted(first: FreeFit, again: Callable[[Experiments, ComplexArray | None], FreeFit]) -> FreeFit:
+    """The fit repeated with the weights of the noise of its entries, until both agree; as it was, if that is constant.
+
+    `again` searches anew, or only from the poles that it is given.
+    """
+    # points of large gain, were they taken as equally sure, would draw the model through themselves
+    weights = balanced([one.response for one in first.channels])
+    judged, before = again(_with_weights(first.channels, weights), first.projection.p), weights
+    for place in range(ROUNDS):
+        laws = entry_laws(judged.projection)
+        if not any(law.share for law, _ in laws):
+            return first
+        weights = _inverse_variances(judged, [law for law, _ in laws])
+        pairs = zip(weights, before, strict=True)
+        if place and all(np.nanmax(np.abs(new / old - 1)) <= SETTLED for new, old in pairs):
+            break
+        before = weights
+        finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
+        judged = again(_with_weights(first.channels, weights), judged.projection.p if place else None)
+        judged = replace(judged, findings=(finding,))
+    # constant noise, at the points of large gain that balanced weights leave free, may seem to grow
+    more = float(np.log(judged.projection.rows)) * sum(1 for law, _ in laws if law.share)
+    return judged if _weighted_bic(judged) + more < _weighted_bic(first) else first
+
+
+def _weighted_bic(fit: FreeFit) -> float:
+    """BIC with the density of the noise where it has these weights: two real numbers at each point."""
+    return fit.criteria.bic - 2 * sum(float(np.sum(np.log(one.weights[one.observed]))) for one in fit.channels)
+
+
+def _with_weights(channels: Sequence[ResponseMatrix], weights: Sequence[Array]) -> list[ResponseMatrix]:
+    return [replace(one, weights=each) for one, each in zip(channels, weights, strict=True)]
+
+
+def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
+    """Weights (p, m, K) of each experiment by the laws of its entries, in the units of the data."""
+    found, at = [], fit.projection
+    for one in fit.channels:
+        weights = np.ones((len(laws), one.samples))
+        for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+            if isinstance(rows, FreeResponse) and rows.frequencies is one.omega:
+                for output, gain in zip(rows.outputs.tolist(), np.abs(predicted), strict=True):
+                    variance = laws[output].floor ** 2 + (laws[output].share * gain) ** 2
+                    weights[output] = 1.0 / (fit.scales[output] ** 2 * np.where(np.isnan(gain), 1.0, variance))
+        found.append(weights.reshape(one.response.shape))
     return found
 
 

@@ -7,7 +7,7 @@ heavy tails that single points do not sway; if a constant is refused, the fit is
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -16,18 +16,20 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from ..._types import Array
+from ..._types import Array, ComplexArray
 from ..data.frequency_record import FrequencyRecord
-from ..regression.frequency_rows import FrequencyRows
+from ..regression.free import FreeProjection
+from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from .criteria import criteria
 from .formulation import Formulation
 from .free_path import free_criterion
+from .free_search import Responses
 from .response_search import ResponseSearch
 
-_ROUNDS = 8  # of fit and law in turn
-_SETTLED = 1e-3  # relative change of the weights
+ROUNDS = 8  # of fit and law in turn
+SETTLED = 1e-3  # relative change of the weights
 _RATIOS = 49  # of a to b that are tried first
 
 
@@ -75,13 +77,14 @@ def reweighted(
     before = np.ones(posed.problem.samples // 2)
     # points of large gain, were they taken as equally sure, would draw the model through themselves and leave nothing
     # that tells of their noise; nor would weak modes stand out of noise as large as theirs
-    problem, d = posed.weighted(_balanced(posed.problem)).problem, found.all_d
-    for place in range(_ROUNDS):
+    responses = [one.target for one in posed.problem.experiments if isinstance(one, FrequencyRows)]
+    problem, d = posed.weighted(balanced(responses)).problem, found.all_d
+    for place in range(ROUNDS):
         law, gains, damped = estimated_law(problem, d)
         if law.kind is NoiseKind.CONSTANT:
             return first
         variances = law.floor**2 + (law.share * np.concatenate(gains)) ** 2
-        if place and np.all(np.abs(variances - before) <= _SETTLED * variances):
+        if place and np.all(np.abs(variances - before) <= SETTLED * variances):
             break
         before = variances
         posed = posed.weighted([1.0 / (law.floor**2 + (law.share * gain) ** 2) for gain in gains])
@@ -92,10 +95,11 @@ def reweighted(
     return posed, found, law
 
 
-def _balanced(problem: Problem) -> list[Array]:
-    """Weights between those of constant noise and of noise in proportion to the gain."""
-    squares = [np.abs(one.target) ** 2 for one in problem.experiments if isinstance(one, FrequencyRows)]
-    return [1.0 / (one + np.median(np.concatenate(squares))) for one in squares]
+def balanced(responses: Sequence[ComplexArray]) -> list[Array]:
+    """Weights between those of constant noise and of noise in proportion to the gain, of responses (..., K)."""
+    squares = [np.abs(one) ** 2 for one in responses]
+    middle = np.nanmedian(np.concatenate(squares, axis=-1), axis=-1, keepdims=True)
+    return [1.0 / np.maximum(one + middle, np.finfo(float).tiny) for one in squares]
 
 
 def _is_misfit(problem: Problem, d: Array) -> bool:
@@ -123,13 +127,37 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
         squares.append(np.abs(left / rows.scale) ** 2)
         shares.append(_spare(columns[:-1]))
         gains.append(np.abs(rows.target - left) / rows.scale)
-    gain, spare = np.concatenate(gains), np.concatenate(shares)
-    if spare.sum() < TUNING.fewest_points or not np.ptp(gain) or step.loss <= problem.rounding:
+    if step.loss <= problem.rounding:
         return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step.at.d
+    law, _ = _likeliest(np.concatenate(squares), np.concatenate(shares), np.concatenate(gains))
+    return law, gains, step.at.d
+
+
+def entry_laws(at: FreeProjection) -> list[tuple[NoiseLaw, float]]:
+    """Law of the noise of each entry of responses about damped modes, and how much likelier it is than a constant."""
+    search = Responses([one for one in at.experiments if isinstance(one, FreeResponse)], lambda _: 0, 0.0)
+    parts: list[list[tuple[Array, Array, Array]]] = [[] for _ in range(at.shared.shape[1])]
+    for rows, left in zip(search.responses, search.left(at), strict=True):
+        q, slopes = len(rows.outputs), 2 * len(at.p)
+        columns = next(rows.at(at.p).blocks())[:-q]
+        # poles are fitted to all entries, of which each feels its share
+        alone, together = _spare(columns[:-slopes]), _spare(columns)
+        spare = alone + (together - alone) / len(parts)
+        for output, each, target in zip(rows.outputs.tolist(), left, rows.target, strict=True):
+            gain = np.abs(target - each) / rows.weight
+            parts[output].append((np.abs(each / rows.weight) ** 2, spare, gain))
+    joined = [[np.concatenate(each) for each in zip(*one, strict=True)] for one in parts]
+    return [_likeliest(squares, spare, gain, len(parts)) for squares, spare, gain in joined]
+
+
+def _likeliest(squares: Array, spare: Array, gain: Array, entries: int = 1) -> tuple[NoiseLaw, float]:
+    """The law of one of several entries, and how much likelier it is than a constant."""
+    if spare.sum() < TUNING.fewest_points or not np.ptp(gain):
+        return NoiseLaw(NoiseKind.CONSTANT, 1.0), 0.0
     unit = float(np.mean(gain**2))
-    floor, share = _law(np.concatenate(squares), spare, gain**2 / unit)
+    floor, share, more = _law(squares, spare, gain**2 / unit, TUNING.constant_by_chance / entries)
     kind = NoiseKind.GAIN if share else NoiseKind.CONSTANT
-    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), gains, step.at.d
+    return NoiseLaw(kind, float(np.sqrt(floor)), float(np.sqrt(share / unit))), more
 
 
 def _spare(columns: Array) -> Array:
@@ -140,8 +168,8 @@ def _spare(columns: Array) -> Array:
     return np.clip(1 - 0.5 * (taken[: len(taken) // 2] + taken[len(taken) // 2 :]), 0.0, 1.0)
 
 
-def _law(squares: Array, spare: Array, power: Array) -> tuple[float, float]:
-    """Variances `a` and `b` of `a + b power`; `b` is 0 unless that is refused."""
+def _law(squares: Array, spare: Array, power: Array, by_chance: float) -> tuple[float, float, float]:
+    """Variances `a` and `b` of `a + b power`, and log-likelihood beyond a constant; `b` is 0 unless that is refused."""
     kept = spare > 0.1
     squares, spare, power = squares[kept] / spare[kept], spare[kept], power[kept]
 
@@ -167,9 +195,9 @@ def _law(squares: Array, spare: Array, power: Array) -> tuple[float, float]:
     ratio = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
     varying, factor = fitted(np.exp(ratio) + power)
     # under the hypothesis the share lies on the border of what it may be, so that half the chances are on one side
-    if 2 * (constant - varying) < chi2.isf(2 * TUNING.constant_by_chance, 1):
-        return level, 0.0
-    return factor * float(np.exp(ratio)), factor
+    if 2 * (constant - varying) < chi2.isf(2 * by_chance, 1):
+        return level, 0.0, 0.0
+    return factor * float(np.exp(ratio)), factor, constant - varying
 
 
 def record_law(records: Any, variance: float, law: NoiseLaw | None) -> NoiseLaw:
