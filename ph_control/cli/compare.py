@@ -9,6 +9,7 @@ Examples
   ph-control compare fresh.csv fitted.json --plot comparison.png
   ph-control compare fresh.csv fitted.json --recording second.csv --json
   ph-control compare fresh.csv fitted.json --at-least 90
+  ph-control compare shaker.csv fitted.json --inputs u1,u2 --outputs y1,y2,y3
   cat fresh.csv | ph-control compare - fitted.json --label fitted
 """
 
@@ -56,14 +57,24 @@ def run(options: Namespace) -> int:
     if options.plot is not None:
         deliver_picture(found.plot(place), options.plot, options.overwrite)
     if options.json:
-        rows = zip(models, found.labels, found.fit_percent, found.rms_error, found.own_record, strict=True)
+        rows = zip(
+            models, found.labels, found.fit_percent, found.rms_error, found.own_record, found.output_fit_percent,
+            strict=True,
+        )  # fmt: skip
         answer = {
             "command": "compare",
             "output": found.output_label,
             "best": found.best,
             "models": [
-                {"label": label, "source": model.source, "fit_percent": fit, "rms_error": error, "own_record": own}
-                for model, label, fit, error, own in rows
+                {
+                    "label": label,
+                    "source": model.source,
+                    "fit_percent": fit,
+                    "rms_error": error,
+                    "own_record": own,
+                    "outputs": dict(zip(found.output_labels, each, strict=True)),
+                }
+                for model, label, fit, error, own, each in rows
             ],
             "experiments": [
                 {"samples": one.record.samples, "fit_percent": one.fit_percent, "rms_error": one.rms_error}

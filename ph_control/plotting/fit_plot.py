@@ -246,10 +246,10 @@ def _drawn(
         meaning="the record above its errors, and the detail",
     )  # fmt: skip
     axes = drawn.axes[:, 0]
-    drawn.lines[0, 0] = _draw_outputs(axes[0], outputs, names, MEASURED)
+    drawn.lines[0, 0] = draw_outputs(axes[0], outputs, names, MEASURED)
     if part is not None:
         axes[0].axvspan(outputs.time[part][0], outputs.time[part][-1], color="0.85", zorder=0)
-        drawn.lines[2, 0] = _draw_outputs(axes[2], outputs.cut(part), names, SAMPLES)
+        drawn.lines[2, 0] = draw_outputs(axes[2], outputs.cut(part), names, SAMPLES)
         axes[2].set_title(_SHADED, loc="left")
     for axis, quantity in zip(axes, (*quantities, quantities[0]), strict=False):
         axis.set_ylabel(quantity)
@@ -259,7 +259,8 @@ def _drawn(
     return drawn
 
 
-def _draw_outputs(axis: Axes, outputs: Outputs, names: Sequence[str], measured: dict[str, Any]) -> list[Any]:
+def draw_outputs(axis: Axes, outputs: Outputs, names: Sequence[str], measured: dict[str, Any]) -> list[Any]:
+    """Measured output with those of models over it."""
     lines = axis.plot(*extremes(outputs.time, outputs.measured), label="measured", zorder=2, **measured)
     for k, (name, values) in enumerate(zip(names, outputs.predicted, strict=True)):
         properties = {"linewidth": 1.1, "zorder": 3, **line_of_model(k)}

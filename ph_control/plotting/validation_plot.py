@@ -24,8 +24,22 @@ from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import stable_poles
 from .bode_data import decibels
-from .fit_plot import line_of_model
-from .style import BAND, SAMPLES, ZERO, FrameStyle, Look, frequency_axis, gain_label, labelled, panels, picture, plain
+from .fit_plot import Outputs, draw_outputs, line_of_model
+from .style import (
+    BAND,
+    DOTS,
+    MEASURED,
+    SAMPLES,
+    ZERO,
+    FrameStyle,
+    Look,
+    frequency_axis,
+    gain_label,
+    labelled,
+    panels,
+    picture,
+    plain,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -34,6 +48,7 @@ if TYPE_CHECKING:
 _POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "zorder": 3}
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
+_CHANNELS = 12  # of one picture
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
 
 # --- models beside a frequency response ------------------------------------------------------------------------------
@@ -85,6 +100,62 @@ def response_comparison_plot(
         for axis in (gains, phases, errors):
             _over_frequency(axis, frequency, look)
         return drawn.finished(heading)
+
+
+def channel_comparison_plot(
+    abscissa: Array,
+    measured: NDArray[Any],
+    predicted: NDArray[Any],
+    *,
+    names: Sequence[str],
+    labels: Sequence[str],
+    time_unit: str | None = None,
+    Hz: bool = True,
+    detail: Any = "auto",
+    heading: str,
+    ax: Any = None,
+    **style: Unpack[FrameStyle],
+) -> ct.ControlPlot:
+    """Outputs of all models over those measured, a panel for each of c channels.
+
+    `abscissa` are instants or frequencies, `measured` has shape (c, T) and `predicted` (k, c, T).  Responses are
+    complex, and drawn by their magnitudes.
+    """
+    look = Look.of(style, FrameStyle)
+    spectral = np.iscomplexobj(measured)
+    count = min(_CHANNELS, len(names))
+    unit, unit_name = frequency_axis(Hz, time_unit)
+    part: slice | None = None
+    if not spectral:
+        # of the output that is explained worst
+        left = np.nanmean(np.abs(measured - predicted) ** 2, axis=(0, 2)) / np.nanvar(measured, axis=1)
+        worst = int(np.nanargmax(left[:count]))
+        part = Outputs(abscissa, measured[worst], predicted[:, worst]).part(detail, None)
+    with look.context():
+        drawn = panels(look, ax, count, (3.6, 2.2), sharex=ax is None)
+        for k, axis in enumerate(drawn.axes.flat[:count]):
+            if spectral:
+                frequency = abscissa / unit
+                lines = axis.plot(frequency, decibels(measured[k]), label="measured", **DOTS)
+                for j, label in enumerate(labels):
+                    line = {**_POINTS, **line_of_model(j), "marker": ""}
+                    lines += axis.plot(frequency, decibels(predicted[j, k]), label=plain(label), **line)
+                axis.set_xlim(frequency[0], frequency[-1])
+                look.lattice(axis)
+            else:
+                outputs = Outputs(abscissa, measured[k], predicted[:, k])
+                outputs, dots = (outputs, MEASURED) if part is None else (outputs.cut(part), SAMPLES)
+                lines = draw_outputs(axis, outputs, labels, dots)
+                look.lattice(axis)
+            drawn.lines.flat[k] = lines
+            axis.set_title(plain(names[k]), loc="left", fontsize="small")
+            if k % drawn.axes.shape[1] == 0:
+                axis.set_ylabel(gain_label(None) if spectral else "Output")
+            if k + drawn.axes.shape[1] >= count:
+                axis.set_xlabel(labelled("Frequency", unit_name) if spectral else labelled("Time", time_unit))
+                axis.tick_params(labelbottom=True)
+        kind = f" ({count} of {len(names)} channels)" * (count < len(names))
+        return drawn.finished(heading + kind, drawn.legend_of_all())
 
 
 def _over_frequency(axis: Axes, frequency: Array, look: Look) -> None:

@@ -71,6 +71,11 @@ class Recording(CheckedData):
         """Number of instants T."""
         return len(self.time)
 
+    @property
+    def driven(self) -> bool:
+        """Whether there is an input that is not 0."""
+        return bool(self.u.any())
+
     @cached_property
     def observed(self) -> Mask:
         """Where each output was measured, shape (p, T)."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._types import Array, ComplexArray, Mask
 from ...modal.discretization import Hold
+from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.free import by_poles
@@ -30,9 +31,10 @@ def same_data(one: Any, other: Any) -> bool:
     """Whether two experiments are one."""
     if one is other:
         return True
-    if isinstance(one, FrequencyRecord) and isinstance(other, FrequencyRecord):
+    kinds = FrequencyRecord | ResponseMatrix
+    if isinstance(one, kinds) and isinstance(other, kinds):
         return np.array_equal(one.omega, other.omega) and np.array_equal(one.response, other.response, equal_nan=True)
-    if not (isinstance(one, Record) and isinstance(other, Record)):
+    if not (isinstance(one, Record | Recording) and isinstance(other, Record | Recording)):
         return False
     return (
         one.samples == other.samples

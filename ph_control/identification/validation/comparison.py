@@ -11,23 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._display import Report, percent
+from ..._display import Report, counted, percent
 from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
-from ...plotting.validation_plot import response_comparison_plot
+from ...plotting.validation_plot import channel_comparison_plot, response_comparison_plot
+from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
-from ..data.time_record import Record
 from ..regression.prediction import chosen_experiment
 from .measured import (
+    IN_TIME,
     HeldData,
     HeldExperiment,
     Kind,
     experiments_to_hold_against,
     fit_to,
+    fits_of_outputs,
     names_of,
+    names_of_outputs,
     rms_of,
 )
 from .simulation import Rules, answers_to
@@ -41,18 +44,23 @@ class ComparedExperiment(HeldExperiment):
 
     Attributes
     ----------
-    record : Record or FrequencyRecord
+    record : Record, FrequencyRecord, Recording or ResponseMatrix
         The data.
-    predicted : ndarray, shape (k, T)
+    predicted : ndarray, shape (k, T), (k, p, T) or (k, p, m, K)
         Output of each model; complex for a frequency response.
-    fit_percent, rms_error : ndarray, shape (k,)
+    fit_percent : ndarray, shape (k,)
         Of each model here; NaN for the fit to an output that is zero throughout.
+    output_fit_percent : ndarray, shape (k, p)
+        The same of each output.
+    rms_error : ndarray, shape (k,) or (k, p)
+        Of each model, and of several outputs of each of them.
     own_record : tuple of bool
         Whether the model was fitted to these very data.
     """
 
     predicted: NDArray[Any]
     fit_percent: Array
+    output_fit_percent: Array
     rms_error: Array
     own_record: tuple[bool, ...]
 
@@ -66,8 +74,11 @@ class Comparison(Report, HeldData, Frozen):
     labels : tuple of str
         Names of the models, each different.
     fit_percent : ndarray, shape (k,)
-        `100 (1 - |y - yhat| / |y - mean(y)|)` of each, all experiments together.
-    rms_error : ndarray, shape (k,)
+        `100 (1 - |y - yhat| / |y - mean(y)|)` of each, all experiments together; of several outputs
+        `100 (1 - sqrt(mean |y - yhat|^2 / |y - mean(y)|^2))`, the mean over these.
+    output_fit_percent : ndarray, shape (k, p)
+        The same of each output; of frequency responses from all inputs together.
+    rms_error : ndarray, shape (k,), or (k, p) of several channels
         Root of the mean squared error of each, in the unit of the output.
     own_record : tuple of bool
         Whether the model was fitted to any of these very data, so that its fit flatters it.
@@ -75,17 +86,18 @@ class Comparison(Report, HeldData, Frozen):
         The same for each experiment.
     initial_state : str
         How the initial states were chosen.
-    output_label : str
-        Name of the output.
+    output_labels : tuple of str
+        Names of the outputs.
     """
 
     labels: tuple[str, ...]
     fit_percent: Array
+    output_fit_percent: Array
     rms_error: Array
     own_record: tuple[bool, ...]
     experiments: tuple[ComparedExperiment, ...]
     initial_state: str
-    output_label: str
+    output_labels: tuple[str, ...]
 
     @property
     def best(self) -> str:
@@ -93,25 +105,40 @@ class Comparison(Report, HeldData, Frozen):
         return self.labels[int(np.argmax(self.fit_percent))]
 
     @property
+    def output_label(self) -> str:
+        """Names of the outputs, joined by commas."""
+        return ", ".join(self.output_labels)
+
+    @property
     def predicted(self) -> NDArray[Any]:
-        """Output of each model, shape (k, T), all experiments one after the other."""
-        return _checks.readonly(np.concatenate([one.predicted for one in self.experiments], axis=1))
+        """Output of each model, shape (k, T), all experiments one after the other; (k, p, T) or (k, p, m, T)."""
+        return _checks.readonly(np.concatenate([one.predicted for one in self.experiments], axis=-1))
+
+    @property
+    def _several(self) -> bool:
+        return isinstance(self.experiments[0].record, Recording | ResponseMatrix)
+
+    @property
+    def _outputs(self) -> str:
+        return counted(len(self.output_labels), "output") if self._several else repr(self.output_label)
 
     def __str__(self) -> str:
-        """Table of the models in the order given."""
+        """Table of the models in the order given; of several channels, of their outputs as well."""
         width = max(5, *map(len, self.labels))
         lines = [
-            f"Fit to {self.output_label!r}: {_described([one.record for one in self.experiments], self.initial_state)}",
-            f"  {'model':{width}}  {'fit':>14}  RMS error",
+            f"Fit to {self._outputs}: {_described([one.record for one in self.experiments], self.initial_state)}",
+            f"  {'model':{width}}  {'fit':>14}" + "  RMS error" * (not self._several),
         ]
         for k, (label, fit, error) in enumerate(zip(self.labels, self.fit_percent, self.rms_error, strict=True)):
-            row = f"  {label:{width}}  {percent(fit):>14}  {error:9.4g}"
+            row = f"  {label:{width}}  {percent(fit):>14}" + ("" if self._several else f"  {error:9.4g}")
             lines.append(f"{row}   {self._note(k)}".rstrip())
+        if self._several:
+            lines += ["", *self._by_output()]
         return "\n".join([*lines, *self._one_by_one()])
 
     def _headline(self) -> str:
         fits = zip(self.labels, self.fit_percent, strict=True)
-        return f"fit to {self.output_label!r}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
+        return f"fit to {self._outputs}: " + ", ".join(f"{label} {percent(fit)}" for label, fit in fits)
 
     def _note(self, k: int) -> str:
         own = sum(one.own_record[k] for one in self.experiments)
@@ -119,9 +146,24 @@ class Comparison(Report, HeldData, Frozen):
             return ""
         if len(self.experiments) == 1:
             return (
-                "fitted to this record" if isinstance(self.experiments[0].record, Record) else "fitted to this response"
+                "fitted to this record"
+                if isinstance(self.experiments[0].record, IN_TIME)
+                else "fitted to this response"
             )
         return f"fitted to {own if own < len(self.experiments) else 'all'} of these experiments"
+
+    def _by_output(self) -> list[str]:
+        """Fit of each model to each output."""
+        width, columns = max(6, *map(len, self.output_labels)), [max(11, len(label)) for label in self.labels]
+        rows = [("output", list(self.labels))]
+        rows += [
+            (name, [percent(fit) for fit in fits])
+            for name, fits in zip(self.output_labels, self.output_fit_percent.T, strict=True)
+        ]
+        return [
+            "  ".join([f"  {name:{width}}", *(f"{text:>{size}}" for text, size in zip(texts, columns, strict=True))])
+            for name, texts in rows
+        ]
 
     def _one_by_one(self) -> list[str]:
         """Fit of each model in each of several experiments."""
@@ -146,7 +188,9 @@ class Comparison(Report, HeldData, Frozen):
         **kwargs
             In time: `time_unit`, `output_label`, `output_unit`, `detail`, `ax` and style, as in `fit_plot`; `ax`
             takes one array of axes: outputs, errors and, unless `detail` is None, the detail.  Over frequency:
-            `time_unit`, `Hz`, `gain_unit` and style, as in `bode_plot`, and `ax` of three axes.
+            `time_unit`, `Hz`, `gain_unit` and style, as in `bode_plot`, and `ax` of three axes.  Of several channels
+            there is a panel for each output, or entry, at most twelve, of a long record the part `detail` of them: of
+            these `time_unit`, `Hz`, `detail`, style, and `ax` of as many axes.
 
         Returns
         -------
@@ -167,6 +211,17 @@ class Comparison(Report, HeldData, Frozen):
         kwargs["labels"] = [
             f"{label} ({percent(fit)})" for label, fit in zip(self.labels, one.fit_percent, strict=True)
         ]
+        if isinstance(record, Recording | ResponseMatrix):
+            kwargs["labels"] = list(self.labels)
+            in_time, outputs = isinstance(record, Recording), np.asarray(one.measured)
+            names = [
+                name if in_time else f"{source} to {name}"
+                for name in record.output_labels for source in (record.input_labels if not in_time else ("",))
+            ]  # fmt: skip
+            flat = outputs.reshape(len(names), -1), one.predicted.reshape(len(self.labels), len(names), -1)
+            what = "Outputs, measured and simulated" if in_time else "Frequency responses, measured and modelled"
+            grid = record.time if isinstance(record, Recording) else record.omega
+            return channel_comparison_plot(grid, *flat, names=names, heading=what + which, **kwargs)
         if isinstance(record, FrequencyRecord):
             kwargs["heading"] = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
             return response_comparison_plot(record.omega, record.response, one.predicted, **kwargs)
@@ -196,7 +251,8 @@ def compare(
         One experiment or several, as for `pem`.  `(None, y)` is a free motion.  NaN outputs are missing samples.  Not
         modified.
     *models : PEMResult, system of this package, ModalForm, control.StateSpace or control.TransferFunction
-        Models of one input and one output.  Those in discrete time must have the step of the record.
+        Models of the inputs and outputs of the data: matched by their labels where these are the same, else in order.
+        Those in discrete time must have the step of the record.
     dt : float, or sequence of float, one for each experiment, optional
         Time between samples; needed with arrays, unless a model has one.
     method : {'exact', 'midpoint', 'euler'}
@@ -222,7 +278,7 @@ def compare(
     Raises
     ------
     StructureError
-        If the data or options are not of this form, a model has several inputs or outputs, another step, or leaves the
+        If the data or options are not of this form, a model has other inputs or outputs, another step, or leaves the
         range of doubles, or the record has fewer outputs than a model has states to estimate; for a response, if a
         model has a pole at one of its points, or no response there.
 
@@ -242,6 +298,9 @@ def compare(
     Several experiments have a state, and an offset, each of their own.  Of a frequency response the fit is that of
     complex numbers, weighted if there are weights; `method`, `intersample`, `initial_state` and `offset` do not matter,
     and continuous-time models answer in continuous time.
+
+    Of several outputs each counts by its own size, in the fit as in the initial state of a system, which is common to
+    all of them; in a `PEMResult` each output moves freely for itself, as it was fitted.
 
     Free motion is fitted by least squares on normalised columns.  O(T n) for lossless models, O(T n^2) for others,
     whose matrices are scaled first; a transfer function of high order has lost its digits before.
@@ -292,6 +351,7 @@ def compare(
                 record,
                 np.array([answer.output for answer in answers]),
                 np.array([fit_to(output) for output in outputs]),
+                np.array([fits_of_outputs(output) for output in outputs]),
                 np.array([rms_of(output) for output in outputs]),
                 tuple(answer.own for answer in answers),
             )
@@ -300,11 +360,12 @@ def compare(
     return Comparison(
         labels=names,
         fit_percent=np.array([fit_to(pairs) for pairs in together]),
+        output_fit_percent=np.array([fits_of_outputs(pairs) for pairs in together]),
         rms_error=np.array([rms_of(pairs) for pairs in together]),
         own_record=tuple(any(own) for own in zip(*(one.own_record for one in experiments), strict=True)),
         experiments=tuple(experiments),
         initial_state=initial_state,
-        output_label=records[0].output_label,
+        output_labels=names_of_outputs(records[0]),
     )
 
 
@@ -314,11 +375,11 @@ def _described(records: Sequence[Kind], initial_state: str) -> str:
     missing = sum(int((~record.observed).sum()) for record in records)
     several = len(records) > 1
     tail = f", {missing} missing" * bool(missing)
-    if isinstance(records[0], FrequencyRecord):
-        weighted = any(np.ptp(record.weights) for record in records if isinstance(record, FrequencyRecord))
+    if not isinstance(records[0], IN_TIME):
+        weighted = any(np.ptp(record.weights) for record in records if not isinstance(record, IN_TIME))
         kind = f"{len(records)} responses, " * several
         return f"{kind}{samples} frequencies{tail}" + ", weighted" * weighted
     states = {"estimate": "estimated", "zero": "zero", "fitted": "as fitted"}[initial_state]
-    if initial_state == "zero" and not all(record.driven for record in records if isinstance(record, Record)):
+    if initial_state == "zero" and not all(record.driven for record in records if isinstance(record, IN_TIME)):
         states = "zero, of free motions estimated"
     return f"{len(records)} experiments, " * several + f"{samples} samples{tail}; initial state{'s' * several} {states}"

@@ -17,14 +17,17 @@ from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import common_unit
 from ...exceptions import StructureError
+from ..data.channels import Recording, ResponseMatrix, as_channels, has_several_channels
 from ..data.data_frames import is_data_frame
 from ..data.experiments import as_experiments
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..fit.result import PEMResult
+from ..regression.free_prediction import FittedChannels, joint_percent, unexplained
 from ..regression.prediction import fit_percent, unit_norm
 
-Kind = Record | FrequencyRecord
+Kind = Record | FrequencyRecord | Recording | ResponseMatrix
+IN_TIME = Record | Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,20 +49,25 @@ class HeldData:
 
     @property
     def measured(self) -> NDArray[Any]:
-        """What was measured, shape (T,), all experiments one after the other; NaN where missing."""
-        return _checks.readonly(np.concatenate([one.measured for one in self.experiments]))
+        """What was measured, shape (T,), all experiments one after the other; NaN where missing.
+
+        Of several channels (p, T), or (p, m, T) of frequency responses.
+        """
+        return _checks.readonly(np.concatenate([one.measured for one in self.experiments], axis=-1))
 
     @property
     def time(self) -> Array:
         """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
-        return self._joined(Record, "time", "frequency responses and have no time; use omega")
+        return self._joined(IN_TIME, "time", "frequency responses and have no time; use omega")
 
     @property
     def omega(self) -> Array:
         """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
-        return self._joined(FrequencyRecord, "omega", "records in time and have no frequencies; use time")
+        return self._joined(
+            FrequencyRecord | ResponseMatrix, "omega", "records in time and have no frequencies; use time"
+        )
 
-    def _joined(self, kind: type, name: str, what: str) -> Array:
+    def _joined(self, kind: Any, name: str, what: str) -> Array:
         parts = [getattr(one.record, name) for one in self.experiments if isinstance(one.record, kind)]
         if not parts:
             raise StructureError(f"these data are {what}")
@@ -75,15 +83,16 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
     if dt is None and _lacks_step(data):
         fitted = [one.record for model in models if isinstance(model, PEMResult) for one in model.experiments]
         sampled = [getattr(model, "dt", None) for model in models]
-        steps = [record.dt for record in fitted if isinstance(record, Record)]
+        steps = [record.dt for record in fitted if isinstance(record, IN_TIME)]
         steps += [step for step in sampled if step and not isinstance(step, bool)]
         dt = steps[0] if steps else None
-    records: tuple[Kind, ...] = as_experiments(data, dt, weights=weights)
+    taken: Any = as_channels if has_several_channels(data) else as_experiments
+    records: tuple[Kind, ...] = taken(data, dt, weights=weights)
     common_unit(records, models)
     several = len(records) > 1
     for k, record in enumerate(records, start=1):
         if not record.observed.any():
-            name = f"experiment {k}" if several else "the record" if isinstance(record, Record) else "the response"
+            name = f"experiment {k}" if several else "the record" if isinstance(record, IN_TIME) else "the response"
             raise StructureError(f"{name} has no outputs; there is nothing to hold a model against")
     if not any(np.nan_to_num(values_of(record)).any() for record in records):
         where = "throughout" if several else "throughout the record"
@@ -93,13 +102,13 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
 
 def _lacks_step(data: Any) -> bool:
     """Whether any of the data may be arrays, which have no step of their own."""
-    known = Record | FrequencyRecord | ct.TimeResponseData | ct.FrequencyResponseData
+    known = Kind | ct.TimeResponseData | ct.FrequencyResponseData
     return isinstance(data, tuple | list) and not all(isinstance(one, known) or is_data_frame(one) for one in data)
 
 
 def values_of(record: Kind) -> NDArray[Any]:
     """What was measured."""
-    return record.y if isinstance(record, Record) else record.response
+    return record.y if isinstance(record, IN_TIME) else record.response
 
 
 # --- names and numbers -----------------------------------------------------------------------------------------------
@@ -120,7 +129,9 @@ def _name(model: Any) -> str:
     system = model.system if isinstance(model, PEMResult) else model
     if isinstance(system, ct.InputOutputSystem) and not system._generic_name_check():
         return str(system.name)
-    kind = "fit" if isinstance(model, PEMResult) else type(model).__name__
+    if isinstance(model, PEMResult):
+        return f"fit ({counted(model.order, 'mode')})"
+    kind = type(model).__name__
     n = getattr(system, "n", None)
     if isinstance(n, int):
         return f"{kind} ({counted(n, 'mode')})"
@@ -129,12 +140,39 @@ def _name(model: Any) -> str:
 
 def fit_to(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
     """Fit percent of a model in some experiments together; of responses in the scale of their weights."""
+    if isinstance(pairs[0][0], Recording | ResponseMatrix):
+        return joint_percent(shares_of(pairs))
     y, error, weights = _observed(pairs)
     return fit_percent(y, error, weights) if y.any() else np.nan
 
 
-def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
-    """Root of the mean squared error of a model in some experiments together, weighted as the fit."""
+def fits_of_outputs(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
+    """Fit percent of each output, shape (p,)."""
+    if not isinstance(pairs[0][0], Recording | ResponseMatrix):
+        return np.array([fit_to(pairs)])
+    shares = shares_of(pairs)
+    return np.array([joint_percent(one) for one in shares.reshape(len(shares), -1)])
+
+
+def names_of_outputs(record: Any) -> tuple[str, ...]:
+    """Labels of the outputs."""
+    return tuple(record.output_labels) if isinstance(record, Recording | ResponseMatrix) else (record.output_label,)
+
+
+def shares_of(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
+    """Share of each output (p,), or entry (p, m), that a model leaves in some experiments together; NaN if unknown."""
+    none, still = np.zeros(0), np.zeros(0, np.complex128)
+    return unexplained([FittedChannels(record, still, none, none, output) for record, output in pairs])
+
+
+def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> Any:
+    """Root of the mean squared error of a model in some experiments together, weighted as the fit; of each output."""
+    if isinstance(pairs[0][0], Recording | ResponseMatrix):
+        left = np.concatenate([values_of(record) - output for record, output in pairs], axis=-1)
+        rows = left.reshape(len(left), -1)
+        counts = np.isfinite(rows).sum(axis=1)
+        squares = np.sum(np.abs(np.nan_to_num(rows)) ** 2, axis=1)
+        return np.where(counts > 0, np.sqrt(squares / np.maximum(counts, 1)), np.nan)
     _, error, weights = _observed(pairs)
     share = np.ones(len(error)) if weights is None else weights / weights.max()
     return unit_norm(np.sqrt(share) * error, 1.0) / float(np.sqrt(share.sum()))

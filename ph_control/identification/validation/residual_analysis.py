@@ -17,6 +17,7 @@ from ..._types import Array, Indices
 from ..._units import unit_for
 from ...exceptions import StructureError
 from ...plotting.validation_plot import CorrelationPanel, ResponsePanel, residual_panels_plot
+from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..regression.prediction import chosen_experiment
@@ -331,6 +332,12 @@ def residual_analysis(
     """
     rules = Rules(method, intersample, initial_state, offset)
     records = experiments_to_hold_against(data, dt, [model], weights)
+    if isinstance(records[0], Recording | ResponseMatrix):
+        raise StructureError(
+            f"the data have {len(records[0].input_labels)} inputs and {len(records[0].output_labels)} outputs, and "
+            "these tests are for one of each: pass one of them with the entry of the model, such as model[0, 0]; "
+            "residual_plot(result) shows each channel of a fit, and result.whiteness is of all"
+        )
     (name,) = names_of([model], None)
     L = _largest_lag(lags, records)
     level = _checks.level("confidence", confidence)
@@ -364,6 +371,7 @@ def _analysed(
     # rounding of recursions run in doubles grows with the samples
     rounding = largest <= _checks.EPS * sum(record.samples for record in records) * size
     spectral = isinstance(records[0], FrequencyRecord)
+    first: Any = records[0]
     return ResidualAnalysis(
         label=name,
         autocorrelation=auto.values, autocorrelation_band=auto.band, lags=cross.lags,
@@ -378,7 +386,7 @@ def _analysed(
             for output, residuals, answer in zip(outputs, left, answers, strict=True)
         ),
         fit_percent=fit_to(outputs), own_record=any(answer.own for answer in answers),
-        input_label=records[0].input_label, output_label=records[0].output_label,
+        input_label=first.input_label, output_label=first.output_label,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import _checks
-from ..._types import Array, ComplexArray
+from ..._types import Array, ComplexArray, Indices
 from ...exceptions import StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
@@ -21,6 +21,7 @@ from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
+from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.fitted_directions import (
@@ -37,6 +38,8 @@ from ..fit.result import PEMResult
 from ..regression.frequency_rows import modal_columns
 from ..regression.prediction import response_on
 
+Kind = Record | FrequencyRecord | Recording | ResponseMatrix
+
 _STEP_TOLERANCE = 0.01  # as between the time of a record and its dt
 _DIVERGED = 1e10  # times the measured output: forced and free motion then cancel to a few digits
 _ROUNDING = 1e-9  # relative: a frequency at the Nyquist frequency may round beyond it
@@ -46,7 +49,8 @@ _ROUNDING = 1e-9  # relative: a frequency at the Nyquist frequency may round bey
 class Simulation:
     """Output of a model in an experiment, and what of it was fitted to that experiment.
 
-    `output` has shape (T,), or is complex of shape (K,) for a frequency response.  `directions()` are its derivatives
+    `output` has shape (T,), or is complex of shape (K,) for a frequency response; (p, T) or (p, m, K) of several
+    channels, of which there are no directions.  `directions()` are its derivatives
     by all that was estimated from these data: noise along them is missing from the residuals.  `own` tells the data
     that the model itself was fitted to.
     """
@@ -58,7 +62,10 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Motions:
-    """Output from rest, shape (T,), free motions at the output, shape (T, n), and the growth of a mode in a step."""
+    """Output from rest, free motions at the output along one axis more, and the growth of a mode in a step.
+
+    Of shapes (T,) and (T, n), or (p, T) and (p, T, n) of several channels.
+    """
 
     forced: Array
     free: Callable[[], Array]
@@ -86,7 +93,7 @@ class Rules:
 
 
 def answers_to(
-    models: Sequence[Any], labels: Sequence[str], records: Sequence[Record | FrequencyRecord], rules: Rules
+    models: Sequence[Any], labels: Sequence[str], records: Sequence[Kind], rules: Rules
 ) -> list[list[Simulation]]:
     """What each model says of each experiment; errors name the experiment if there are several."""
     found = []
@@ -100,13 +107,12 @@ def answers_to(
     return found
 
 
-def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: Rules) -> Simulation:
+def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
-    if isinstance(model, DampedResult) and model.residues.shape[1:] != (1, 1):
-        raise StructureError(
-            f"model {label!r} has {len(model.input_labels)} inputs and {len(model.output_labels)} outputs; its predict "
-            "tells what it says of new data"
-        )
+    if isinstance(record, Recording | ResponseMatrix):
+        return _answer_of_channels(model, label, record, rules)
+    if isinstance(model, DampedResult):
+        _matching(model, label, record)
     places = range(len(model.experiments)) if isinstance(model, PEMResult) else []
     place = next((k for k in places if same_data(record, model.experiments[k].record)), None)
     if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
@@ -118,50 +124,81 @@ def _answer_to(model: Any, label: str, record: Record | FrequencyRecord, rules: 
         return _fitted_model(model, place, label, record, rules)
     if isinstance(model, DampedResult):
         return _damped_model(model, place, label, record, rules)
-    if rules.initial_state == "fitted":
-        raise StructureError(
-            f"initial_state='fitted' is that of a PEMResult; model {label!r} is a {type(model).__name__}, which keeps "
-            "none: use 'estimate' or 'zero'"
-        )
-    system, hold = _one_port(model, label, "record"), rules.hold(record.dt)
+    _refuse_fitted(model, label, rules)
+    system, hold = _system_of(model, label, record), rules.hold(record.dt)
     if in_normal_form(system):
         return _completed(_lossless_motions(system, record, hold), label, record, rules)
     return _completed(_linear_motions(system, label, record, hold), label, record, rules)
 
 
+def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
+    if rules.initial_state == "fitted":
+        raise StructureError(
+            f"initial_state='fitted' is that of a PEMResult; model {label!r} is a {type(model).__name__}, which keeps "
+            "none: use 'estimate' or 'zero'"
+        )
+
+
 def _keeps_its_state(one: Any, initial_state: str) -> bool:
     """Whether the prediction of the fit itself is asked for: that from its state, estimated on these very data."""
-    if isinstance(one.record, FrequencyRecord) or initial_state == "fitted":
+    if isinstance(one.record, FrequencyRecord | ResponseMatrix) or initial_state == "fitted":
         return True
     from_rest = one.record.driven and not one.free_amplitudes.any()
     return bool((initial_state == "zero" and one.record.driven) == from_rest)
 
 
-def _no_directions(record: Record | FrequencyRecord) -> Directions:
+def _no_directions(record: Kind) -> Directions:
     return Directions(*np.zeros((2, record.samples, 0)))
 
 
-def _one_port(model: Any, label: str, data: str) -> Any:
-    """The system of a model; refuse what is no linear system, or has several inputs or outputs."""
-    system = ph(model) if isinstance(model, ModalForm) else model
+def _system_of(model: Any, label: str, record: Kind) -> Any:
+    """The system of a model; refuse what is no linear system, or has not the channels of the data."""
+    system = _of_form(model) if isinstance(model, ModalForm) else model
     if not isinstance(system, ct.StateSpace | ct.TransferFunction):
         raise StructureError(
             f"model {label!r} is a {type(system).__name__}; pass a PEMResult, a system of this package, or a "
             "control.StateSpace or control.TransferFunction"
         )
-    if not system.issiso():
-        raise StructureError(
-            f"model {label!r} has {system.ninputs} inputs and {system.noutputs} outputs, the {data} one of each; pass "
-            "the entry that was measured, such as model[0, 0]"
-        )
+    _matching(system, label, record)
     return system
 
 
-def _completed(motions: Motions, label: str, record: Record, rules: Rules) -> Simulation:
-    """Add the free motion and the constant that fit the outputs best, where they are asked for."""
+def _of_form(form: Any) -> Any:
+    """System of a modal form; one that is not passive has a state space only."""
+    try:
+        return ph(form)
+    except StructureError:
+        return form.state_space()
+
+
+def _matching(model: Any, label: str, record: Kind) -> tuple[Indices, Indices]:
+    """Which outputs and inputs of a model are those of the data: by their labels if these are the same, or in order.
+
+    Without an input all those of the model are at rest.
+    """
+    outputs, inputs = list(model.output_labels), list(model.input_labels)
+    several = isinstance(record, Recording | ResponseMatrix)
+    rows = list(record.output_labels) if isinstance(record, Recording | ResponseMatrix) else outputs[:1]
+    columns = list(record.input_labels) if isinstance(record, Recording | ResponseMatrix) else inputs[:1]
+    if len(outputs) != len(rows) or (columns and len(inputs) != len(columns)) or (not several and len(inputs) > 1):
+        held = f"{len(columns)} inputs and {len(rows)} outputs" if several else "one of each"
+        data = "response" if isinstance(record, FrequencyRecord | ResponseMatrix) else "record"
+        raise StructureError(
+            f"model {label!r} has {len(inputs)} inputs and {len(outputs)} outputs, the {data} {held}; pass the entries "
+            "that were measured, such as model[0, 0]"
+        )
+    each = [
+        np.array([own.index(name) for name in theirs] if sorted(own) == sorted(theirs) else np.arange(len(own)), int)
+        for own, theirs in ((outputs, rows), (inputs, columns))
+    ]
+    return each[0], each[1]
+
+
+def _completed(motions: Motions, label: str, record: Record | Recording, rules: Rules) -> Simulation:
+    """Add the free motion and the constants that fit the outputs best, where they are asked for."""
     forced, growth = motions.forced, motions.growth
     if not np.isfinite(forced).all():
-        where = int(np.argmin(np.isfinite(forced)))
+        where = int(np.argmin(np.isfinite(forced).reshape(-1, record.samples).all(axis=0)))
         raise StructureError(
             f"model {label!r} is unstable: its modes grow by up to {growth:.6g} a sample, and its output leaves the "
             f"range of doubles at sample {where}; compare on a shorter record, or stabilise the model"
@@ -177,17 +214,53 @@ def _completed(motions: Motions, label: str, record: Record, rules: Rules) -> Si
             "initial_state='zero' or a shorter record"
         )
     parts = [motions.free()] if estimate else []
-    columns = np.concatenate([*parts, np.ones((record.samples, int(rules.offset)))], axis=1)
-    if 0 < columns.shape[1] >= len(target):
+    # a constant of each output
+    constants = np.ones((record.samples, 1)) if forced.ndim == 1 else np.eye(len(forced))[:, None]
+    constants = np.broadcast_to(constants, (*forced.shape, constants.shape[-1]))
+    columns = np.concatenate([*parts, constants[..., : constants.shape[-1] * rules.offset]], axis=-1)
+    if 0 < columns.shape[-1] >= len(target):
         raise StructureError(
-            f"the record has {len(target)} observed output samples and model {label!r} {columns.shape[1]} states to "
+            f"the record has {len(target)} observed output samples and model {label!r} {columns.shape[-1]} states to "
             "estimate from them, so that nothing is left to judge it by; use a longer record, or initial_state='zero'"
         )
-    lengths = np.linalg.norm(columns[record.observed], axis=0)
+    # outputs of other units count alike
+    scale = np.nanstd(record.y, axis=-1, keepdims=True) if forced.ndim > 1 else np.ones(1)
+    scale = np.broadcast_to(np.where(scale > 0, scale, 1.0), forced.shape)[record.observed]
+    lengths = np.linalg.norm(columns[record.observed] / scale[:, None], axis=0)
     columns = columns / np.where(lengths > 0, lengths, 1.0)
     # the smallest solution, where the columns depend on one another
-    found = np.linalg.lstsq(columns[record.observed], target, rcond=len(target) * _checks.EPS)[0]
+    rows = columns[record.observed] / scale[:, None]
+    found = np.linalg.lstsq(rows, target / scale, rcond=len(target) * _checks.EPS)[0]
     return Simulation(forced + columns @ found, lambda: Directions(np.zeros((record.samples, 0)), columns))
+
+
+# --- several channels ------------------------------------------------------------------------------------------------
+
+
+def _answer_of_channels(model: Any, label: str, record: Recording | ResponseMatrix, rules: Rules) -> Simulation:
+    """What a model says of an experiment of several channels."""
+    experiments: Any = model.experiments if isinstance(model, DampedResult) else ()
+    place = next((k for k, one in enumerate(experiments) if same_data(record, one.record)), None)
+    if place is not None and _keeps_its_state(experiments[place], rules.initial_state):
+        return Simulation(experiments[place].predicted, lambda: _no_directions(record), True)
+    if isinstance(record, ResponseMatrix):
+        return Simulation(_response(model, label, record), lambda: _no_directions(record))
+    if isinstance(model, PEMResult) and not isinstance(model, DampedResult):
+        model = model.observed_system
+    if not isinstance(model, DampedResult):
+        _refuse_fitted(model, label, rules)
+        system, hold = _system_of(model, label, record), rules.hold(record.dt)
+        return _completed(_linear_motions(system, label, record, hold), label, record, rules)
+    outputs, inputs = _matching(model, label, record)
+    # in the order of the model, and back
+    u = np.zeros((len(inputs), record.samples))
+    u[inputs] = record.u if len(record.u) else 0.0
+    y = np.empty_like(record.y)
+    y[outputs] = record.y
+    state = "estimate" if rules.initial_state == "zero" and not record.driven else rules.initial_state
+    found = model.predict(replace(record, u=u, y=y, input_labels=model.input_labels), initial_state=state)
+    answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
+    return Simulation(answer, lambda: _no_directions(record), place is not None)
 
 
 # --- results of a fit ------------------------------------------------------------------------------------------------
@@ -294,7 +367,7 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
 # --- other linear systems --------------------------------------------------------------------------------------------
 
 
-def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motions:
+def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Hold) -> Motions:
     """Motions of a linear system: of one in discrete time as it is, by the rule of `hold` otherwise."""
     try:
         system = ct.ss(model, name=model.name, remove_useless_states=False)
@@ -321,38 +394,47 @@ def _linear_motions(model: Any, label: str, record: Record, hold: Hold) -> Motio
             "one of them, or pass the continuous-time model"
         )
     growth = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    several = isinstance(record, Recording)
+    u = np.atleast_2d(record.u)
+    if several:
+        rows, columns = _matching(model, label, record)
+        u, C, D = np.zeros((len(columns), record.samples)), C[rows], D[rows]
+        u[columns] = record.u if len(record.u) else 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        forced = C @ step_through(A, now, then, record.u[None]) + D * record.u
-    return Motions(forced[0], lambda: _free_motions(A, C, record.samples), growth)
+        forced = C @ step_through(A, now, then, u) + D @ u
+    if several:
+        return Motions(forced, lambda: _free_motions(A, C, record.samples), growth)
+    return Motions(forced[0], lambda: _free_motions(A, C, record.samples)[0], growth)
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def _free_motions(F: Array, C: Array, samples: int) -> Array:
-    """Free motions at the output from each unit state, shape (T, n): the columns of observability."""
-    rows = C
-    while len(rows) < samples:
-        rows, F = np.concatenate([rows, rows @ F]), F @ F
-    return rows[:samples]
+    """Free motions at the outputs from each unit state, shape (p, T, n): the columns of observability."""
+    rows = C[:, None]
+    while rows.shape[1] < samples:
+        rows, F = np.concatenate([rows, rows @ F], axis=1), F @ F
+    return rows[:, :samples]
 
 
 # --- frequency responses ---------------------------------------------------------------------------------------------
 
 
-def _response(model: Any, label: str, record: FrequencyRecord) -> ComplexArray:
+def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
     if isinstance(model, DampedResult):
         model = model.observed_system
-    if isinstance(model, LosslessResult):
+    if isinstance(model, LosslessResult) and isinstance(record, FrequencyRecord):
         live = model.r > 0
         infinite = np.isin(record.omega, model.d[live])
         response = model.modes.kappa[live] @ modal_columns(model.d[live], record.omega, model.quantity)[0]
     else:
-        system = _one_port(model, label, "response")
+        system = _system_of(getattr(model, "observed_system", model), label, record)
         points = 1j * record.omega if system.isctime() else np.exp(1j * _sampled_phases(system, label, record))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            response = system.horner(points, warn_infinite=False)[0, 0]
+            response = system.horner(points, warn_infinite=False)
+        response = response[np.ix_(*_matching(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
         infinite = ~np.isfinite(response)
-    offending = np.flatnonzero(infinite & record.observed)
+    offending = np.flatnonzero((infinite & record.observed).reshape(-1, record.samples).any(axis=0))
     if len(offending):
         k = int(offending[0])
         raise StructureError(
@@ -362,7 +444,7 @@ def _response(model: Any, label: str, record: FrequencyRecord) -> ComplexArray:
     return np.asarray(response, complex)
 
 
-def _sampled_phases(system: Any, label: str, record: FrequencyRecord) -> Array:
+def _sampled_phases(system: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> Array:
     """Phase between samples of a discrete-time system at each frequency, below half a turn."""
     if isinstance(system.dt, bool):
         raise StructureError(
