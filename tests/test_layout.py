@@ -97,7 +97,7 @@ def folder(module: str) -> str:
 
 
 def violations(found: list[tuple[str, str, str]]) -> list[str]:
-    """One sentence for every import of a folder above, but for those with which a `plot` method draws itself."""
+    """One sentence for every import of a folder above, but for those with which `plot` and `report` show an object."""
     wrong = []
     for module, target, around in found:
         here, there = folder(module), folder(target)
@@ -107,7 +107,7 @@ def violations(found: list[tuple[str, str, str]]) -> list[str]:
             wrong.append(f"{module} imports the package itself")
         elif here not in ORDER or there not in ORDER:
             wrong.append(f"{module} imports {target}: a folder that is not in ORDER")
-        elif ORDER.index(there) > ORDER.index(here) and not (around.endswith("plot") and there in PICTURES):
+        elif ORDER.index(there) > ORDER.index(here) and not (around.endswith(("plot", "report")) and there in PICTURES):
             wrong.append(f"{module} imports {target}, from a folder above")
     return wrong
 

@@ -80,6 +80,7 @@ def add_options(parser: Parser) -> None:
     out = parser.add_argument_group("what is written")
     out.add_argument("--model", metavar="FILE", help="the model (JSON); - for standard output, in place of the summary")
     out.add_argument("--result", metavar="FILE", help="the whole result, uncertainty and residuals too (JSON)")
+    out.add_argument("--report", metavar="FILE", help="summary, tables and pictures on one page (html)")
     out.add_argument("--plot", metavar="FILE", help="measured, predicted and residual (png, svg, pdf)")
     out.add_argument("--bode", metavar="FILE", help="Bode picture of the model and the measurement (png, svg, pdf)")
     out.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
@@ -112,7 +113,7 @@ def run(options: Namespace) -> int:
     """Fit, print, write."""
     from ..identification.diagnosis.verdict import Outcome
 
-    outputs = [options.model, options.result, options.plot, options.bode]
+    outputs = [options.model, options.result, options.report, options.plot, options.bode]
     check_files(options, [*options.recordings, options.guess], outputs)
     for name in filter(None, (options.plot, options.bode)):
         picture_format(name)
@@ -172,6 +173,7 @@ def _progress_line(progress: Any) -> None:
 
 def _write(result: phc.PEMResult, place: int, options: Namespace) -> None:
     """Write what was asked for."""
+    from ..identification.validation.html_report import page_of
     from ..io.codecs import document_of
 
     if options.model is not None:
@@ -180,6 +182,8 @@ def _write(result: phc.PEMResult, place: int, options: Namespace) -> None:
         deliver(document_of(kept), options.model, options.overwrite)
     if options.result is not None:
         deliver(document_of(result), options.result, options.overwrite)
+    if options.report is not None:
+        deliver(page_of(result, f"Identification report: {result.system.name}"), options.report, options.overwrite)
     if options.plot is not None:
         deliver_picture(result.plot(place), options.plot, options.overwrite)
     if options.bode is not None:

@@ -17,6 +17,7 @@ from ..._types import Array, NDArray
 from ..._units import common_unit, hertz_size, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
+from ...io.files import as_path, refuse_unwritable, write_atomically
 from ...modal.modal_form import ModalForm
 from ...numerics.mode_shapes import mac, phase_collinearity
 from ...plotting.fit_plot import fit_plot
@@ -314,6 +315,45 @@ class PEMResult(Report, Frozen):
         1
         """
         save(self, path, overwrite=overwrite)
+
+    def report(self, path: str | Path, *, title: str | None = None, overwrite: bool = False) -> None:
+        """Write the result as one HTML page: summary, modes, tests, pictures, and what it takes to repeat the fit.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write.
+        title : str, optional
+            Heading of the page.
+        overwrite : bool
+            Whether an existing file may be replaced.
+
+        Raises
+        ------
+        OutputExistsError
+            If the file exists and `overwrite` is false.
+
+        Notes
+        -----
+        Pictures are inside the file, as SVG; nothing is loaded from elsewhere, no script runs.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, numpy as np, ph_control as phc
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "fit.html")
+        ...     phc.pem((u, y), dt=0.1).report(path, title="One mode")
+        ...     "<h1>One mode</h1>" in path.read_text(encoding="utf-8")
+        True
+        """
+        from ..validation.html_report import page_of
+
+        target = as_path(path)
+        refuse_unwritable(target, overwrite)
+        page = page_of(self, title or "Identification report")
+        write_atomically(target, page, overwrite=overwrite)
 
 
 KINDS = ("fit", "responses", "circles", "shapes", "assurance", "stabilisation", "residuals", "tests")
