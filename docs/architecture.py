@@ -24,6 +24,7 @@ FOLDERS = {
     "io": "CSV, JSON, .mat",
     "plotting": "numbers, then pictures",
     "controllers": "damping, observers, LQG",
+    "reduction": "smaller and passive models",
     "analysis": "time responses, energy, margins",
     "equivalence": "coordinates, morphisms",
     "structures": "mass, damping, stiffness",

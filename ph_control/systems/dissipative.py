@@ -245,8 +245,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
         return restored(parts, {}, self.time_unit)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        parts = dict(self._parts), self._names(), self.time_unit, self.conversion
-        return restored, parts, {"structural_modes": self.structural_modes}
+        known = dict(self._parts), self._names(), self.time_unit, self.conversion
+        return restored, known, self._told()
 
     def _shown(self) -> list[str]:
         """Names of the parts beside Q and B that are not what they are by default."""

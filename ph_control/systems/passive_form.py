@@ -132,7 +132,7 @@ def _passive_parts(
     omega = _band(split)
     _refuse_active(split, D, m, refusal)
     if minimal:
-        split = replace(split, axis=_met_by_ports(split.axis, given), rest=_minimal(*split.rest, m))
+        split = replace(split, axis=_met_by_ports(split.axis, given), rest=minimal_part(*split.rest, m))
     parts, energy = None, storage
     if storage == "auto":
         parts, energy = None if minimal else physical_parts(given.A, given.B, given.C, given.D), "given"
@@ -142,7 +142,7 @@ def _passive_parts(
             parts = None
     if parts is None:
         energy = "mean" if storage == "auto" else storage
-        parts = _joined([_stored(PortRows(*split.rest, D), energy), *_lossless(split.axis, m)], D[m:])
+        parts = joined([stored_parts(PortRows(*split.rest, D), energy), *lossless_parts(split.axis, m)], D[m:])
     if minimal:
         _refuse_lost_sensors(parts, given, omega)
     error = _difference(parts, given, omega)
@@ -196,12 +196,12 @@ def _signs(split: Split, D: Array) -> tuple[int, ...]:
 # --- the storage of the ports -------------------------------------------------------------------------------------
 
 
-def _stored(system: PortRows, storage: str) -> Parts:
+def stored_parts(system: PortRows, storage: str) -> Parts:
     """The system in coordinates in which the storage that is asked for is the unit matrix."""
     m = system.ports
     rate = float(np.linalg.norm(system.A)) or 1.0
     root = np.sqrt(rate)
-    A, B, C = _balanced_minimal(system.A / rate, system.B / root, system.C / root, m)
+    A, B, C = balanced_minimal(system.A / rate, system.B / root, system.C / root, m)
     D, n = system.D[:m], len(A)
     size = float(np.linalg.norm(D)) + float(np.linalg.norm(B)) * float(np.linalg.norm(C[:m])) or 1.0
     level = np.sqrt(size)
@@ -232,15 +232,15 @@ def _met_by_ports(axis: list[tuple[float, ComplexArray]], given: PortRows) -> li
     return [(w, K) for w, K in axis if not np.linalg.norm(K[:m]) <= unseen]
 
 
-def _minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
+def minimal_part(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
     """Balanced coordinates of what the ports of a stable system reach and see."""
     rate = float(np.linalg.norm(A)) or 1.0
     root = np.sqrt(rate)
-    A, B, C = _balanced_minimal(A / rate, B / root, C / root, m)
+    A, B, C = balanced_minimal(A / rate, B / root, C / root, m)
     return rate * A, root * B, root * C
 
 
-def _balanced_minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
+def balanced_minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
     """Balanced coordinates of what ports reach and see, by the Hankel singular values of the first m outputs."""
     if not len(A):
         return A, B, C
@@ -271,7 +271,7 @@ def _gramian_root(A: Array, C: Array) -> Array:
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
-def _lossless(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[Parts]:
+def lossless_parts(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[Parts]:
     """Modes of poles on the axis, whose residues are Hermitian positive semidefinite."""
     found: list[Parts] = []
     J: Any
@@ -300,7 +300,7 @@ def _lossless(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[Parts]
     return found
 
 
-def _joined(found: Sequence[Parts], through: Array) -> Parts:
+def joined(found: Sequence[Parts], through: Array) -> Parts:
     """Parallel connection of parts, with the feedthrough of the sensors."""
     parts = {name: block_diag(*(one[name] for one in found)) for name in ("Q", "J", "R")}
     n = len(parts["Q"])

@@ -82,6 +82,8 @@ class PortHamiltonian(LosslessSystem):
     _factory = "ph(Q, B)"
     time_unit: str | None = None  # that of the data it was fitted to
     structural_modes: Any = None  # `StructuralModes`, where `from_second_order` has kept some modes of a structure
+    error_bound: float | None = None  # of `reduce`: the largest difference from the system that was reduced
+    cost: float | None = None  # of `nearest_passive`: squared distance from the system that was not passive
     _modes: ModalForm | None
     _given: tuple[Array, Array] | None
 
@@ -460,9 +462,13 @@ class PortHamiltonian(LosslessSystem):
         """Views of these names, as far as they have been computed, of a system that was given by matrices."""
         return {} if self._given is None else {name: self._views[name] for name in names if name in self._views}
 
+    def _told(self) -> dict[str, Any]:
+        """What a system is told after it was made, and keeps in files of pickle."""
+        return {name: getattr(self, name) for name in ("time_unit", "structural_modes", "error_bound", "cost")}
+
     def __reduce__(self) -> tuple[Any, ...]:
         known = self._given, self._modes, self._names(), self._kept(_OF_Q_AND_B)
-        return restored, (type(self), *known), {"time_unit": self.time_unit, "structural_modes": self.structural_modes}
+        return restored, (type(self), *known), self._told()
 
     def _repr_eval_(self) -> str:
         if self._given is not None:

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import nnls
 
 from ..._types import Array, ComplexArray, Indices
 from ...modal.general_form import real_matrices
 from ...modal.positive_real import Passivity
+from ...numerics.least_distance import least_distance
+from ...reduction.worst_frequencies import minima
 from ..regression.free import FreeProjection, GivenResidues
 from .layout import ChannelLayout
 
@@ -28,7 +29,6 @@ _ROUNDING = 1e-13  # of the largest eigenvalue
 _NEARBY = 0.05  # of the distance of a frequency to the next pole: from there its curvature is taken
 _AGREES = 0.01  # of the squared distance: so near to it is the cost, that the metric need not be evaluated anew
 _FAR = 1e3  # squared distance in standard errors beyond which there is no need for digits
-_ZOOMS = 4  # towards a minimum between three points, to a hundredth of their distance squared
 _SETTLED = 1e-3  # change of the squared distance in standard errors, at the last
 _SHOWN = 1e-2  # of the largest eigenvalue of the correlations of active constraints: below, two are one
 
@@ -205,20 +205,8 @@ class _Ports:
 
     def _lowest(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
         """Ends of the axis, and minima of the smallest eigenvalue between points that are dense about the poles."""
-        p = model[0]
-        near = (p.imag[:, None] + p.real[:, None] * np.sinh(np.linspace(-7.0, 7.0, 57))).ravel()
-        even = np.linspace(0.0, 2 * p.imag.max(), 20 * self.n)
-        grid = np.unique(np.concatenate([near[near > 0], even, np.geomspace(2, 100, 20) * p.imag.max()]))
-        values = np.linalg.eigvalsh(self._phi(*model, grid))[:, 0]
-        inner = 1 + np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:]))
-        low, high = grid[inner - 1], grid[inner + 1]
-        for _ in range(_ZOOMS):
-            closer = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 17)
-            values = np.linalg.eigvalsh(self._phi(*model, closer.ravel()))[:, 0].reshape(closer.shape)
-            k = np.argmin(values, axis=1)
-            rows = np.arange(len(k))
-            low, high = closer[rows, np.maximum(k - 1, 0)], closer[rows, np.minimum(k + 1, 16)]
-        return [0.0, *closer[rows, k].tolist(), np.inf] if len(inner) else [0.0, np.inf]
+        found = minima(lambda omega: np.asarray(np.linalg.eigvalsh(self._phi(*model, omega))[:, 0]), model[0])
+        return [0.0, *found, np.inf]
 
     def curvature(self, theta: Array, w: float, v: ComplexArray) -> Array:
         """Vectors `a` such that the smallest eigenvalue bends as `-sum (a^T d)^2 / 2`, as directions and `w` follow."""
@@ -340,7 +328,7 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array) -> _Held | 
             M, h = A @ C @ A.T, inside - values / np.where(size > 0, size, 1.0) + A @ (theta - centre)
         if not (np.isfinite(M).all() and np.isfinite(h).all()):
             break  # modes that the data do not show
-        solved = _least_distance(M, h, len(equal))
+        solved = least_distance(M, h, len(equal))
         if solved is None:
             break
         theta = centre + C @ (A.T @ solved)
@@ -382,23 +370,3 @@ class _Held:
             return self.C
         moved = self.C @ self.rows.T
         return np.asarray(self.C - moved @ np.linalg.pinv(self.rows @ moved, hermitian=True) @ moved.T)
-
-
-def _least_distance(M: Array, h: Array, equal: int) -> Array | None:
-    """Multipliers of the point nearest to the origin with `A z >= h`, the first few equal; `M = A A^T`.
-
-    Lawson and Hanson's way to non-negative least squares.
-    """
-    both = np.concatenate([np.arange(len(h)), np.arange(equal)])
-    sign = np.concatenate([np.ones(len(h)), -np.ones(equal)])
-    values, vectors = np.linalg.eigh(M)
-    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    E = np.concatenate([root[:, both] * sign, (sign * h[both])[None]])
-    target = np.append(np.zeros(len(root)), 1.0)
-    found, _ = nnls(E, target, maxiter=100 * len(both))
-    left = 1.0 - E[-1] @ found
-    if not left > 1e-12:
-        return None
-    multipliers = np.zeros(len(h))
-    np.add.at(multipliers, both, sign * found / left)
-    return multipliers

@@ -1,0 +1,182 @@
+"""The passive model next to another: passive by the exact test, poles kept, and no nearer one."""
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import ph_control as phc
+
+
+def matrices(sys):
+    return ct.ss(sys.A, sys.B, sys.C, sys.D)
+
+
+def active_system(seed, ports=None):
+    """Stable system of random modes and residues, which gives energy somewhere."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 5)), ports or int(rng.integers(1, 4))
+    d, zeta = rng.uniform(0.5, 3.0, n), rng.uniform(0.01, 0.3, n)
+    A = np.kron(np.diag(d), [[0.0, 1.0], [-1.0, 0.0]]) - np.diag(np.repeat(zeta * d, 2))
+    B = rng.normal(size=(2 * n, m))
+    scale = 10 ** rng.uniform(-4, 4, 3)
+    C = 0.2 * B.T + rng.normal(size=(m, 2 * n)) * rng.uniform(0.5, 2.0)
+    return ct.ss(A * scale[0], B * scale[1], C * scale[2], np.zeros((m, m)))
+
+
+def least_by_search(sys, grid):
+    """Least squared H2 distance of residues that are passive on a dense grid, by a general solver: one port."""
+    A, B, C = (np.asarray(M) for M in (sys.A, sys.B, sys.C))
+    P = ct.lyap(A, B @ B.T)
+    K = np.array([np.linalg.solve(1j * w * np.eye(len(A)) - A, B)[:, 0] for w in grid])
+    size = np.abs(K).max(axis=1)
+    beyond = -(A @ B)[:, 0]
+    root = np.linalg.cholesky(P)
+    x0 = C[0] @ root
+    rows = np.vstack([np.real(K) / size[:, None], beyond[None] / np.abs(beyond).max()]) @ np.linalg.inv(root).T
+    found = minimize(
+        lambda x: np.sum((x - x0) ** 2) / np.sum(x0**2), x0, jac=lambda x: 2 * (x - x0) / np.sum(x0**2), method="SLSQP",
+        constraints={"type": "ineq", "fun": lambda x: rows @ x, "jac": lambda x: rows},
+        options={"maxiter": 500, "ftol": 1e-14},
+    )  # fmt: skip
+    assert found.success
+    return found.fun * np.sum(x0**2)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_nearest_model_is_passive_and_its_cost_is_the_h2_distance(seed):
+    given = active_system(seed)
+    assert not phc.passivity(given).is_passive
+    model = phc.nearest_passive(given)
+    assert isinstance(model, phc.PortHamiltonian)
+    assert phc.passivity(matrices(model)).is_passive
+    distance = ct.norm(given - matrices(model), 2) ** 2
+    assert model.cost == pytest.approx(distance, rel=1e-5)
+    kept = model.poles()
+    for pole in kept:
+        assert np.abs(given.poles() - pole).min() < 1e-6 * np.abs(pole)
+
+
+@pytest.mark.parametrize("seed", [20, 21, 22, 23])
+def test_no_nearer_model_is_found_by_a_general_solver(seed):
+    given = active_system(seed, ports=1)
+    poles = given.poles()
+    size = np.abs(poles).max()
+    near = np.concatenate([np.abs(p.imag) + p.real * np.linspace(-6, 6, 121) for p in poles])
+    grid = np.unique(np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 600) * size, near[near > 0]]))
+    model = phc.nearest_passive(given)
+    assert model.cost == pytest.approx(least_by_search(given, grid), rel=2e-3)
+
+
+def test_what_is_passive_stays_as_it_is():
+    chain = phc.msd_chain(5)
+    same = phc.nearest_passive(chain)
+    assert same.cost == 0 and np.array_equal(same.A, chain.A)
+    lossless = phc.nearest_passive(ct.tf([2, 0], [1, 0, 4]))
+    assert lossless.cost == 0 and lossless.is_lossless
+
+
+def test_ports_that_drive_nothing_and_poles_on_the_axis():
+    A = np.array([[-0.1, 1.0], [-1.0, -0.1]])
+    B = np.array([[1.0, 0.0, 0.0], [0.5, 0.0, 1.0]])
+    C = np.array([[0.3, 0.1], [0.2, 0.0], [-0.1, 0.4]])
+    model = phc.nearest_passive(ct.ss(A, B, C, np.zeros((3, 3))))
+    assert np.linalg.norm(model.C[1]) < 1e-9 and phc.passivity(matrices(model)).is_passive
+    indefinite = ct.tf([1.0, 0.0], [1.0, 0.0, 1.0]) + ct.tf([1.0, -1.0], [1.0, 1.0, 4.0])
+    kept = phc.nearest_passive(indefinite)
+    assert phc.passivity(kept).is_passive and 0 < kept.cost < np.inf
+    assert np.abs(kept.poles() - 1j).min() < 1e-9
+    wrong = phc.nearest_passive(-1 * ct.tf([1.0, 0.0], [1.0, 0.0, 1.0]) + ct.tf([1.0, 0.0], [1.0, 1.0, 4.0]))
+    assert wrong.cost == np.inf and wrong.nstates == 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_weight_moves_the_feedthrough_too(seed):
+    given = active_system(seed)
+    given = ct.ss(given.A, given.B, given.C, given.D - 0.1 * ct.norm(given, "inf") * np.eye(given.ninputs))
+    with pytest.raises(phc.StructureError, match=r"feedthrough D is active.*weight=\(omega, weights\)"):
+        phc.nearest_passive(given)
+    omega = np.linspace(0.0, 2.0, 40) * np.abs(given.poles()).max()
+    weights = np.linspace(1.0, 0.5, 40)
+    model = phc.nearest_passive(given, weight=(omega, weights))
+    assert phc.passivity(matrices(model)).is_passive
+    off = np.moveaxis(given(1j * omega, squeeze=False) - model(1j * omega, squeeze=False), 2, 0)
+    assert model.cost == pytest.approx(np.sum((weights * np.linalg.norm(off, axis=(1, 2))) ** 2), rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scattering_matrices(seed):
+    given = active_system(seed)
+    given = given * (1.05 / ct.norm(given, "inf"))
+    assert not phc.passivity(given, kind="scattering").is_passive
+    model = phc.nearest_passive(given, kind="scattering")
+    assert phc.passivity(model, kind="scattering").is_passive
+    assert model.cost == pytest.approx(ct.norm(given - model, 2) ** 2, rel=1e-5)
+    # scaling all residues down is passive as well, and farther away
+    assert 0 < model.cost < (0.05 / 1.05 * ct.norm(given, 2)) ** 2 * 1.001
+
+
+def noisy_fit(seed, ports=1):
+    """Free fit of a passive plant whose weak mode drowns in noise."""
+    rng = np.random.default_rng(seed)
+    d = np.array([1.0, 1.7, 2.6])
+    psi = rng.normal(size=(3, ports)) * np.array([1.0, 0.05, 1.0])[:, None]
+    p = d * (-0.02 + 1j * np.sqrt(1 - 0.02**2))
+    w = np.linspace(0.3, 4.0, 150)
+    residues = psi[:, :, None] * psi[:, None, :] * (p / (2j * p.imag))[:, None, None]
+    s = 1j * w[:, None]
+    G = np.einsum("kl,lab->abk", 1 / (s - p), residues) + np.einsum("kl,lab->abk", 1 / (s - p.conj()), residues.conj())
+    G = G + 0.02 * np.abs(G).max() * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape))
+    pairs = None if ports == 1 else [(k, k) for k in range(ports)]
+    quantity = {} if ports == 1 else {"quantity": ["velocity"] * ports}
+    return phc.pem(ct.FrequencyResponseData(G, w), 3, structure="free", ports=pairs, **quantity)
+
+
+@pytest.mark.parametrize("seed, ports", [(1, 1), (2, 1), (3, 1), (0, 2), (1, 2)])
+def test_a_fit_pays_in_likelihood_and_less_than_by_another_metric(seed, ports):
+    fit = noisy_fit(seed, ports)
+    by_data = phc.nearest_passive(fit)
+    assert phc.passivity(by_data).is_passive and isinstance(by_data, phc.PortHamiltonian)
+    assert by_data.cost > 0 and by_data.ninputs == ports
+    by_h2 = phc.nearest_passive(fit, weight="h2")
+    assert phc.passivity(by_h2).is_passive
+    # residues of the answers, in the metric of the fit with poles as they are
+    n, size = len(fit.poles), fit.residues.size
+    if (fit.poles.real < 0).all():
+        assert all(np.abs(by_data.poles() - pole).min() < 1e-6 for pole in fit.poles)
+        information = np.linalg.pinv(np.nan_to_num(fit.covariance))[2 * n :, 2 * n :]
+
+        def likelihood_ratio(model):
+            form = phc.modes(ct.ss(model.A, model.B, model.C, model.D))
+            omega = np.linspace(0.1, 5.0, 400)
+            s = 1j * omega[:, None]
+            basis = np.hstack([1 / (s - fit.poles) + 1 / (s - fit.poles.conj()),
+                               1j / (s - fit.poles) - 1j / (s - fit.poles.conj())])  # fmt: skip
+            values = np.moveaxis(form.evaluate(1j * omega), 2, 0).reshape(len(omega), -1)
+            both = np.vstack([basis.real, basis.imag])
+            found = np.linalg.lstsq(both, np.vstack([values.real, values.imag]), rcond=None)[0]
+            moved = found - np.vstack([fit.residues.reshape(n, -1).real, fit.residues.reshape(n, -1).imag])
+            moved = np.concatenate([moved.ravel(), np.zeros(len(information) - 2 * size)])
+            return float(moved @ information @ moved)
+
+        assert likelihood_ratio(by_data) == pytest.approx(by_data.cost, rel=1e-3)
+        assert likelihood_ratio(by_data) <= likelihood_ratio(by_h2) * (1 + 1e-4)
+
+
+@pytest.mark.parametrize(
+    "system, keywords, match",
+    [
+        (ct.tf([1.0], [1.0, -1.0]), {}, "right half-plane.*fit it again with stable poles"),
+        (ct.tf([1.0], [1.0, 1.0]), {"weight": "covariance"}, "is for fits"),
+        (ct.tf([1.0], [1.0, 1.0]), {"weight": "l2"}, "'covariance', 'h2'"),
+        (ct.tf([1.0], [1.0, 1.0]), {"weight": 3}, "a pair"),
+        (ct.tf([1.0], [1.0, 1.0]), {"weight": ([1.0, 2.0], [1.0])}, "shape"),
+        (ct.tf([1.0], [1.0, 1.0]), {"kind": "power"}, "immittance"),
+        (ct.tf([1.0], [1.0, 0.0]), {"kind": "scattering"}, "pole on the imaginary axis"),
+        (ct.tf([1.0], [1.0, 0.0, 0.0]), {}, "not simple"),
+        (ct.tf([1.0], [1.0, 0.5], 0.1), {}, "discrete time"),
+    ],
+)
+def test_refusals(system, keywords, match):
+    with pytest.raises(phc.StructureError, match=match):
+        phc.nearest_passive(system, **keywords)
