@@ -1,0 +1,178 @@
+"""Reduced models of least H2 error: first the best of all models, then the best of port-Hamiltonian ones.
+
+With Gramians `P` and `Q` of the error `G - G_r`, split as its states,
+
+    |G - G_r|^2 = |G|^2 - 2 tr(C P12 Cr^T) + tr(Cr P22 Cr^T),
+
+and its gradients by `Ar`, `Br`, `Cr` are `2 (Q22 P22 + Q12^T P12)`, `2 (Q22 Br + Q12^T B)`, `2 (Cr P22 - C P12)`.
+Where all three vanish the reduced model is a projection of the large one, which the iteration uses (Wilson 1970; Xu
+and Zeng 2011).  Port-Hamiltonian models are `Ar = J - L L^T - Y Y^T` with unit energy, without constraints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.linalg import qr, schur
+from scipy.linalg.lapack import dtrsyl
+from scipy.optimize import minimize
+
+from .._types import Array
+from .modal_truncation import Parts
+
+_ITERATIONS = 300  # of projections
+_SETTLED = 1e-10  # of the squared norm of the model: change of the squared error
+_STEPS = 2000  # of quasi-Newton
+_PART = 1e-13  # of the largest eigenvalue of the feedthrough: one that is 0
+
+Matrices = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Full:
+    """A stable system whose H2 distance to small ones is measured."""
+
+    A: Array
+    B: Array
+    C: Array
+
+    @cached_property
+    def _schur(self) -> tuple[Array, Array]:
+        T, U = schur(self.A, output="real")
+        return np.asfortranarray(T), U
+
+    @cached_property
+    def squared_norm(self) -> float:
+        """Square of the H2 norm."""
+        T, U = self._schur
+        P = U @ _sylvester(T, T, U.T @ self.B @ self.B.T @ U, "N", "T") @ U.T
+        return float(np.sum((self.C @ P) * self.C))
+
+    def crossed(self, A: Array, B: Array, C: Array) -> tuple[Array, Array]:
+        """Gramians `P12`, `Q12` of the error with a small system."""
+        T, U = self._schur
+        t, u = schur(A, output="real")
+        t = np.asfortranarray(t)
+        P = U @ _sylvester(T, t, U.T @ self.B @ (u.T @ B).T, "N", "T") @ u.T
+        Q = -U @ _sylvester(T, t, U.T @ self.C.T @ (C @ u), "T", "N") @ u.T
+        return P, Q
+
+    def error(self, A: Array, B: Array, C: Array) -> tuple[float, Matrices]:
+        """Squared H2 error less the squared norm of the system, and its gradients by the matrices of a small system."""
+        P12, Q12 = self.crossed(A, B, C)
+        t, u = schur(A, output="real")
+        t = np.asfortranarray(t)
+        P22 = u @ _sylvester(t, t, u.T @ B @ B.T @ u, "N", "T") @ u.T
+        Q22 = u @ _sylvester(t, t, u.T @ C.T @ C @ u, "T", "N") @ u.T
+        value = float(np.sum(C * (C @ P22 - 2 * self.C @ P12)))
+        by_A = 2 * (Q22 @ P22 + Q12.T @ P12)
+        return value, (by_A, 2 * (Q22 @ B + Q12.T @ self.B), 2 * (C @ P22 - self.C @ P12))
+
+
+def _sylvester(T: Array, t: Array, right: Array, first: str, second: str) -> Array:
+    """`X` with `T X + X t + right = 0`, matrices of real Schur form transposed as said."""
+    X, scale, _ = dtrsyl(T, t, np.asfortranarray(-right), trana=first, tranb=second)
+    return np.asarray(X / scale, float)
+
+
+def best_model(full: Full, start: Matrices) -> Matrices:
+    """Model of the order of another at which the H2 error is stationary, by projections; the best one on the way."""
+    best, least = start, full.error(*start)[0]
+    A, B, C = start
+    before = np.inf
+    for _ in range(_ITERATIONS):
+        V, W = (qr(part, mode="economic")[0] for part in full.crossed(A, B, C))
+        with np.errstate(all="ignore"):
+            try:
+                A, B, C = np.linalg.solve(W.T @ V, W.T @ full.A @ V), np.linalg.solve(W.T @ V, W.T @ full.B), full.C @ V
+            except np.linalg.LinAlgError:
+                break
+        if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
+            break
+        value = full.error(A, B, C)[0]
+        if value < least:
+            best, least = (A, B, C), value
+        if abs(value - before) <= _SETTLED * full.squared_norm * 1e-4:
+            break
+        before = value
+    return best
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Port-Hamiltonian models of unit energy as a vector: `J`, `L`, `Y`, `G` and the rows of sensors."""
+
+    r: int
+    m: int
+    sensors: int
+    through: Array
+
+    @cached_property
+    def _root(self) -> Array:
+        """`U sqrt(s)` with `S = U s U^T`, of the part of the feedthrough that takes in energy."""
+        s, U = np.linalg.eigh(self.through)
+        kept = s > _PART * max(s[-1], np.finfo(float).tiny)
+        return np.asarray(U[:, kept] * np.sqrt(s[kept]), float)
+
+    @property
+    def _shapes(self) -> list[tuple[int, int]]:
+        r, q = self.r, self._root.shape[1]
+        return [(r, r), (r, r), (r, q), (r, self.m), (self.sensors, r)]
+
+    def split(self, x: Array) -> list[Array]:
+        ends = np.cumsum([a * b for a, b in self._shapes])[:-1]
+        return [part.reshape(shape) for part, shape in zip(np.split(x, ends), self._shapes, strict=True)]
+
+    def matrices(self, x: Array) -> tuple[Array, Array, Array]:
+        """`A`, `B`, `C`."""
+        J, L, Y, G, rows = self.split(x)
+        P = Y @ self._root.T
+        return 0.5 * (J - J.T) - L @ L.T - Y @ Y.T, G - P, np.vstack([(G + P).T, rows])
+
+    def gradient(self, x: Array, by: Matrices) -> Array:
+        """Gradient by the vector of that by the matrices."""
+        _, L, Y, _, _ = self.split(x)
+        by_A, by_B, by_C = by
+        loss, ports = by_A + by_A.T, by_C[: self.m].T
+        by_Y = -loss @ Y + (ports - by_B) @ self._root
+        parts = [0.5 * (by_A - by_A.T), -loss @ L, by_Y, by_B + ports, by_C[self.m :]]
+        return np.concatenate([part.ravel() for part in parts])
+
+    def vector(self, parts: Parts) -> Array:
+        """The vector of a system of unit energy."""
+        U = self._root
+        Y = parts["P"] @ U @ np.linalg.inv(U.T @ U) if U.shape[1] else np.zeros((self.r, 0))
+        k, V = np.linalg.eigh(parts["R"] - Y @ Y.T)
+        L = V * np.sqrt(np.maximum(k, 0.0))
+        return np.concatenate([part.ravel() for part in (parts["J"], L, Y, parts["G"], parts["sensor_rows"])])
+
+    def parts(self, x: Array, like: Parts) -> Parts:
+        """The system of a vector."""
+        J, L, Y, G, rows = self.split(x)
+        return like | {
+            "Q": np.eye(self.r), "J": 0.5 * (J - J.T), "R": L @ L.T + Y @ Y.T, "G": G.copy(), "P": Y @ self._root.T,
+            "sensor_rows": rows.copy(),
+        }  # fmt: skip
+
+
+def best_passive(full: Full, start: Parts) -> tuple[Parts, float]:
+    """Port-Hamiltonian system of least H2 error next to another, and the squared error less the squared norm."""
+    layout = _Layout(len(start["Q"]), start["G"].shape[1], len(start["sensor_rows"]), start["S"])
+    size = full.squared_norm
+
+    def value(x: Array) -> tuple[float, Array]:
+        A, B, C = layout.matrices(x)
+        if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
+            return 1e3, np.zeros_like(x)
+        f, by = full.error(A, B, C)
+        return f / size, layout.gradient(x, by) / size
+
+    x = layout.vector(start)
+    options: Any = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": 1e-15, "gtol": 1e-10, "maxcor": 30}
+    found = minimize(value, x, jac=True, method="L-BFGS-B", options=options)
+    if not found.fun < value(x)[0]:
+        return start, size * value(x)[0]
+    return layout.parts(found.x, start), size * float(found.fun)

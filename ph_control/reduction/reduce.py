@@ -1,0 +1,268 @@
+"""Smaller port-Hamiltonian systems: modal, balanced, or of least H2 error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cached_property
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from .. import _checks
+from .._types import Array
+from ..exceptions import StructureError
+from ..modal.positive_real import split_axis
+from ..systems.base import inherited_names
+from ..systems.dissipative import parts_of, restored
+from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
+from ..systems.port_hamiltonian import PortHamiltonian, ph
+from .closest_passive import FixedPoles, closest_passive
+from .modal_truncation import Parts, Wanted, lossless_truncated, projected, truncated, with_unit_energy
+from .nearest_passive import h2_covariance
+from .optimal import Full, Matrices, best_model, best_passive
+
+METHODS = ("modal", "balanced", "h2")
+
+_TOLERANCE = 1e-8  # relative, of norms
+
+
+def reduce(
+    sys: Any,
+    order: int | None = None,
+    *,
+    tolerance: float | None = None,
+    band: Any = None,
+    method: str = "modal",
+    residual_modes: bool = True,
+) -> PortHamiltonian:
+    """Approximate a passive system by a smaller one that is port-Hamiltonian.
+
+    Parameters
+    ----------
+    sys : PortHamiltonian, or any system that `ph` takes
+        The system; outputs after those of the ports are sensors.
+    order : int, optional
+        Number of states, at most; a pair of complex poles has two.
+    tolerance : float, optional
+        The fewest states with `error_bound` at most this part of the largest gain of `sys`, its H-infinity norm.
+    band : (float, float), optional
+        Of the method 'modal': keep the modes with natural frequencies between these, rad per unit time; with `order`
+        the most important of them.
+    method : {'modal', 'balanced', 'h2'}
+        'modal' keeps poles: those in the band, or those with the highest resonances.  'balanced' is positive-real
+        balanced truncation: it keeps what differs least between the least and the largest storage.  'h2' minimises
+        the H2 norm of the difference, over all port-Hamiltonian systems of this order near the best linear one.
+    residual_modes : bool
+        Of the method 'modal': add the static deflections under forces at the ports, which make the response at low
+        frequencies right, by two states for each port; they count among `order`, and are left out where it has no room.
+
+    Returns
+    -------
+    PortHamiltonian
+        Its `error_bound` is the largest difference of the transfer functions over all frequencies, computed as the
+        H-infinity norm of the difference.  Lossless systems stay lossless; their difference is unbounded at poles left
+        out, and the bound is that over `band`, or from 0 to the highest frequency kept.
+
+    Raises
+    ------
+    StructureError
+        If none or too many of `order`, `tolerance` and `band` are given, none of the modes is in the band, or the
+        method is not for this system: a lossless one has neither a finite H2 norm nor more than one storage.
+    NotPassiveError
+        If the system has no port-Hamiltonian form; `nearest_passive` makes one.
+
+    Notes
+    -----
+    Poles on the imaginary axis are kept by the methods 'balanced' and 'h2', beside `order` states for the rest.
+    In coordinates in which the energy is `|z|^2 / 2` any orthogonal projection is port-Hamiltonian: of an invariant
+    subspace for modes, of the leading states of the balanced storage, whose extremes are `diag(s)` and its inverse.
+    'h2' starts at the stationary model of all (a projection found by iteration), moves its outputs until it is
+    passive, and goes downhill in `J`, `R` and `G` by exact gradients.  O(n^3) each, and O(n^2 r) a step of 'h2'; of
+    repeated calls only the bound takes O(n^3).
+
+    Examples
+    --------
+    >>> import ph_control as phc
+    >>> chain = phc.msd_chain(10)
+    >>> small = phc.reduce(chain, 8, method="balanced")
+    >>> small.nstates, bool(small.error_bound < 0.1), phc.passivity(small).is_passive
+    (8, True, True)
+    >>> lossless = phc.spring_chain([1.0] * 20, 4.0, ground=1.0)
+    >>> phc.reduce(lossless, band=(0.0, 1.5)).is_lossless
+    True
+    """
+    _checks.choice("method", method, METHODS)
+    _checks.flags(residual_modes=residual_modes)
+    wanted = _wanted(order, tolerance, band, method, residual_modes)
+    system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
+    if wanted.order is not None and wanted.order >= system.nstates and band is None:
+        return _finished(system, parts_of(system), 0.0) if not _is_plain(system) else _copy(system)
+    if _is_plain(system):
+        return _of_lossless(system, wanted, tolerance, method)
+    reducer = _Reducer(system, method, wanted)
+    if tolerance is None:
+        parts, error = reducer.made(wanted.order)
+    else:
+        parts, error = _smallest(reducer.made, len(reducer.A), tolerance * reducer.gain)
+    return _finished(system, parts, error)
+
+
+def _wanted(order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool) -> Wanted:
+    if tolerance is not None and (order is not None or band is not None):
+        raise StructureError("tolerance chooses the number of states; give it without order and band")
+    if order is None and tolerance is None and band is None:
+        raise StructureError("give the order, a tolerance, or (method 'modal') a band: order=10, or tolerance=0.01")
+    if band is not None and method != "modal":
+        raise StructureError(f"band chooses modes; method {method!r} has none: give its order, or use method='modal'")
+    if order is not None:
+        order = _checks.whole_number("order", order, 1)
+    if tolerance is not None and not 0 < float(_checks.real_array("tolerance", tolerance)) < 1:
+        raise StructureError(f"tolerance is {_checks.shown(tolerance)}; it must be between 0 and 1, a part of the gain")
+    if band is not None:
+        edges = _checks.real_array("band", band)
+        if edges.shape != (2,) or not 0 <= edges[0] < edges[1]:
+            raise StructureError(
+                f"band is {_checks.shown(band)}; it must be (low, high) in rad per unit time, with 0 <= low < high"
+            )
+        band = float(edges[0]), float(edges[1])
+    return Wanted(order, band, residual_modes)
+
+
+def _is_plain(system: PortHamiltonian) -> bool:
+    """Whether it is lossless, without feedthrough and sensors, in the normal form."""
+    return type(system) is PortHamiltonian
+
+
+def _copy(system: PortHamiltonian) -> PortHamiltonian:
+    again: Any = system._converted()
+    again.error_bound = 0.0
+    return again
+
+
+def _finished(system: PortHamiltonian, parts: Parts, error: float) -> PortHamiltonian:
+    names = inherited_names(system, {}, "inputs", "outputs")
+    small = restored(parts, names, system.time_unit)
+    small.error_bound = error
+    return small
+
+
+def _of_lossless(system: PortHamiltonian, wanted: Wanted, tolerance: float | None, method: str) -> PortHamiltonian:
+    if method != "modal" or tolerance is not None:
+        reason = {
+            "modal": "its response has no largest gain that a tolerance could be a part of: give order or band",
+            "balanced": "all its states are stored and given back alike, so that none is less important: use "
+            "method='modal'",
+            "h2": "its H2 norm is infinite: use method='modal', or add damping",
+        }[method]
+        raise StructureError(f"the system is lossless; {reason}")
+    modes, error = lossless_truncated(system.modes, wanted)
+    small = ph(modes, **inherited_names(system, {}, "inputs", "outputs"))
+    small.time_unit, small.error_bound = system.time_unit, error
+    return small
+
+
+def _smallest(made: Callable[[int], tuple[Parts, float]], most: int, allowed: float) -> tuple[Parts, float]:
+    """The smallest model with an error that is allowed, by halving."""
+    low, high = 0, most
+    best = None
+    while high - low > 1:
+        middle = (low + high) // 2
+        found = made(middle)
+        if found[1] <= allowed:
+            best, high = found, middle
+        else:
+            low = middle
+    return best or made(most)
+
+
+class _Reducer:
+    """The part of a system off the imaginary axis, its poles on it, and reduced models of it."""
+
+    def __init__(self, system: PortHamiltonian, method: str, wanted: Wanted) -> None:
+        self.method, self.wanted = method, wanted
+        self.m = system.ninputs
+        self.parts = parts_of(system)
+        self.through = self.parts["sensor_feedthrough"]
+        split = split_axis(*(np.array(M, float) for M in (system.A, system.B, system.C)))
+        self.axis = split.axis
+        self.A, self.B, self.C = minimal_part(*split.rest, self.m)
+        self.D = np.array(system.D, float)
+
+    @property
+    def gain(self) -> float:
+        """Largest gain of the part off the axis."""
+        return _largest_gain(self.A, self.B, self.C, self.D)
+
+    def made(self, order: int | None) -> tuple[Parts, float]:
+        """A model of some order, and its error."""
+        if self.method == "modal":
+            wanted = Wanted(order, self.wanted.band, self.wanted.residual_modes)
+            parts = truncated(with_unit_energy(self.parts), wanted)
+            return parts, self._whole_error(parts)
+        assert order is not None
+        small = self._balanced(order) if self.method == "balanced" else self._optimal(order)
+        error = self._error(small)
+        return joined([small, *lossless_parts(self.axis, self.m)], self.through), error
+
+    @cached_property
+    def _stored(self) -> Parts:
+        """Balanced coordinates of the storages, the leading states first."""
+        return stored_parts(PortRows(self.A, self.B, self.C, self.D), "mean")
+
+    def _balanced(self, order: int) -> Parts:
+        parts = self._stored
+        return projected(parts, np.eye(len(parts["Q"]))[:, :order])
+
+    def _optimal(self, order: int) -> Parts:
+        """The best of what starts at the best linear model, and of the balanced one."""
+        if order >= len(self.A):
+            return self._stored
+        full = Full(self.A, self.B, self.C)
+        A, B, C = best_model(full, (self.A[:order, :order], self.B[:order], self.C[:, :order]))
+        found = [best_passive(full, self._balanced(order))]
+        with suppress(StructureError):  # a model that cannot be made passive
+            found.append(best_passive(full, self._passive((A, B, C))))
+        return min(found, key=lambda one: one[1])[0]
+
+    def _passive(self, model: Matrices) -> Parts:
+        """Port-Hamiltonian form of the passive model closest to one."""
+        A, B, C = model
+        m, D = self.m, self.D[: self.m]
+        family = FixedPoles(A, B, scattering=False)
+        moved = closest_passive(family, C[:m], D, h2_covariance(family, m))
+        return stored_parts(PortRows(A, B, np.vstack([moved.C, C[m:]]), self.D), "mean")
+
+    def _error(self, parts: Parts) -> float:
+        return _difference((self.A, self.B, self.C), parts)
+
+    def _whole_error(self, parts: Parts) -> float:
+        """Of models that keep poles on the axis or leave them out."""
+        A = parts["J"] - parts["R"]
+        split = split_axis(A, parts["G"] - parts["P"], np.vstack([(parts["G"] + parts["P"]).T, parts["sensor_rows"]]))
+        if len(split.axis) != len(self.axis):
+            return np.inf
+        return _largest_gain(*_parallel((self.A, self.B, self.C), split.rest), np.zeros_like(self.D))
+
+
+def _difference(full: Matrices, parts: Parts) -> float:
+    A, B = parts["J"] - parts["R"], parts["G"] - parts["P"]
+    C = np.vstack([(parts["G"] + parts["P"]).T, parts["sensor_rows"]])
+    return _largest_gain(*_parallel(full, (A, B, C)), np.zeros((len(C), B.shape[1])))
+
+
+def _parallel(one: Matrices, other: Matrices) -> Matrices:
+    """The difference of two systems."""
+    A = np.block([
+        [one[0], np.zeros((len(one[0]), len(other[0])))], [np.zeros((len(other[0]), len(one[0]))), other[0]]
+    ])  # fmt: skip
+    return A, np.vstack([one[1], other[1]]), np.hstack([one[2], -other[2]])
+
+
+def _largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
+    """H-infinity norm, from above."""
+    if not len(A):
+        return float(np.linalg.norm(D, 2))
+    gain, _ = ct.linfnorm(ct.ss(A, B, C, D), tol=_TOLERANCE)
+    return float(gain * (1 + 2 * _TOLERANCE))
