@@ -10,33 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.special import fdtrc
 from scipy.stats import norm
 
-from ..._types import Array, ComplexArray, Indices, Mask
-from ..regression.free import FreeProjection, first_step
-from ..regression.free_prediction import natural_jacobian
+from ..._types import Array, Mask
+from ..data.channels import as_channels
+from ..regression.free import first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
-from ..regression.prediction import fit_percent
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
-from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import Finding, noise_size
-from ..search.criteria import criteria, preference
-from ..search.free_path import FreeStep, evidence, finished, free_path, free_preference
-from ..search.free_search import Channels, FreeSearch, Left, Records, free_unknowns
-from ..search.response_search import responses_of
+from ..search.criteria import preference
+from ..search.formulation import DampedModes
+from ..search.free_search import Channels, FreeModel
+from ..search.modal_search import FreeFit, FreePath, Reports
 from ..search.steps import Step, crowds, more_than_noise
 from ..uncertainty.fisher import listed, named_modes
-from .damped_model import DampedModel, HypothesisTest
+from .verdict import HypothesisTest
 
 _ERRORS = 4.0  # standard errors beyond which something is said, with one mode
 _EVIDENT = 100.0  # energy of a mode in units of the noise: below, its shape is not judged
-_APART = 3.0  # basins between modes of a lossless fit that may be modes of the plant
 _CROWDED = 0.5  # basins between modes of a lossless model that look like one with damping
 _MOST = 20
 _IN_TIME = 128  # samples up to which all are asked; of longer records the bins about the modes
@@ -46,7 +44,7 @@ _PAST = 2  # lossless modes more than damped ones before the two are compared
 REFUSED = 1e-3  # probability below which a hypothesis is refused
 
 
-def sentence(model: DampedModel) -> str:
+def sentence(model: Any) -> str:
     """What of the damped modes contradicts a lossless collocated model."""
     causes, parts = [], []
     ratios, errors = model.damping_ratios, model.stderr["damping_ratios"]
@@ -138,41 +136,27 @@ def _lossless_directions(at: Projection, quantity: str) -> tuple[Array, Array]:
 
 
 def contradiction(
-    problem: Problem, at: Projection, *, order: int | None, most: int = _MOST, followed: FreeStep | None = None,
-    rival: Problem | None = None,
-) -> tuple[Problem, float, DampedModel] | None:  # fmt: skip
+    problem: Problem, at: Projection, records: Sequence[Any], *, order: int | None, most: int = _MOST,
+    followed: DampedModes | None = None, either_hold: bool = False, criterion: str,
+    reports: Reports,
+) -> FreeFit | None:  # fmt: skip
     """The damped modes that explain what a lossless fit leaves, or None where there is none.
 
     With an `order` these are that many, the strongest; None takes those that the data speak for.  `followed` are modes
-    that the search found already.  If these modes prefer a `rival`, which differs in the hold of the input, they are
-    fitted to it; with the problem that was taken, and how much log-likelihood it gains over the other.
+    that the search found already.
     """
     if problem.samples <= 2 * free_unknowns(problem, 1) or at.loss <= 0 or _is_of_euler(problem):
         return None
-    search = free_search(problem)
-    step = followed or free_path(search, _starts(problem, at), order, most)
-    p = step.at.p
-    if not len(p):
-        return None
-    if order is not None and order < len(p):
-        p = p[np.argsort(-evidence(search, step.at), kind="stable")[:order]]
-    gain = 0.0
-    if rival is not None:
-        losses = [FreeProjection(free_search(one).all_rows(True), p).loss for one in (problem, rival)]
-        gain = 0.5 * problem.samples * float(np.log(losses[0] / losses[1]))
-        if gain > TUNING.sure:
-            problem, search = rival, free_search(rival)
-    quantity = _quantity(problem)
-    return problem, abs(gain), _model(problem, search, finished(search, p, quantity == "acceleration"), quantity)
+    path = FreePath.over(problem, criterion, reports)
+    known = np.zeros(0, complex) if followed is None or order is not None else followed.p
+    most = len(known) or min(path.carried, order or most)
+    found = path.fit(known, most, order is None, as_channels(list(records)), either_hold=either_hold)
+    return found if found.order else None
 
 
-def free_search(problem: Problem) -> FreeSearch:
-    """Where damped modes are looked for in the data of a problem of lossless modes."""
-    unknowns = partial(free_unknowns, problem)
-    records = [FreeRecord.of(one) for one in problem.experiments if isinstance(one, RecordRows)]
-    if records:
-        return Records(records, unknowns, problem.rounding)
-    return responses_of(problem)
+def free_unknowns(problem: Problem, n: int) -> int:
+    """Parameters of n damped modes: those of lossless ones, a decay rate and a phase for each, and a feedthrough."""
+    return problem.unknowns(n) + n + (n + 1) * problem.driven
 
 
 def _is_of_euler(problem: Problem) -> bool:
@@ -198,84 +182,13 @@ def is_crowded(at: Projection) -> bool:
     return len(at.d) > 1 and bool(np.min(np.diff(np.sort(at.d))) < _CROWDED * at.problem.bin)
 
 
-def _starts(problem: Problem, at: Projection) -> ComplexArray:
-    """Modes of the lossless fit that may be modes of the plant: not held, and apart from stronger ones."""
-    kept: list[float] = []
-    for k in np.argsort(-at.energies):
-        d = float(at.d[k])
-        if at.free[k] and all(abs(d - other) > _APART * problem.bin for other in kept):
-            kept.append(d)
-    return np.nan + 1j * np.array(kept)
-
-
-# --- what stands out -------------------------------------------------------------------------------------------------
-
-
-def _model(problem: Problem, search: FreeSearch, at: FreeProjection, quantity: str) -> DampedModel:
-    """The public form of a minimum, modes sorted, and what of it stands out."""
-    n, rank = len(at.p), np.argsort(at.d)
-    unknowns = free_unknowns(problem, n) - (problem.driven and not at.has_feedthrough)
-    variance = at.loss / max(1, problem.samples - unknowns)
-    left = search.left(at)
-    errors = _errors(search, left)
-    records, free, offsets = isinstance(search, Records), [], []
-    for one, own in zip(problem.experiments, at.own, strict=True):
-        moving = isinstance(one, RecordRows) and not one.from_rest
-        free.append((2 * (own[:n, 0] + 1j * own[n : 2 * n, 0]))[rank] if moving else np.zeros(n * records, complex))
-        offsets.append(float(own[-1, 0]) if isinstance(one, RecordRows) and one.offset else 0.0)
-    loss = at.loss / problem.samples
-    model = DampedModel(
-        poles=at.p[rank],
-        residues=at.residues[rank, 0, 0] if at.inputs else np.zeros(n, complex),
-        feedthrough=float(at.feedthrough[0, 0]) if at.inputs else 0.0,
-        covariance=_covariance(at, variance, rank),
-        noise_variance=variance,
-        loss=loss,
-        loglik=criteria(problem, at.loss, 0).loglik,
-        fit_percent=_fit_percent(problem, errors),
-        free_amplitudes=tuple(free),
-        offsets=tuple(offsets),
-        predicted=tuple(at.predicted()),
-        damped=np.zeros(n, bool),
-        negative=np.zeros(n, bool),
-        quantity=quantity,
-    )
-    bound = float(norm.isf(norm.sf(_ERRORS) / max(1, n)))
-    evident = (evidence(search, at) > _EVIDENT * variance)[rank]
-    weights, weight_errors = model.weights
-    damped = evident & (np.abs(model.damping_ratios) > bound * model.stderr["damping_ratios"])
-    negative = evident & (weights < -bound * weight_errors) & (weights < -0.5 * np.abs(model.complex_weights))
-    return replace(model, damped=damped, negative=negative & problem.driven)
-
-
-def _covariance(at: FreeProjection, variance: float, rank: Indices) -> Array:
-    """From imaginary and real parts of the poles to natural frequencies and damping ratios; NaN for what is absent."""
-    n, inner = len(at.p), at.covariance(variance)
-    T = np.eye(len(inner))
-    T[: 2 * n, : 2 * n] = natural_jacobian(at.p)
-    inner = T @ inner @ T.T
-    full = np.full((4 * n + 1, 4 * n + 1), np.nan)
-    full[: len(inner), : len(inner)] = inner
-    order = np.concatenate([rank, n + rank, 2 * n + rank, 3 * n + rank, [4 * n]])
-    return full[np.ix_(order, order)]
-
-
-def _errors(search: FreeSearch, left: Left) -> list[Array] | list[ComplexArray]:
-    """What a model leaves of each record in time, or of each response in the scale of its weights."""
-    if isinstance(search, Records):
-        return [np.fft.irfft(one, record.length) for (one,), record in zip(left, search.records, strict=True)]
-    return [one for (one,) in left]
-
-
-def _fit_percent(problem: Problem, errors: Sequence[Array] | Sequence[ComplexArray]) -> float:
-    in_time = [one for one in problem.experiments if isinstance(one, RecordRows)]
-    if in_time:
-        left = np.concatenate([error[one.observed] for error, one in zip(errors, in_time, strict=True)])
-        return fit_percent(np.concatenate([one.target for one in in_time]), left)
-    responses = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-    measured = np.concatenate([one.record.response[one.record.observed] for one in responses])
-    unscaled = [left / one.scale for one, left in zip(responses, errors, strict=True)]
-    return fit_percent(measured, np.concatenate(unscaled))
+def standing_out(model: Any, free: FreeFit) -> tuple[Mask, Mask]:
+    """Which damping ratios of damped modes, and which of their weights below 0, stand out of the noise."""
+    bound = float(norm.isf(norm.sf(_ERRORS) / max(1, model.order)))
+    evident = free.projection.evidence > _EVIDENT * free.variance
+    weights, errors = model.weights
+    negative = (weights < -bound * errors) & (weights < -0.5 * np.abs(model.complex_weights))
+    return evident & (np.abs(model.damping_ratios) > bound * model.stderr["damping_ratios"]), evident & negative
 
 
 # --- while modes are looked for --------------------------------------------------------------------------------------
@@ -289,7 +202,7 @@ class DampingWatch:
         self._records = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self._silent = not self._records or _is_of_euler(problem)
         self._asked = 0  # order at which damped modes were last looked for
-        self._found: FreeStep | None = None
+        self._found: DampedModes | None = None
         self._broad: bool | None = None
 
     def __call__(self, path: list[Step]) -> bool:
@@ -297,14 +210,16 @@ class DampingWatch:
         if self._over is None or self._over(path):
             return self._over is not None
         self._look(path)
-        past = self._found is not None and len(path[-1].d) >= len(self._found.at.p) + _PAST
+        past = self._found is not None and len(path[-1].d) >= len(self._found.p) + _PAST
         return past and self._is_better(path)
 
-    def decided(self, path: list[Step]) -> FreeStep | None:
+    def decided(self, path: list[Step]) -> DampedModes | None:
         """Damped modes that are better than all of a path that has come to its end."""
         if self._found is None:
             self._look(path)
-        return self._found if self._is_better(path) else None
+        if not self._is_better(path) or self._found is None:
+            return None
+        return self._modes(self._search.chosen(self._found.p, _MOST, True))
 
     def _look(self, path: list[Step]) -> None:
         """Look for damped modes where the path gives reason to, at orders that double."""
@@ -312,9 +227,21 @@ class DampingWatch:
         if self._silent or self._found is not None or len(step.d) < 2 * self._asked:
             return
         if self._suspects(step):
-            self._asked = len(step.d)
-            found = free_path(free_search(self._problem), np.zeros(0, complex), None, _MOST)
-            self._found = found if _decays(self._problem, found.at) else None
+            self._asked, self._found = len(step.d), self._damped
+
+    @cached_property
+    def _search(self) -> FreePath:
+        return FreePath.over(self._problem)
+
+    @cached_property
+    def _damped(self) -> DampedModes | None:
+        """Damped modes from nothing, if any has a decay rate that stands out of the noise."""
+        found = self._search.grown(np.zeros(0, complex), min(self._search.carried, _MOST), True)
+        decays = np.any(np.abs(found.at.sigma) > _ERRORS * self._search.decay_errors(found))
+        return self._modes(found) if decays else None
+
+    def _modes(self, found: FreeModel) -> DampedModes:
+        return DampedModes(found.p, self._search.cost(found))
 
     def _is_better(self, path: list[Step]) -> bool:
         """Whether damped modes were found that are better than the whole path; they are forgotten if not."""
@@ -322,7 +249,7 @@ class DampingWatch:
         if self._found is None:
             return False
         # a few coefficients of coloured noise may explain what many damped modes would
-        if free_preference(problem, self._found) >= min(preference(problem, step, "bic") for step in path):
+        if self._found.cost >= min(preference(problem, step, "bic") for step in path):
             self._found = None
         return self._found is not None
 
@@ -338,13 +265,6 @@ class DampingWatch:
             self._broad = any(_half_width(one, strongest) > _BROAD * one.bin for one in self._records)
         nearest = float(step.d[int(np.argmin(np.abs(step.d - step.candidates[0])))])
         return self._broad or (beside and any(_half_width(one, nearest) > 0 for one in self._records))
-
-
-def _decays(problem: Problem, at: FreeProjection) -> bool:
-    """Whether any mode has a decay rate that stands out of the noise."""
-    n = len(at.p)
-    inner = at.covariance(at.loss / max(1, problem.samples - free_unknowns(problem, n)))
-    return bool(np.any(np.abs(at.sigma) > _ERRORS * np.sqrt(np.diag(inner)[n : 2 * n])))
 
 
 def _half_width(record: RecordRows, d: float) -> float:

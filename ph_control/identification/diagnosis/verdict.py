@@ -8,7 +8,6 @@ from functools import cached_property
 
 from ..._display import counted, p_value
 from ..uncertainty.fisher import named_modes
-from .damped_model import HypothesisTest
 
 WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
@@ -33,6 +32,28 @@ class Outcome(Enum):
     def leaves_a_model(self) -> bool:
         """Whether there is a model that may describe the data."""
         return self not in (Outcome.NOT_DESCRIBED, Outcome.NO_RESPONSE, Outcome.NOTHING)
+
+
+@dataclass(frozen=True)
+class HypothesisTest:
+    """A hypothesis within a wider model, by the likelihood that it costs.
+
+    Attributes
+    ----------
+    hypothesis : str
+        What is tested: 'lossless'.
+    likelihood_ratio : float
+        Twice the log-likelihood that the wider model gains.
+    dof : int
+        Unknowns that it has more.
+    p : float
+        Probability of as much by chance.
+    """
+
+    hypothesis: str
+    likelihood_ratio: float
+    dof: int
+    p: float
 
 
 @dataclass(frozen=True)

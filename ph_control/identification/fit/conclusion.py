@@ -17,11 +17,10 @@ from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.circumstance_tests import NOISE, circumstances_of
-from ..diagnosis.damped_model import DampedModel, HypothesisTest
-from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence
+from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence, standing_out
 from ..diagnosis.fitted_directions import Directions, of_record, of_response
 from ..diagnosis.outliers import outliers, without
-from ..diagnosis.verdict import WHITE, FitVerdict
+from ..diagnosis.verdict import WHITE, FitVerdict, HypothesisTest
 from ..excitation.excitation import examine_fit
 from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
 from ..regression.time_rows import RecordRows
@@ -29,12 +28,15 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.circumstances import HOLDS, Cause, Finding, is_contrary, meeting, sentence_of, worth_telling
 from ..search.criteria import criteria, criteria_of
+from ..search.modal_search import FreeFit, Reports
 from ..search.response_noise import NoiseLaw, record_law
 from ..uncertainty.covariance import uncertainty
 from ..uncertainty.fisher import Information, information_at, listed
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
+from .damped_result import DampedModel
 from .lossless_result import LosslessResult
+from .modal_fit import Asked, structured
 
 Records = tuple[Record, ...] | tuple[FrequencyRecord, ...]
 
@@ -53,14 +55,19 @@ class Fit:
     order_given: bool
     at_limit: bool
     most: int
+    free: FreeFit | None = None
     damped: DampedModel | None = None
     tests: tuple[HypothesisTest, ...] = ()
     examined: bool = False
     law: NoiseLaw | None = None
+    criterion: str = "bic"
+    reports: Reports = lambda order: None
 
 
-def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> LosslessResult:
-    """Make the result of a fit, and warn of what the data do not show."""
+def conclude(
+    fit: Fit, method: str, intersample: str, quantity: str, representation: str
+) -> tuple[LosslessResult, FreeFit | None]:
+    """Make the result of a fit, and warn of what the data do not show; with the damped modes that contradict it."""
     problem, found = fit.problem, fit.found
     at: Projection = found.end.projection.ascending
     n = len(at.d)
@@ -85,7 +92,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         experiments = tuple(replace(one, outliers=k) for one, k in zip(experiments, found_out, strict=True))
     if not (fit.examined or noiseless or found.interrupted):
         doubtful = whiteness < WHITE or (held.any() and problem.driven) or is_crowded(at)
-        fit = _examined(fit, at, bool(doubtful), findings, [one.outliers for one in experiments])
+        fit = _examined(fit, at, bool(doubtful), findings, [one.outliers for one in experiments], quantity)
         if fit.found is not found:
             return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
     if fit.damped is not None and sentence(fit.damped):
@@ -131,7 +138,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     )
     if verdict.blind:
         warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
-    return LosslessResult(
+    result = LosslessResult(
         system=_named_system(modes, fit.records[0]),
         experiments=experiments,
         covariance=estimated.covariance,
@@ -159,13 +166,15 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         representation=representation,
         findings=findings,
         tests=fit.tests,
-        damped=fit.damped and replace(fit.damped, time_unit=unit),
+        damped=fit.damped,
     )
+    return result, fit.free
 
 
 def _examined(
-    fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Finding], far: Sequence[tuple[int, ...]]
-) -> Fit:
+    fit: Fit, at: Projection, doubtful: bool, findings: Sequence[Finding], far: Sequence[tuple[int, ...]],
+    quantity: str,
+) -> Fit:  # fmt: skip
     """The fit with what contradicts it, and then at the minimum next to the frequencies of the plant.
 
     From elsewhere lossless modes do not come there: they mimic its damping, or flee from a residue whose sign they
@@ -183,11 +192,16 @@ def _examined(
         return fit
     held = posed.searched is None and ("hold" in posed.open or any(one.cause is Cause.HOLD for one in findings))
     order = fit.order if fit.order_given else None
-    other = meeting(problem, "foh" if posed.intersample == "zoh" else "zoh") if held else None
-    found = contradiction(problem, at, order=order, most=fit.most, followed=followed, rival=other)
-    if found is None:
+    free = contradiction(
+        problem, at, fit.records, order=order, most=fit.most, followed=followed, either_hold=held,
+        criterion=fit.criterion, reports=fit.reports,
+    )  # fmt: skip
+    if free is None:
         return fit
-    chosen, gain, model = found
+    if free.interrupted:
+        return replace(fit, free=free, found=replace(fit.found, interrupted=True))
+    model = _damped_model(free, quantity)
+    chosen = problem if free.intersample == posed.intersample or not held else meeting(problem, free.intersample)
     # a mode with damping may show at a single point: what it has more than one without is not charged for
     damped = criteria(problem, model.loss * problem.samples, model.order).bic
     if refused and followed is None and posed.searched is None and any(far):
@@ -197,10 +211,11 @@ def _examined(
     fewer = order is None and followed is None and model.order < len(at.d)
     if fewer and damped > criteria(problem, at.loss, len(at.d)).bic:
         return fit
-    fit = replace(fit, damped=model)
+    fit = replace(fit, damped=model, free=free)
     if held:
         known = tuple(one for one in posed.findings if one.cause is not Cause.HOLD)
         posed = replace(posed, problem=chosen, open=posed.open - {"hold", "arrival"})
+        gain = 0.5 * (free.rival.criteria.bic - free.criteria.bic) if free.rival else 0.0
         hold = Finding(Cause.HOLD, (float(HOLDS.index(posed.intersample)),), gain)
         fit = replace(fit, problem=chosen, found=replace(fit.found, posed=replace(posed, findings=(*known, hold))))
     if chosen is problem and (followed is not None or not (model.damped.any() or model.negative.any())):
@@ -209,6 +224,14 @@ def _examined(
     end = refine(chosen, np.sort(d), rtol=LAST)
     end = replace(end, iterations=fit.found.end.iterations + end.iterations)
     return replace(fit, found=replace(fit.found, end=end), order=order or len(d), at_limit=False)
+
+
+def _damped_model(free: FreeFit, quantity: str) -> DampedModel:
+    """Damped modes beside a lossless fit, and what of them stands out."""
+    none = np.zeros(free.order, bool)
+    found = DampedModel(structured(free, Asked("free", (), (quantity,))), none, none)
+    damped, negative = standing_out(found, free)
+    return replace(found, damped=damped, negative=negative)
 
 
 def _beside_errors(at: Projection, far: Sequence[tuple[int, ...]]) -> tuple[HypothesisTest | None, float]:

@@ -11,8 +11,9 @@ import control as ct
 import numpy as np
 
 from ... import _checks
-from ..._frozen import ReadOnlyMapping
-from ..._types import Array, ArrayLike, ComplexArray
+from ..._display import Report, counted, percent
+from ..._frozen import Frozen, ReadOnlyMapping
+from ..._types import Array, ArrayLike, ComplexArray, Mask, NDArray
 from ..._units import common_unit, hertz_size, with_unit
 from ...exceptions import NotPassiveError, StructureError
 from ...modal.discretization import Hold
@@ -20,15 +21,15 @@ from ...modal.general_form import from_vectors, real_matrices
 from ...plotting.bode_plot import bode_plot
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, as_channels
-from ..diagnosis.damped_model import HypothesisTest
-from ..diagnosis.verdict import Outcome
+from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
 from ..regression.prediction import FittedExperiment, chosen_experiment
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
+from ..structure.layout import POWERS
 from ..uncertainty.draws import draw, intervals
 from ..uncertainty.modal_draws import ModalSamples
-from .report import DampedReport
+from .report import DampedReport, damped_lines
 from .result import OrderRow, PEMResult, kind_plot, output_plot
 from .scaled_shapes import ModeShapes, Ports, in_velocity_units
 from .stabilisation import Orders
@@ -545,6 +546,135 @@ class DampedResult(DampedReport, PEMResult):
             return bode_plot(plant, data=data, **kwargs)
         y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
         return output_plot(self, one.record.time, y, predicted, self.output_labels[place], **kwargs)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DampedModel(Report, Frozen):
+    """Modes with damping and residues of any phase, fitted to the same data as the lossless model beside it.
+
+    `G(s) = D + sum_l rho_l / (s - p_l) + conj(rho_l) / (s - conj(p_l))`, for an output that is what was measured; by
+    maximum likelihood if the noise is white.  Sensors may be anywhere.  What is not listed is that of `result`.
+
+    Attributes
+    ----------
+    result : DampedResult
+        The same as the result of a fit, with an axis for outputs and one for inputs.
+    damped, negative : ndarray of bool, shape (n,)
+        Which damping ratios, and which weights below 0, stand out of the noise.
+    poles : ndarray of complex, shape (n,)
+        Those of positive imaginary part, by their natural frequencies.
+    natural_frequencies, hertz, damping_ratios : ndarray, shape (n,)
+        `|p|`, ascending, rad per unit time; in Hz, in cycles per unit of time where that is not known; `-Re p / |p|`.
+    order : int
+        Number of modes n.
+    loglik, fit_percent, quantity, time_unit
+        As those of the fit.
+    """
+
+    result: DampedResult
+    damped: Mask
+    negative: Mask
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "result" or name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.result, name)
+
+    @property
+    def residues(self) -> ComplexArray:
+        """`rho`, shape (n,); 0 for a free motion."""
+        n = self.order
+        return self.result.residues[:, 0, 0] if self.result.residues.size else np.zeros(n, complex)
+
+    @property
+    def feedthrough(self) -> float:
+        """`D`."""
+        return float(self.result.feedthrough.sum())
+
+    @property
+    def covariance(self) -> Array:
+        """Of natural frequencies, damping ratios, real and imaginary parts of the residues, and D, (4n + 1, 4n + 1).
+
+        NaN for what was not estimated.
+        """
+        found, known = np.full((4 * self.order + 1,) * 2, np.nan), len(self.result.covariance)
+        found[:known, :known] = self.result.covariance
+        return found
+
+    @property
+    def noise_variance(self) -> float:
+        """Estimated variance of the noise."""
+        return float(self.result.noise_variance.sum())
+
+    @property
+    def loss(self) -> float:
+        """Mean squared residual over the observed samples."""
+        samples = self.result._spare + self.result.unknowns
+        return float(np.exp(-2 * self.result.loglik / samples - 1) / (2 * np.pi))
+
+    @property
+    def free_amplitudes(self) -> tuple[ComplexArray, ...]:
+        """Free motion of each mode in each record, `Re(amplitude exp(p t))`; empty for a response."""
+        return tuple(one.free_amplitudes for one in self.result.experiments)
+
+    @property
+    def initial_states(self) -> tuple[Array, ...]:
+        """State of `system` at the first sample of each record: real and imaginary parts of `free_amplitudes`."""
+        return tuple(one.initial_state for one in self.result.experiments if isinstance(one, FittedExperiment))
+
+    @property
+    def offsets(self) -> tuple[float, ...]:
+        """Constant added to the output of each record."""
+        return tuple(self.result.offsets.tolist())
+
+    @property
+    def predicted(self) -> tuple[NDArray[Any], ...]:
+        """Output of each experiment as the model has it; of a response with a background of modes outside its band."""
+        return tuple(one.predicted for one in self.result.experiments)
+
+    @property
+    def system(self) -> ct.StateSpace:
+        """Linear system from the input to what was measured, in real modal coordinates: two states a mode."""
+        return self.result.observed_system
+
+    @property
+    def stderr(self) -> Mapping[str, Any]:
+        """Standard errors: 'natural_frequencies', 'hertz', 'damping_ratios', 'residues', 'feedthrough'.
+
+        Those of residues are complex: of their real and imaginary parts.
+        """
+        n, deviation = self.order, np.sqrt(np.diag(self.covariance))
+        parts = {
+            "natural_frequencies": deviation[:n],
+            "hertz": deviation[:n] / hertz_size(self.time_unit),
+            "damping_ratios": deviation[n : 2 * n],
+            "residues": deviation[2 * n : 3 * n] + 1j * deviation[3 * n : 4 * n],
+            "feedthrough": deviation[-1:].reshape(()),
+        }
+        return ReadOnlyMapping(parts)
+
+    @property
+    def complex_weights(self) -> ComplexArray:
+        """Residues in units of `kappa = r d`, which is real where damping is light and positive at the actuator."""
+        return self._per_residue * self.residues
+
+    @property
+    def weights(self) -> tuple[Array, Array]:
+        """Real parts of `complex_weights`, and their standard errors."""
+        n, factor = self.order, self._per_residue
+        T = np.concatenate([np.diag(factor.real), np.diag(-factor.imag)], axis=1)
+        inner = T @ self.covariance[2 * n : 4 * n, 2 * n : 4 * n] @ T.T
+        return self.complex_weights.real, np.sqrt(np.diag(inner))
+
+    @property
+    def _per_residue(self) -> ComplexArray:
+        return np.asarray(2j * self.poles.imag / self.poles ** POWERS[self.quantity])
+
+    def _headline(self) -> str:
+        return f"{counted(self.order, 'damped mode')}, fit {percent(self.fit_percent)}"
+
+    def __str__(self) -> str:
+        return "\n".join(damped_lines(self))
 
 
 def _complex(real: Array, imaginary: Array, shape: tuple[int, ...]) -> ComplexArray:

@@ -21,8 +21,7 @@ from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.experiments import as_record
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
-from ..diagnosis.damped_model import DampedModel, HypothesisTest
-from ..diagnosis.verdict import Outcome
+from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.prediction import (
     FittedExperiment,
     chosen_experiment,
@@ -40,6 +39,7 @@ from ..uncertainty.draws import ModeSamples, draw, intervals
 from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
+from .damped_result import DampedModel
 from .report import FitReport, residue_errors
 from .result import OrderRow, PEMResult, kind_plot, output_plot
 from .stabilisation import Orders

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,28 +17,25 @@ from ...modal.modal_form import ModalForm
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
-from ..diagnosis.damped_model import HypothesisTest
-from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, Outcome
+from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
 from ..regression.free import FreeProjection
 from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, unexplained
 from ..regression.prediction import FittedExperiment
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
-from ..search.formulation import Callback, Progress
+from ..search.formulation import Callback, reporter
 from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
 from ..structure.layout import POWERS, ChannelLayout
 from ..uncertainty.residual_tests import ljung_box
 from .damped_result import DampedResult
-from .lossless_result import LosslessResult
-from .result import STRUCTURES, OrderRow, PEMResult
+from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
 QUANTITIES = tuple(POWERS)
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
-Result = TypeVar("Result", DampedResult, LosslessResult)
 
 
 @dataclass(frozen=True)
@@ -65,39 +62,36 @@ def fit_channels(
     if not isinstance(offset, str) or offset != "auto":
         _checks.flags(offset=offset)
     most = _checks.whole_number("max_order", max_order, 1)
-    if callback is not None and not callable(callback):
-        raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
-    report = None if callback is None else _reporter(callback, most if isinstance(wanted, str) else wanted)
+    reports = reporter(most if isinstance(wanted, str) else wanted, callback)
+    free = free_fit(
+        channels, wanted, quantities=asked.quantities, intersample=intersample, offset=bool(offset), moving=moving,
+        max_order=most, criterion=criterion, reports=reports, start=start, weighted=weighted,
+    )  # fmt: skip
+    return under_either_hold(free, asked, findings)
 
-    def fit(hold: str, order: int | str, start: ComplexArray | None) -> DampedResult:
-        free = free_fit(
-            channels, order, quantities=asked.quantities, intersample=hold, offset=bool(offset), moving=moving,
-            max_order=most, criterion=criterion, callback=report, start=start, weighted=weighted,
-        )  # fmt: skip
-        said = (*findings, *free.findings)
-        try:
-            return _structured(free, asked, said)
-        except KeyboardInterrupt:
-            return _structured(replace(free, interrupted=True), asked, said)
 
-    found = fit(intersample, wanted, start)
-    settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
-    in_time = isinstance(channels[0], Recording) and len(channels[0].u) > 0
-    if intersample != "auto" or not in_time or not found.order or found.structure in settled or is_cut_short(found):
-        return found
-    # free residues and a feedthrough are the same models under either hold; only structures tell the two apart
+def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:
+    """The structure of a fit, with the inputs held as it tells.
+
+    Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.
+    """
     try:
-        other = fit("foh" if found.intersample == "zoh" else "zoh", found.order, found.poles)
+        found = structured(free, asked, findings)
     except KeyboardInterrupt:
-        return cut_short(found)
-    if is_cut_short(other):
+        return structured(replace(free, interrupted=True), asked, findings)
+    settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
+    if free.rival is None or found.structure in settled:
+        return found
+    try:
+        other = structured(free.rival, asked, findings)
+    except KeyboardInterrupt:
         return cut_short(found)
     if asked.structure == "auto":
         return min(found, other, key=lambda one: STRUCTURES.index(one.structure))
     return other if other.loglik > found.loglik + TUNING.sure else found
 
 
-def _structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> DampedResult:
+def structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:
     """The structure that is asked for, or the simplest that is not rejected."""
     first = free.channels[0]
     layout = ChannelLayout(
@@ -114,29 +108,7 @@ def _structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> D
         tests, fit = found.tests, choose(found)
     else:
         fit = constrained(free.projection, layout, asked.structure, free.region, 1 if free.interrupted else None)
-    return _result(free, fit, tests, asked, findings)
-
-
-def _reporter(callback: Callback, most: int) -> Callable[[int, int, float], None]:
-    """What tells a callback of the iterations of each model."""
-
-    def told(order: int, iteration: int, loss: float) -> None:
-        try:
-            callback(Progress(order, most, iteration, loss))
-        except StopIteration:
-            raise KeyboardInterrupt from None
-
-    return told
-
-
-def is_cut_short(result: PEMResult) -> bool:
-    """Whether a fit was interrupted."""
-    return result.outcome is Outcome.INTERRUPTED
-
-
-def cut_short(result: Result) -> Result:
-    """A result of a fit that was interrupted on the way to a better one."""
-    return replace(result, success=False, outcome=Outcome.INTERRUPTED, message=CUT_SHORT)
+    return _result(free, fit, tests, asked, (*findings, *free.findings))
 
 
 def _refuse_still(channels: Channels) -> None:

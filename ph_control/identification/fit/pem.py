@@ -14,21 +14,21 @@ from ..._types import Array
 from ..._workers import check_workers
 from ...exceptions import StructureError
 from ...modal.discretization import METHODS
-from ..data.channels import as_channels, has_several_channels
+from ..data.channels import ResponseMatrix, as_channels, has_several_channels
 from ..diagnosis.damping import DampingWatch, beside
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, criteria, preference, significant
-from ..search.formulation import REPRESENTATIONS, Callback, Formulation, reporter
-from ..search.free_path import FreeStep
+from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, reporter
+from ..search.modal_search import FreeFit
 from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Fit, conclude
 from .lossless_result import LosslessResult
-from .modal_fit import asked_of, checked_quantities, cut_short, fit_channels, starting_poles
-from .result import STRUCTURES, OrderRow, PEMResult
+from .modal_fit import asked_of, checked_quantities, fit_channels, starting_poles, under_either_hold
+from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 
 _HELD_OUT = 1 / 3  # of each record, by the criterion of that name
 
@@ -178,17 +178,26 @@ def pem(
         )  # fmt: skip
     if ports is not None:
         _checks.port_pairs(ports, *_labels_of(data, dt, weights))
-    result = _lossless_fit(
+    result, free = _lossless_fit(
         data, order, dt, method, intersample, initial_state, offset, quantity, representation, initial_guess, weights,
         criterion, max_order, workers, rng, callback,
     )  # fmt: skip
-    if structure == "lossless" or result.damped is None or method != "exact" or not result.success:
+    if structure == "lossless" or free is None or method != "exact" or not (result.success or free.interrupted):
         return result
+    asked = asked_of(free.channels, "auto", ports, result.quantity)
     try:
-        given = weights is not None
-        return _damped_instead(result, order, ports, criterion, max_order, intersample, initial_state, callback, given)
+        if isinstance(free.channels[0], ResponseMatrix) and weights is None and not free.interrupted:
+            # the noise may grow with the gain of damped modes, too
+            found = fit_channels(
+                free.channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
+                criterion="bic" if criterion == "holdout" else criterion, callback=callback,
+                start=None if order == "auto" else free.projection.p, findings=result.findings, weighted=False,
+            )  # fmt: skip
+        else:
+            found = under_either_hold(free, asked, result.findings)
     except KeyboardInterrupt:
         return cut_short(result)
+    return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
 
 
 def _refuse_lossless_options(structure: str, method: str, representation: str, criterion: str) -> None:
@@ -216,37 +225,12 @@ def _labels_of(data: Any, dt: Any, weights: Any) -> tuple[tuple[str, ...], tuple
     return one.output_labels, one.input_labels
 
 
-def _damped_instead(
-    result: LosslessResult,
-    order: int | str,
-    ports: Any,
-    criterion: str,
-    max_order: int,
-    intersample: str,
-    initial_state: str,
-    callback: Callback | None,
-    weighted: bool,
-) -> PEMResult:
-    """The damped model of data that reject a lossless one; this one where none of the structures is simpler."""
-    channels = as_channels([one.record for one in result.experiments])
-    assert result.damped is not None
-    asked = asked_of(channels, "auto", ports, result.quantity)
-    # the search from nothing ends at the most likely modes; those that stopped the lossless search may be too many
-    start = None if order == "auto" else result.damped.poles
-    found = fit_channels(
-        channels, asked, order, intersample=intersample, offset=bool(np.isfinite(result.offset_stderr).any()),
-        max_order=max_order, criterion="bic" if criterion == "holdout" else criterion, start=start,
-        findings=result.findings, moving=initial_state == "estimate", callback=callback, weighted=weighted,
-    )  # fmt: skip
-    return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
-
-
 def _lossless_fit(
     data: Any, order: int | str, dt: Any, method: str, intersample: str, initial_state: str, offset: bool | str,
     quantity: str, representation: str, initial_guess: Any, weights: Any, criterion: str, max_order: int, workers: Any,
     rng: Any, callback: Callback | None,
-) -> LosslessResult:  # fmt: skip
-    """A lossless model of one input and one output."""
+) -> tuple[LosslessResult, FreeFit | None]:  # fmt: skip
+    """A lossless model of one input and one output, and the damped modes that contradict it."""
     check_workers(workers)
     rng = None if rng is None else _checks.random_generator(rng)
     posed = Formulation.of(
@@ -273,7 +257,11 @@ def _lossless_fit(
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
     if law is None:
         posed = found.posed
-    fit = Fit(posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law)
+    reports = reporter(largest, callback)
+    fit = Fit(
+        posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law, criterion=criterion,
+        reports=reports,
+    )  # fmt: skip
     try:
         return conclude(fit, method, posed.intersample, quantity, representation)
     except KeyboardInterrupt:
@@ -286,7 +274,7 @@ def _found(
     callback: Callback | None,
 ) -> Found:  # fmt: skip
     """Search, selection, and the last refinement."""
-    floor, rtol, report = posed.problem.rounding, posed.rtol, reporter(posed.problem, largest, callback)
+    floor, rtol, report = posed.problem.rounding, posed.rtol, reporter(largest, callback, posed.problem.samples)
     automatic = order == "auto"
 
     def watch(problem: Problem) -> DampingWatch:
@@ -307,7 +295,7 @@ def _found(
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d
     if followed is not None:
-        start = beside(followed.at.d, start, None if automatic else len(start))
+        start = beside(np.abs(followed.p), start, None if automatic else len(start))
     else:
         path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
         starts += more
@@ -379,7 +367,7 @@ class Found:
     floor: float
     all_d: Array
     posed: Formulation
-    followed: FreeStep | None = None
+    followed: DampedModes | None = None
     explained: Projection | None = None
 
     @property

@@ -12,7 +12,6 @@ from ..._types import Array
 from ..._units import hertz_size, rate, step_of
 from ...exceptions import shortened
 from ..data.time_record import Record
-from ..diagnosis.damped_model import damped_lines, damped_table
 
 _SHOWN = 6  # experiments listed one by one
 _NAMED = 4  # channels
@@ -121,6 +120,41 @@ def _data_lines(result: Any, missing: int) -> list[str]:
 
 
 # --- damped modes ----------------------------------------------------------------------------------------------------
+
+
+def damped_lines(model: Any) -> list[str]:
+    """Damped modes as a table of frequencies, damping ratios and residues, with their standard errors."""
+    through = to_its_error(model.feedthrough, float(model.stderr["feedthrough"]))
+    fed = f", fed through {through}" * bool(model.feedthrough)
+    return [f"  With damping, sensor anywhere: fit {model.fit_percent:.2f} %{fed}", *aligned(damped_table(model))]
+
+
+def damped_table(model: Any) -> list[list[str]]:
+    """Cells of that table, a head first; of one input and output the residue, with the error of its size."""
+    n, stderr, residues = model.order, model.stderr, np.reshape(model.residues, (model.order, -1))
+    columns = [(model.hertz, stderr["hertz"]), (100 * model.damping_ratios, 100 * stderr["damping_ratios"])]
+    head = ["mode", f"f [{'1/time' if model.time_unit is None else 'Hz'}]", "+-", "damping [%]", "+-"]
+    last = [""] * n
+    if residues.shape[1] == 1 and residues.any():
+        rho = residues[:, 0]
+        turned = np.exp(-1j * np.angle(rho))
+        C, l = model.covariance[2 * n : 4 * n, 2 * n : 4 * n], np.arange(n)
+        crossed = 2 * turned.real * turned.imag * C[l, n + l]
+        along = turned.real**2 * C[l, l] + turned.imag**2 * C[n + l, n + l] - crossed
+        columns.append((np.abs(rho), np.sqrt(np.maximum(along, 0.0))))
+        head += ["|residue|", "+-", "phase [deg]"]
+        last = [f"{np.degrees(np.angle(one)):.1f}" for one in rho]
+    elif hasattr(model, "phase_collinearity"):
+        head.append("collinearity")
+        last = [f"{one:.3f}" for one in model.phase_collinearity]
+    else:
+        head.append("")
+    rows = []
+    for k in range(n):
+        pairs = [(values[k], errors[k]) for values, errors in columns]
+        cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
+        rows.append([str(k + 1), *cells, last[k]])
+    return [head, *rows]
 
 
 class DampedReport(Report):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
+from ..diagnosis.verdict import CUT_SHORT, Outcome
 from ..regression.prediction import fit_percent
 from .stabilisation import Stabilisation, compared
 
@@ -354,6 +355,11 @@ class PEMResult(Report, Frozen):
         refuse_unwritable(target, overwrite)
         page = page_of(self, title or "Identification report")
         write_atomically(target, page, overwrite=overwrite)
+
+
+def cut_short(result: Any) -> Any:
+    """A result of a fit that was interrupted on the way to a better one."""
+    return replace(result, success=False, outcome=Outcome.INTERRUPTED, message=CUT_SHORT)
 
 
 KINDS = ("fit", "responses", "circles", "shapes", "assurance", "stabilisation", "residuals", "tests")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields as fields_of
 from dataclasses import is_dataclass
 from enum import Enum
@@ -11,7 +11,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ..._types import Array, NDArray
+from ..._types import Array
 from ..._units import SECONDS
 from ...exceptions import StructureError
 from ...io.codecs import Codec, system_from_dict, system_to_dict
@@ -20,7 +20,6 @@ from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
-from ..diagnosis.damped_model import DampedModel
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment
@@ -28,7 +27,7 @@ from ..search.formulation import REPRESENTATIONS
 from ..search.path import Start
 from ..search.response_noise import NoiseKind, NoiseLaw
 from ..uncertainty.fisher import Information
-from .damped_result import DampedResult
+from .damped_result import DampedModel, DampedResult
 from .lossless_result import LosslessResult
 from .result import STRUCTURES, OrderRow
 
@@ -148,7 +147,11 @@ def _to_dict(result: LosslessResult) -> dict[str, Any]:
         "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
         "starts": _table(result.starts, "kind", "loss") | {"order": [len(start.d) for start in result.starts]},
     }
-    return found if result.damped is None else found | {"damped": _damped_to_dict(result.damped)}
+    if result.damped is None:
+        return found
+    # its data are those of the fit
+    damped = _written(result.damped, "result") | {"result": _modal_to_dict(result.damped.result, "record")}
+    return found | {"damped": damped}
 
 
 def _from_dict(fields: Fields) -> Any:
@@ -192,61 +195,41 @@ def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
 # --- its experiments, and its damped model ---------------------------------------------------------------------------
 
 
-def _experiment(fields: Fields, n: int) -> Any:
-    inner = fields.nested("record")
-    in_time = "time" in inner
-    samples = len(inner.array("time" if in_time else "omega", (None,)))
-    lengths: Shapes = dict.fromkeys(("u", "y", "response", "weights"), (samples,))
+def _experiment(fields: Fields, n: int, record: Any = None) -> Any:
+    if record is None:
+        inner = fields.nested("record")
+        samples = len(inner.array("time" if "time" in inner else "omega", (None,)))
+        lengths: Shapes = dict.fromkeys(("u", "y", "response", "weights"), (samples,))
+        record = _read(Record if "time" in inner else FrequencyRecord, inner, lengths)
+    in_time, samples = isinstance(record, Record), record.samples
     shapes = {"initial_state": (2 * n * in_time,), "free_amplitudes": (n * in_time,), "outliers": (samples,)}
-    return _read(
-        FittedExperiment, fields, shapes,
-        record=_read(Record if in_time else FrequencyRecord, inner, lengths),
-        predicted=_predicted(fields, samples, in_time),
-    )  # fmt: skip
-
-
-def _predicted(fields: Fields, samples: int, in_time: bool, finite: bool = True) -> NDArray[Any]:
-    return (fields.array if in_time else fields.complex_array)("predicted", (samples,), finite=finite)
-
-
-_OF_EXPERIMENTS = ("predicted", "offsets", "free_amplitudes")
-
-
-def _damped_to_dict(model: DampedModel) -> dict[str, Any]:
-    parts = zip(*(getattr(model, name) for name in _OF_EXPERIMENTS), strict=True)
-    each = (dict(zip(("predicted", "offset", "free_amplitudes"), part, strict=True)) for part in parts)
-    return _written(model, *_OF_EXPERIMENTS) | {"experiments": _counted(each)}
+    # damped modes do not predict a response where nothing was measured
+    predicted = (fields.array if in_time else fields.complex_array)("predicted", (samples,), finite=in_time)
+    return _read(FittedExperiment, fields, shapes, record=record, predicted=predicted)
 
 
 def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:
-    n, inner = len(fields.complex_array("poles", (None,))), fields.nested("experiments")
-    in_time = isinstance(fitted[0].record, Record)
-    parts = []
-    for one, part in zip(fitted, (inner.nested(str(k + 1)) for k in range(len(fitted))), strict=True):
-        free = part.complex_array("free_amplitudes", (n * in_time,))
-        # a response is not predicted where nothing was measured
-        parts.append((_predicted(part, one.record.samples, in_time, in_time), part.number("offset"), free))
-    shapes: Shapes = dict.fromkeys(("residues", "damped", "negative"), (n,)) | {"covariance": (4 * n + 1, 4 * n + 1)}
-    of_experiments = dict(zip(_OF_EXPERIMENTS, zip(*parts, strict=True), strict=True))
-    return _read(DampedModel, fields, shapes, **of_experiments)
+    result = _modal_from_dict(fields.nested("result"), [one.record for one in fitted])
+    return _read(DampedModel, fields, dict.fromkeys(("damped", "negative"), (result.order,)), result=result)
 
 
 # --- a result of damped modes ----------------------------------------------------------------------------------------
 
 
-def _modal_to_dict(result: DampedResult) -> dict[str, Any]:
+def _modal_to_dict(result: DampedResult, *apart: str) -> dict[str, Any]:
     rows, columns = np.triu_indices(len(result.covariance))
     return _written(result, "experiments", "order_table", "ports") | {
         "covariance": result.covariance[rows, columns],
-        "experiments": _counted(map(_written, result.experiments)),
+        "experiments": _counted(_written(one, *apart) for one in result.experiments),
         "order_table": _table(result.order_table, "order", "loss", "aic", "bic"),
         "ports": {"output": [o for o, _ in result.ports], "input": [i for _, i in result.ports]},
     }
 
 
-def _modal_from_dict(fields: Fields) -> Any:
-    n = len(fields.complex_array("poles", (None,)))
-    experiments = tuple(_fitted(one, n) for one in _all_of(fields.nested("experiments")))
+def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
+    n, inner = len(fields.complex_array("poles", (None,))), fields.nested("experiments")
+    known = [_experiment(inner.nested(str(k)), n, record) for k, record in enumerate(records, start=1)]
+    experiments = tuple(known or (_fitted(one, n) for one in _all_of(inner)))
     if not experiments:
         raise StructureError("there are no experiments; a fit has at least one")
     outputs, inputs = fields.complex_array("residues", (n, None, None)).shape[1:]

@@ -126,6 +126,11 @@ class FreeProjection(LinearProjection):
         return found
 
     @cached_property
+    def evidence(self) -> Array:
+        """How much the loss would grow without each mode."""
+        return np.array([self.without_mode(k).loss - self.loss for k in range(len(self.p))])
+
+    @cached_property
     def _parts(self) -> list[tuple[Array, _ExperimentColumns, _ExperimentColumns]]:
         """What turns the rows above into own unknowns, these rows, and those below, of each experiment."""
         n, found = len(self.p), []

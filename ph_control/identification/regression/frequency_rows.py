@@ -205,6 +205,11 @@ class FreeResponse:
         """Responses (q, K) that were measured, in the scale of their weights."""
         return np.asarray(self.response[:, self.observed] * self.weight)
 
+    @property
+    def largest(self) -> Array:
+        """Largest value of each entry, in the scale of its weights."""
+        return np.abs(self.target).max(axis=1, initial=0.0)
+
     def own_unknowns(self, n: int) -> int:
         """The background."""
         return len(self.background(n))

@@ -252,6 +252,11 @@ class FreeRecord:
         return float(self.hold.frequency_of(np.array([self.hold.largest_phase(self.length) * (1 - 1e-9)]))[0])
 
     @property
+    def largest(self) -> Array:
+        """Largest value of each output."""
+        return np.abs(self.y[:, self.observed]).max(axis=1, initial=0.0)
+
+    @property
     def whole(self) -> bool:
         """Whether the bins of its transform have all that it tells of modes."""
         return bool(self.observed.all()) and self.moving and self.offset < 2

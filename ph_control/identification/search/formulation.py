@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ... import _checks
-from ..._types import Array
+from ..._types import Array, ComplexArray
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
@@ -26,7 +26,6 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, Cause, Finding, beside, delayed, meeting
 from .criteria import criteria, crowded, preference
-from .free_path import FreeStep, free_preference
 from .path import grow
 from .response_search import ResponseSearch
 from .steps import Report, Search, Step, TimeSearch
@@ -49,13 +48,21 @@ class Progress:
 Callback = Callable[[Progress], Any]
 
 
+@dataclass(frozen=True)
+class DampedModes:
+    """Poles of damped modes, and what they are chosen by in comparison to lossless ones."""
+
+    p: ComplexArray
+    cost: float
+
+
 class Watch(Protocol):
     """What ends a path, and finds damped modes that are better than all of it."""
 
     def __call__(self, path: list[Step]) -> bool:
         """Whether the path is over."""
 
-    def decided(self, path: list[Step]) -> FreeStep | None:
+    def decided(self, path: list[Step]) -> DampedModes | None:
         """Damped modes that are better than all of a path that has come to its end."""
 
 
@@ -198,7 +205,7 @@ class Formulation:
         most, asked = largest, how
         if own is not None and own.damped is not None:
             # what explains the record without damping needs few modes more, and no look at damping
-            most = min(largest, max(len(before[-1].d), len(own.damped.at.p) + TUNING.more_than_damped))
+            most = min(largest, max(len(before[-1].d), len(own.damped.p) + TUNING.more_than_damped))
             asked = {**how, "watch": None}
         for one in others:
             path = one.path(guess, most, **asked)
@@ -401,14 +408,14 @@ class Path:
 
     posed: Formulation
     steps: list[Step]
-    damped: FreeStep | None = None
+    damped: DampedModes | None = None
 
     @cached_property
     def value(self) -> float:
         """Its least BIC, for as many samples as the problem has."""
         searched = self.posed.search.problem
         values = [preference(searched, step, "bic") for step in self.steps]
-        values += [free_preference(searched, self.damped)] if self.damped else []
+        values += [self.damped.cost] if self.damped else []
         return min(values) * self.posed.problem.samples / searched.samples
 
     @property
@@ -438,8 +445,8 @@ def rows_of(
     return RecordRows(record.u, record.y, record.observed, hold, rest, offset, quantity, record.driven)
 
 
-def reporter(problem: Problem, largest: int, callback: Callback | None) -> Callable[[int], Report | None]:
-    """What tells a callback of the iterations of each order."""
+def reporter(largest: int, callback: Callback | None, samples: int = 1) -> Callable[[int], Report | None]:
+    """What tells a callback of the iterations of each order, by a loss or the sum of so many samples."""
     if callback is not None and not callable(callback):
         raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
 
@@ -449,7 +456,7 @@ def reporter(problem: Problem, largest: int, callback: Callback | None) -> Calla
 
         def told(iteration: int, loss: float) -> None:
             try:
-                callback(Progress(order, largest, iteration, loss / problem.samples))
+                callback(Progress(order, largest, iteration, loss / samples))
             except StopIteration:
                 raise KeyboardInterrupt from None
 

@@ -7,10 +7,10 @@ peaks may be much wider than a bin, it is solved over windows of several widths.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord, FreeRows
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Problem
 from .screening import highest_peaks
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
@@ -34,53 +33,102 @@ _COMPARED = 16
 Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
 
 
-@dataclass(frozen=True)
-class Records:
-    """Records in time, and where damped modes are looked for in them.
+@dataclass(frozen=True, eq=False)
+class FreeModel:
+    """Damped modes and what they leave, the losses of outputs in the units of the data."""
 
-    `unknowns` counts the parameters of a number of modes, losses below `rounding` are no noise.  With a `lowest`
-    frequency, in bins, modes may have any damping.
-    """
-
-    records: Sequence[FreeRecord]
-    unknowns: Callable[[int], int]
-    rounding: float
-    in_time: int = TUNING.in_time
-    lowest: float = 0.0
+    at: FreeProjection
+    left: Left
+    losses: Array
 
     @property
-    def samples(self) -> int:
-        """Number of real equations."""
-        return sum(one.samples * len(one.outputs) for one in self.records)
+    def p(self) -> ComplexArray:
+        """Poles."""
+        return self.at.p
 
-    @cached_property
-    def spectra(self) -> list[ChannelSpectra]:
-        """Transforms of all records."""
-        return [ChannelSpectra.of(one) for one in self.records]
+    @property
+    def loss(self) -> float:
+        """Sum of squares."""
+        return float(self.losses.sum())
+
+
+@dataclass(frozen=True)
+class FreeSearch:
+    """Data, and where damped modes are looked for in them.
+
+    With a `lowest` frequency, in bins, modes may have any damping.
+    """
+
+    data: Sequence[Any]
+    lowest: float = 0.0
 
     @property
     def region(self) -> PoleRegion:
         """Where poles are looked for."""
-        ends = min(one.bin for one in self.records), max(one.ceiling for one in self.records)
+        ends = min(one.bin for one in self.data), max(one.ceiling for one in self.data)
         return PoleRegion(*ends, self.lowest, damped=True) if self.lowest else PoleRegion(*ends)
+
+    def unknowns(self, n: int) -> int:
+        """Parameters of n modes: poles, residues and what is fed through of each output, nuisance parameters."""
+        outputs = np.unique(np.concatenate([one.outputs for one in self.data]))
+        own = sum(one.own_unknowns(n) * len(one.outputs) for one in self.data)
+        driven, fed = max(one.inputs for one in self.data), any(one.through for one in self.data)
+        return 2 * n + len(outputs) * driven * (2 * n + fed) + own
+
+    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
+        """All of the data, or what of them is about some modes."""
+        return self.data
+
+    def scaled(self, sizes: Array) -> FreeSearch:
+        """The same with outputs (q,) so many times as large."""
+        raise NotImplementedError
+
+    def left(self, at: FreeProjection) -> Left:
+        """What a model leaves."""
+        raise NotImplementedError
+
+    def losses(self, left: Left) -> Array:
+        """Sum of squares of each output."""
+        raise NotImplementedError
+
+    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain most of what is left, the strongest first, and how much."""
+        raise NotImplementedError
+
+    def model(self, at: FreeProjection) -> FreeModel:
+        """Modes with what they leave."""
+        left = self.left(at)
+        return FreeModel(at, left, self.losses(left))
+
+
+@dataclass(frozen=True)
+class Records(FreeSearch):
+    """Records in time."""
+
+    data: Sequence[FreeRecord]
+
+    @cached_property
+    def spectra(self) -> list[ChannelSpectra]:
+        """Transforms of all records."""
+        return [ChannelSpectra.of(one) for one in self.data]
 
     @cached_property
     def windowed(self) -> bool:
         """Whether `rows` are a part of all."""
-        return max(one.length for one in self.records) > self.in_time and all(one.whole for one in self.records)
+        return max(one.length for one in self.data) > TUNING.in_time and all(one.whole for one in self.data)
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The bins about the modes of long records."""
-        return [FreeWindow.thinned(one, p) for one in self.spectra] if self.windowed else self.records
+        return [FreeWindow.thinned(one, p) for one in self.spectra] if self.windowed else self.data
 
-    def all_rows(self, through: bool = True) -> Sequence[FreeRows]:
-        """All observed samples."""
-        return self.records if through else [replace(one, through=False) for one in self.records]
+    def held(self, intersample: str) -> Records:
+        """The same with inputs held otherwise between the samples."""
+        return replace(self, data=[replace(one, hold=replace(one.hold, intersample=intersample)) for one in self.data])
 
     def scaled(self, sizes: Array) -> Records:
         """The same with outputs (q,) so many times as large."""
-        records = [replace(one, y=one.y * sizes[one.outputs, None]) for one in self.records]
-        found = replace(self, records=records)
+        records = [replace(one, y=one.y * sizes[one.outputs, None]) for one in self.data]
+        found = replace(self, data=records)
         pairs = zip(self.spectra, records, strict=True)
         vars(found)["spectra"] = [one.scaled(record, sizes[record.outputs]) for one, record in pairs]
         return found
@@ -106,7 +154,7 @@ class Records:
 
     def losses(self, left: Left) -> Array:
         """Sum of squares over the observed samples of each output."""
-        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.records))
+        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.data))
         for part, spectrum in zip(left, self.spectra, strict=True):
             found[spectrum.record.outputs] += spectrum.energies(part)
         return found
@@ -246,42 +294,18 @@ def _least_squares(columns: ComplexArray, targets: ComplexArray) -> tuple[Comple
 
 
 @dataclass(frozen=True)
-class Responses:
-    """Frequency responses, and where damped modes are looked for in them."""
+class Responses(FreeSearch):
+    """Frequency responses."""
 
-    responses: Sequence[FreeResponse]
-    unknowns: Callable[[int], int]
-    rounding: float
-    lowest: float = 0.0
-    windowed: ClassVar[bool] = False
-
-    @property
-    def samples(self) -> int:
-        """Number of real equations."""
-        return sum(one.samples * len(one.outputs) for one in self.responses)
-
-    @property
-    def region(self) -> PoleRegion:
-        """Where poles are looked for."""
-        ends = min(one.bin for one in self.responses), max(one.ceiling for one in self.responses)
-        return PoleRegion(*ends, self.lowest, damped=True) if self.lowest else PoleRegion(*ends)
-
-    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
-        """All points."""
-        return self.responses
-
-    def all_rows(self, through: bool = True) -> Sequence[FreeResponse]:
-        """All points."""
-        return self.responses
+    data: Sequence[FreeResponse]
 
     def scaled(self, sizes: Array) -> Responses:
         """The same with entries (q,) so many times as large."""
-        parts = [replace(one, response=one.response * sizes[one.outputs, None]) for one in self.responses]
-        return replace(self, responses=parts)
+        return replace(self, data=[replace(one, response=one.response * sizes[one.outputs, None]) for one in self.data])
 
     def left(self, at: FreeProjection) -> Left:
         """What a model leaves, in the scale of the weights."""
-        pairs = zip(self.responses, at.own, strict=True)
+        pairs = zip(self.data, at.own, strict=True)
         found = []
         for rows, own in pairs:
             shared = at.shared[: 2 * len(at.p) + rows.through, rows.outputs]
@@ -290,15 +314,15 @@ class Responses:
 
     def losses(self, left: Left) -> Array:
         """Weighted sum of squares of each entry."""
-        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.responses))
-        for part, rows in zip(left, self.responses, strict=True):
+        found = np.zeros(1 + max(int(one.outputs.max()) for one in self.data))
+        for part, rows in zip(left, self.data, strict=True):
             found[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
         return found
 
     def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
         """Of windows of several widths, the poles that explain most."""
         joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
-        for rows, part in zip(self.responses, left, strict=True):
+        for rows, part in zip(self.data, left, strict=True):
             everywhere = np.zeros((len(part), len(rows.frequencies)), complex)
             everywhere[:, rows.observed] = part / rows.weight
             weights = np.where(rows.observed, rows.scale, 0.0)[None].repeat(len(part), axis=0)
@@ -349,11 +373,3 @@ def _local_lines(
     p = pole * unit + 1j * omega[centres]
     kept = (p.imag > omega[place[:, 0]]) & (p.imag < omega[place[:, -1]]) & (p.imag > 0)
     return p[kept], gain[kept]
-
-
-FreeSearch = Records | Responses
-
-
-def free_unknowns(problem: Problem, n: int) -> int:
-    """Parameters of n damped modes: those of lossless ones, a decay rate and a phase for each, and a feedthrough."""
-    return problem.unknowns(n) + n + (n + 1) * problem.driven

@@ -20,20 +20,19 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
-from ..regression.frequency_rows import FreeResponse
-from ..regression.time_rows import FreeRecord
+from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Interrupted, Progress
+from ..regression.variable_projection import Interrupted, Problem, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding, autoregression, correlations
 from .criteria import Criteria, past_of_noise
-from .free_path import closest, decay_errors, is_sound, vagueness
-from .free_search import FreeSearch, Left, Records, Responses
+from .free_search import FreeModel, FreeSearch, Records, Responses
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
 from .steps import stands_out
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
-Report = Callable[[int, int, float], None]  # modes, iteration, mean squared residual
+Reports = Callable[[int], Progress | None]  # what is told of the iterations of so many modes
 
 _STEPS = 15  # of a refinement on the way
 _ROUNDS = 6  # of fit and variances in turn
@@ -72,10 +71,6 @@ class FreeFit(Frozen):
         What one unit of each output of the projection is in the data: the standard deviation of its noise.
     order_table : tuple of FreeOrder
         The orders that were looked at.
-    per_entry : bool
-        Whether outputs of the projection are entries of a response matrix, `output * m + input`.
-    intersample : str
-        Behaviour of the inputs between samples; 'zoh' for response matrices, which have none.
     region : PoleRegion
         Where poles were looked for.
     unknowns : int
@@ -88,20 +83,31 @@ class FreeFit(Frozen):
         Whether the search was ended before it had come to its end.
     findings : tuple of Finding
         What the data show beside the modes.
+    rival : FreeFit or None
+        These modes refined with the inputs held otherwise, if that is left to the data; no likelier than this fit.
     """
 
     projection: FreeProjection
     channels: tuple[Any, ...]
     scales: Array
     order_table: tuple[FreeOrder, ...]
-    per_entry: bool
-    intersample: str
     region: PoleRegion
     unknowns: int
     criteria: Criteria
     rounding: bool
     interrupted: bool = False
     findings: tuple[Finding, ...] = ()
+    rival: FreeFit | None = None
+
+    @property
+    def per_entry(self) -> bool:
+        """Whether outputs of the projection are entries of a response matrix, `output * m + input`."""
+        return isinstance(self.channels[0], ResponseMatrix)
+
+    @property
+    def intersample(self) -> str:
+        """Behaviour of the inputs between samples; 'zoh' for response matrices, which have none."""
+        return _hold_of(self.projection.experiments[0])
 
     @property
     def order(self) -> int:
@@ -147,7 +153,7 @@ def free_fit(
     moving: bool = True,
     max_order: int = 40,
     criterion: str = "bic",
-    callback: Report | None = None,
+    reports: Reports = lambda order: None,
     start: ComplexArray | None = None,
     weighted: bool = True,
 ) -> FreeFit:
@@ -172,9 +178,10 @@ def free_fit(
         Largest order that 'auto' looks at.
     criterion : {'bic', 'aicc', 'aic'}
         What chooses the order.
-    callback : callable, optional
-        Called after each iteration with the number of modes, the iteration, and the mean squared residual, of outputs
-        in a common unit of noise.  On `KeyboardInterrupt` the best model so far is returned, if it has a mode.
+    reports : callable, optional
+        Called with a number of modes, to give what is called after each of their iterations: with its number, and the
+        mean squared residual, of outputs in a common unit of noise.  On `KeyboardInterrupt` the best model so far is
+        returned, if it has a mode.
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
     weighted : bool
@@ -193,40 +200,18 @@ def free_fit(
     StructureError
         If an entry of the response matrices was measured in none of them.
     """
-    first = channels[0]
-    quantities = tuple(quantities or ["free"] * len(first.output_labels))
-    per_entry = isinstance(first, ResponseMatrix)
+    path = FreePath.of(channels, quantities, intersample, offset, moving, criterion, reports)
     automatic = not isinstance(order, int)
-    holds = ("zoh", "foh") if intersample == "auto" else (intersample,)
-    holds = ("zoh",) if per_entry else holds
-    path = _Path.of(channels, quantities, holds[0], offset, criterion, callback, moving)
     path.check(1 if automatic else int(order))
-    most = min(max_order, path.carried) if automatic else int(order)
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
-    try:
-        path.best = path.chosen(begin, most, automatic)
-        found = path.finished(path.best, tuple(channels), per_entry, holds[0])
-    except KeyboardInterrupt:
-        if path.best is None or not len(path.best.p):
-            raise
-        return path.finished(path.best, tuple(channels), per_entry, holds[0], interrupted=True)
-    if len(holds) > 1 and found.order and found.projection.inputs:
-        # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
-        other = _Path.of(channels, quantities, holds[1], offset, criterion, callback, moving)
-        other.table = path.table
-        try:
-            rival = other.finished(path.best, tuple(channels), per_entry, holds[1])
-        except KeyboardInterrupt:
-            return replace(found, interrupted=True)
-        found = rival if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure else found
-    if not per_entry or weighted or not found.order or found.rounding:
+    most = min(max_order, path.carried) if automatic else int(order)
+    found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+    if not found.per_entry or weighted or found.interrupted or not found.order or found.rounding:
         return found
 
     def again(channels: Experiments, start: ComplexArray | None) -> FreeFit:
-        path = _Path.of(channels, quantities, "zoh", offset, criterion, callback, moving)
-        if start is None:
-            return path.finished(path.chosen(begin, most, automatic), tuple(channels), True, "zoh")
-        return path.finished(path.model(start), tuple(channels), True, "zoh")
+        path = FreePath.of(channels, quantities, "zoh", offset, moving, criterion, reports)
+        return path.finished(path.chosen(begin, most, automatic) if start is None else path.model(start), channels)
 
     try:
         return _reweighted(found, again)
@@ -293,10 +278,10 @@ def orders_about(
 
     Without inputs the residues are motions in the experiments.
     """
-    path = _Path.of(channels, quantities, intersample, offset, "bic", None, moving)
+    path = FreePath.of(channels, quantities, intersample, offset, moving)
     found = []
     for start, end in ((poles[:0], len(poles) - 1), (poles, min(most, path.carried))):
-        model: _Model | None = path.reweighted(path.model(start))
+        model: FreeModel | None = path.reweighted(path.model(start))
         while model is not None:
             if len(model.p):
                 found.append((model.p, path.residues(model.at, channels)))
@@ -318,11 +303,11 @@ def _records(channels: Sequence[Recording], hold: str, offset: bool, moving: boo
     return found
 
 
-def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) -> tuple[list[FreeResponse], Array]:
-    """Entries grouped where weights, but for a factor, and points agree; and the size that each is given."""
-    found, sizes = [], np.ones(channels[0].response[..., 0].size)
+def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) -> list[FreeResponse]:
+    """Entries grouped where weights, but for a factor, and points agree."""
+    found = []
     for one in channels:
-        entries = one.response.reshape(len(sizes), -1)
+        entries = one.response.reshape(-1, one.samples)
         weights, observed = one.weights.reshape(entries.shape), one.observed.reshape(entries.shape)
         kinds = np.repeat(np.array(["displacement" if q == "free" else q for q in quantities]), one.response.shape[1])
         groups: dict[tuple[str, bytes, bytes], list[int]] = {}
@@ -334,7 +319,7 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
             scale = np.sqrt(weights[at] / weights[at][seen].mean())
             response = np.where(seen, entries[members], 0.0)
             found.append(FreeResponse(one.omega, response, scale, seen, kind, np.array(members)))
-    return found, sizes
+    return found
 
 
 def _refuse_unmeasured(one: ResponseMatrix, measured: Array) -> None:
@@ -349,71 +334,61 @@ def _refuse_unmeasured(one: ResponseMatrix, measured: Array) -> None:
         )
 
 
+def _hold_of(rows: Any) -> str:
+    return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
+
+
 # --- the path --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """Modes and what they leave: losses of outputs in the units of the data, and the log-likelihood."""
+class FreePath:
+    """The search in some data, with what each output is multiplied by so that its noise has variance 1.
 
-    at: FreeProjection
-    left: Left
-    losses: Array
-    loglik: float
+    What is fed through `felt` entries (outputs, inputs of the rows) stays in any case.
+    """
 
-    @property
-    def p(self) -> ComplexArray:
-        """Poles."""
-        return self.at.p
-
-
-@dataclass
-class _Path:
-    """A search, with what each output is multiplied by so that its noise has variance 1."""
-
-    search: FreeSearch
-    counts: Array  # real equations of each output
-    floors: Array  # losses that are rounding
-    felt: Mask  # entries that are fed through in any case
-    criterion: str
-    callback: Report | None
-    power: Array  # of each output
-    sizes: Array
-    scaled: FreeSearch
-    table: dict[int, FreeOrder]
-    best: _Model | None = None  # so far
+    def __init__(
+        self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None
+    ) -> None:
+        self.search, self.felt, self.criterion, self.reports = search, felt, criterion, reports
+        self.table: dict[int, FreeOrder] = {}
+        self.best: FreeModel | None = None  # so far
+        counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
+        for one in search.data:
+            counts[one.outputs] += one.samples
+            largest[one.outputs] = np.maximum(largest[one.outputs], one.largest)
+        # real equations of each output, losses that are rounding, and the power of all
+        self.counts = np.maximum(counts, 1)
+        self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
+        none = np.zeros(0, complex)
+        self.power = search.model(FreeProjection(search.rows(none), none)).losses
+        self.weigh(self.power)
 
     @classmethod
     def of(
-        cls, channels: Experiments, quantities: Sequence[str], hold: str, offset: bool, criterion: str,
-        callback: Report | None, moving: bool,
-    ) -> _Path:  # fmt: skip
-        """The path over some data."""
-        search: FreeSearch
-        inputs = len(channels[0].input_labels)
-        accelerometers = np.array([one == "acceleration" for one in quantities])
-        if isinstance(channels[0], ResponseMatrix):
-            responses, _ = _responses([one for one in channels if isinstance(one, ResponseMatrix)], quantities)
-            search = Responses(responses, _counter(responses, 1), 0.0, _LOWEST)
-            _refuse_unmeasured(channels[0], np.concatenate([one.outputs for one in responses]))
-            felt = np.repeat(accelerometers, inputs)[:, None]
-            parts = [(one.outputs, one.samples, np.abs(one.response * one.scale).max(axis=1)) for one in responses]
-        else:
-            records = _records([one for one in channels if isinstance(one, Recording)], hold, offset, moving)
-            search = Records(records, _counter(records, inputs), 0.0, lowest=_LOWEST)
-            felt = np.repeat(accelerometers[:, None], inputs, axis=1)
-            parts = [(one.outputs, one.samples, np.abs(one.y).max(axis=1)) for one in records]
-        counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
-        for outputs, samples, size in parts:
-            counts[outputs] += samples
-            largest[outputs] = np.maximum(largest[outputs], size)
-        counts, floors = np.maximum(counts, 1), counts * (EPS * counts * largest) ** 2
-        floors = np.maximum(floors, np.finfo(float).tiny)
-        none = np.zeros(0, complex)
-        power = search.losses(search.left(FreeProjection(search.rows(none), none)))
-        one = cls(search, counts, floors, felt, criterion, callback, power, np.ones(len(felt)), search, {})
-        one.weigh(power)
-        return one
+        cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: bool, moving: bool,
+        criterion: str = "bic", reports: Reports = lambda order: None,
+    ) -> FreePath:  # fmt: skip
+        """The search in channels."""
+        first = channels[0]
+        each = quantities or ["free"] * len(first.output_labels)
+        felt = np.array([one == "acceleration" for one in each])[:, None].repeat(len(first.input_labels), axis=1)
+        if not isinstance(first, ResponseMatrix):
+            held = "zoh" if intersample == "auto" else intersample
+            recordings = [one for one in channels if isinstance(one, Recording)]
+            return cls(Records(_records(recordings, held, offset, moving), _LOWEST), felt, criterion, reports)
+        search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each), _LOWEST)
+        _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
+        return cls(search, felt.reshape(-1, 1), criterion, reports)
+
+    @classmethod
+    def over(cls, problem: Problem, criterion: str = "bic", reports: Reports = lambda order: None) -> FreePath:
+        """The search in the data of a problem of lossless modes."""
+        rows = [one for one in problem.experiments if isinstance(one, RecordRows | FrequencyRows)]
+        records = [FreeRecord.of(one) for one in rows if isinstance(one, RecordRows)]
+        responses = [FreeResponse.of(one) for one in rows if isinstance(one, FrequencyRows)]
+        search = Records(records, _LOWEST) if records else Responses(responses, _LOWEST)
+        return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports)
 
     # --- likelihood
 
@@ -427,10 +402,6 @@ class _Path:
         variances = np.maximum(losses, self.floors) / self.counts
         return float(-0.5 * np.sum(self.counts * (np.log(2 * np.pi * variances) + 1)))
 
-    def unknowns(self, n: int) -> int:
-        """Parameters of n modes."""
-        return self.search.unknowns(n)
-
     def criteria(self, loglik: float, unknowns: int) -> Criteria:
         """Criteria of a model with so many unknowns beside the variances."""
         samples, parameters = float(self.counts.sum()), unknowns + len(self.counts)
@@ -438,14 +409,14 @@ class _Path:
         aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
         return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
 
-    def cost(self, model: _Model) -> float:
+    def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
-        found = self.criteria(model.loglik, self.unknowns(len(model.p))).by_name(self.criterion)
-        if not len(model.p) or isinstance(self.search, Responses):
+        found = self.criteria(self.loglik(model.losses), self.search.unknowns(len(model.p))).by_name(self.criterion)
+        if not len(model.p) or not isinstance(self.search, Records):
             return found
         each = 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
         for output, count in enumerate(self.counts):
-            pairs = zip(self.search.records, model.left, strict=True)
+            pairs = zip(self.search.data, model.left, strict=True)
             seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
             sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
             foretold = autoregression(sums, min(length for length, _ in seen))[1]
@@ -455,52 +426,52 @@ class _Path:
     @property
     def carried(self) -> int:
         """Largest number of modes for which there are more samples than unknowns."""
-        none = self.unknowns(0)
-        return max(0, int((self.counts.sum() - len(self.counts) - none) // (self.unknowns(1) - none)))
+        none = self.search.unknowns(0)
+        return max(0, int((self.counts.sum() - len(self.counts) - none) // (self.search.unknowns(1) - none)))
 
     def check(self, order: int) -> None:
         """Refuse more modes than the data can carry."""
         if order > self.carried:
             raise IdentificationError(
-                f"{order} modes have {self.unknowns(order)} unknowns in all channels, more than the "
+                f"{order} modes have {self.search.unknowns(order)} unknowns in all channels, more than the "
                 f"{int(self.counts.sum())} samples can carry; the largest order for these data is {self.carried}"
             )
 
     # --- models
 
-    def model(self, p: ComplexArray, rtol: float = _ROUGH) -> _Model:
+    def model(self, p: ComplexArray, rtol: float = _ROUGH) -> FreeModel:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
-        search = self.scaled
+        rows, region, report = self.scaled.rows, self.scaled.region, self.report(len(p))
         try:
-            report = self.report(len(p))
-            at = refine_free(search.rows, p, search.region, rtol, last=False, steps=_STEPS, progress=report)
+            at = refine_free(rows, p, region, rtol, last=False, steps=_STEPS, progress=report)
         except Interrupted as cut:
             imag, real = np.split(cut.x, 2)
-            self.judged(FreeProjection(search.rows(real + 1j * imag), real + 1j * imag))
+            self.judged(FreeProjection(rows(real + 1j * imag), real + 1j * imag))
             raise
         return self.judged(at)
 
-    def judged(self, at: FreeProjection) -> _Model:
-        """What modes leave, entered into the table."""
-        search = self.scaled
-        left = search.left(at)
-        losses = search.losses(left) / self.sizes**2
-        found = _Model(at, left, losses, self.loglik(losses))
-        n = len(at.p)
-        judged = self.criteria(found.loglik, self.unknowns(n))
-        if n not in self.table or self.table[n].loglik < found.loglik:
-            self.table[n] = FreeOrder(n, found.loglik, judged.aic, judged.aicc, judged.bic, at.p[np.argsort(at.d)])
+    def judged(self, at: FreeProjection) -> FreeModel:
+        """Modes with what they leave, entered into the table."""
+        found, n = self.left_by(at), len(at.p)
+        one = self.criteria(self.loglik(found.losses), self.search.unknowns(n))
+        if n not in self.table or self.table[n].loglik < one.loglik:
+            self.table[n] = FreeOrder(n, one.loglik, one.aic, one.aicc, one.bic, at.p[np.argsort(at.d)])
         if self.best is None or self.cost(found) < self.cost(self.best):
             self.best = found
         return found
 
+    def left_by(self, at: FreeProjection) -> FreeModel:
+        """Modes with what they leave, the losses in the units of the data."""
+        found = self.scaled.model(at)
+        return replace(found, losses=found.losses / self.sizes**2)
+
     def report(self, n: int) -> Progress | None:
-        """What tells the callback of the iterations of n modes."""
-        callback = self.callback
-        if callback is None:
+        """What is told of the iterations of n modes, the mean of the squared rows in a common unit of noise."""
+        told = self.reports(n)
+        if told is None:
             return None
         unit = float(np.exp(-2 * np.sum(self.counts * np.log(self.sizes)) / self.counts.sum()))
-        return lambda iteration, loss: callback(n, iteration, unit * loss)
+        return lambda iteration, loss: told(iteration, unit * loss)
 
     def residues(self, at: FreeProjection, channels: Experiments) -> ComplexArray:
         """Residues in the units of the data, shape (n, p, m); without inputs motions in the experiments."""
@@ -515,7 +486,7 @@ class _Path:
             done += len(rows.outputs)
         return motions
 
-    def reweighted(self, model: _Model) -> _Model:
+    def reweighted(self, model: FreeModel) -> FreeModel:
         """The same model with the weights of what it leaves."""
         ratio = np.sqrt(self.counts / np.maximum(model.losses, self.floors)) / self.sizes
         if len(ratio) == 1 or np.ptp(np.log(ratio)) < 1e-3:
@@ -523,16 +494,21 @@ class _Path:
         self.weigh(model.losses)
         return self.model(model.p)
 
-    def candidates(self, model: _Model) -> tuple[ComplexArray, Array]:
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Poles that stand out of what is left, the strongest first."""
         p, gains = self.scaled.candidates(model.left)
-        now, then = self.unknowns(len(model.p)), self.unknowns(len(model.p) + 1)
+        now, then = self.search.unknowns(len(model.p)), self.search.unknowns(len(model.p) + 1)
         loss = float(np.sum(model.losses * self.sizes**2))
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
         return p, gains * np.array(shown, bool)
 
-    def chosen(self, start: ComplexArray, most: int, automatic: bool) -> _Model:
+    def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers."""
+        best = self.relocated(self.grown(start, most, automatic), automatic)
+        return self.patched(self.pruned(best), most) if automatic else best
+
+    def grown(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+        """The same where no mode that has joined is doubted."""
         model = self.reweighted(self.model(start))
         best, missed = model, 0
         while len(model.p) < most and missed < TUNING.patience:
@@ -544,10 +520,9 @@ class _Path:
                 best, missed = model, 0
             else:
                 missed += 1
-        best = self.relocated(best, automatic)
-        return self.patched(self.pruned(best), most) if automatic else best
+        return best
 
-    def joined(self, model: _Model, most: int, automatic: bool) -> _Model | None:
+    def joined(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
         """One more mode, or several, that do not only mend the shape of others; if need be, and order, what does."""
         p, gains = self.candidates(model)
         if not len(p) or (automatic and not gains.any()):
@@ -561,7 +536,7 @@ class _Path:
         sure = p[modal]
         trials = [whole[np.isin(whole, sure)] if automatic else whole]
         trials += [sure[k : k + 1] for k in range(min(TUNING.tried, len(sure)))]
-        first: _Model | None = None
+        first: FreeModel | None = None
         for joining in trials:
             if len(joining):
                 trial = self.model(np.append(model.p, joining))
@@ -571,7 +546,7 @@ class _Path:
                 first = first or trial
         return None if automatic or first is None else self.reweighted(first)
 
-    def patched(self, model: _Model, most: int) -> _Model:
+    def patched(self, model: FreeModel, most: int) -> FreeModel:
         """Modes that are close to others, or broad, where they leave white residuals and others do not."""
         more = model
         for _ in range(TUNING.patches):
@@ -585,11 +560,12 @@ class _Path:
         better = self.is_white(more) and self.cost(more) < self.cost(model)
         return more if better and not self.grows(more) else model
 
-    def is_sound(self, model: _Model) -> bool:
+    def is_sound(self, model: FreeModel) -> bool:
         """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen."""
-        return is_sound(model.at, self.search.region.bin) and not self.grows(model)
+        broad = np.any(np.abs(model.at.sigma) > TUNING.broadest * model.at.d)
+        return closest(model.at, self.search.region.bin)[0] >= 1 and not broad and not self.grows(model)
 
-    def cleaned(self, model: _Model) -> _Model:
+    def cleaned(self, model: FreeModel) -> FreeModel:
         """A model without its modes that are none of the plant."""
         while len(model.p) and not self.is_sound(model):
             at = model.at
@@ -600,27 +576,27 @@ class _Path:
             model = self.model(np.delete(at.p, worst))
         return model
 
-    def grows(self, model: _Model) -> bool:
+    def grows(self, model: FreeModel) -> bool:
         """Whether a mode grows that is no large part of any motion: it patches a record that is not stationary."""
-        growing = model.at.sigma < -_GROWING * decay_errors(self.scaled, model.at)
+        growing = model.at.sigma < -_GROWING * self.decay_errors(model)
         large = _LARGE * float(np.sum(self.power * self.sizes**2))
         return bool(growing.any() and np.any(self.evidence(model)[growing] < large))
 
-    def is_white(self, model: _Model) -> bool:
+    def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
         found = []
         for output in range(len(self.counts)):
             parts: list[Array] = []
             if isinstance(self.search, Records):
-                for one, left in zip(self.search.records, model.left, strict=True):
+                for one, left in zip(self.search.data, model.left, strict=True):
                     parts += [np.fft.irfft(row, one.length) for row in left[one.outputs == output]]
             else:
-                for rows, left in zip(self.search.responses, model.left, strict=True):
+                for rows, left in zip(self.search.data, model.left, strict=True):
                     parts += [part for row in left[rows.outputs == output] for part in (row.real, row.imag)]
             found.append(ljung_box(parts, TUNING.lags))
         return min(found) * len(found) >= TUNING.white
 
-    def relocated(self, model: _Model, sound: bool) -> _Model:
+    def relocated(self, model: FreeModel, sound: bool) -> FreeModel:
         """The weakest modes exchanged for what stands out of the rest, as long as that is likelier."""
         for _ in range(_SWAPS):
             p, gains = self.candidates(model)
@@ -629,20 +605,31 @@ class _Path:
             more = self.model(np.append(model.p, p[0]))
             weakest = int(np.argmin(self.evidence(more)))
             other = self.model(np.delete(more.p, weakest))
-            if other.loglik <= model.loglik + TUNING.sure or (sound and not self.is_sound(other)):
+            gain = self.loglik(other.losses) - self.loglik(model.losses)
+            if gain <= TUNING.sure or (sound and not self.is_sound(other)):
                 break
             model = self.reweighted(other)
         return model
 
-    def evidence(self, model: _Model) -> Array:
+    def evidence(self, model: FreeModel) -> Array:
         """How much the loss would grow without each mode."""
-        whole = FreeProjection(self.scaled.rows(model.p), model.p)
-        return np.array([whole.without_mode(k).loss - whole.loss for k in range(len(model.p))])
+        return FreeProjection(self.scaled.rows(model.p), model.p).evidence
 
-    def pruned(self, model: _Model) -> _Model:
+    def vagueness(self, model: FreeModel) -> Array:
+        """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
+        allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
+        return np.asarray(self.decay_errors(model) / allowed)
+
+    def decay_errors(self, model: FreeModel) -> Array:
+        """Standard errors of the decay rates."""
+        at, n = model.at, len(model.p)
+        inner = at.covariance(at.loss / max(1, at.rows - self.search.unknowns(n)))
+        return np.sqrt(np.diag(inner)[n : 2 * n])
+
+    def pruned(self, model: FreeModel) -> FreeModel:
         """Modes dropped as long as the criterion gets better, or their widths are not known."""
         while len(model.p):
-            vague = vagueness(self.scaled, model.at)
+            vague = self.vagueness(model)
             weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(self.evidence(model)))
             fewer = self.model(np.delete(model.p, weakest))
             if vague.max() <= 1 and self.cost(fewer) >= self.cost(model):
@@ -652,77 +639,113 @@ class _Path:
 
     # --- the end
 
-    def fitted(self, p: ComplexArray, rtol: float = TUNING.rough, fed: Mask | None = None) -> FreeProjection:
-        """Modes refined over all data."""
-        report = self.report(len(p))
-        return refine_free(lambda _: self.scaled.all_rows(), p, self.scaled.region, rtol, fed, progress=report)
-
-    def settled(self, at: FreeProjection, fed: Mask | None, rounds: int = _ROUNDS) -> tuple[FreeProjection, Array]:
-        """The minimum over all data, with the variances that belong to it; and the losses of outputs.
-
-        A single round leaves the poles where they are.
-        """
-        before = -np.inf
-        for _ in range(rounds):
-            losses = self.scaled.losses(self.scaled.left(at)) / self.sizes**2
-            now = self.loglik(losses)
-            alone = len(losses) == 1 or rounds == 1
-            self.weigh(losses)
-            at = self.fitted(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.all_rows(), at.p, fed)
-            if alone or now - before <= _SETTLED * max(1.0, abs(now)) / len(losses):
-                break
-            before = now
-        return at, losses
-
-    def finished(
-        self, model: _Model, channels: tuple[Any, ...], per_entry: bool, hold: str, interrupted: bool = False
+    def fit(
+        self, start: ComplexArray, most: int, automatic: bool, channels: Sequence[Any], *, either_hold: bool
     ) -> FreeFit:
+        """The last minimum of a search; of two holds the likelier, the simpler where both say the same.
+
+        Of a search that is interrupted the best so far, if it has a mode.
+        """
+        found: FreeFit | None = None
+        try:
+            self.best = self.chosen(start, most, automatic)
+            found = self.finished(self.best, channels)
+            if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
+                return found
+            # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
+            other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
+            rival = FreePath(other, self.felt, self.criterion, self.reports).finished(self.best, channels)
+        except KeyboardInterrupt:
+            if found is not None:
+                return replace(found, interrupted=True)
+            if self.best is None or not len(self.best.p):
+                raise
+            return self.finished(self.best, channels, interrupted=True)
+        rival = replace(rival, order_table=found.order_table)
+        if found.criteria.bic - rival.criteria.bic > 2 * TUNING.sure:
+            found, rival = rival, found
+        return replace(found, rival=rival)
+
+    def finished(self, model: FreeModel, channels: Sequence[Any], interrupted: bool = False) -> FreeFit:
         """The last minimum; what is fed through only where it stands out, or has to be.
 
         Who interrupts wants an end: then the poles stay as they are.
         """
         self.weigh(model.losses)
-        rounds = 1 if interrupted else _ROUNDS
-
-        def fitted(p: ComplexArray, fed: Mask | None) -> FreeProjection:
-            return FreeProjection(self.scaled.all_rows(), p, fed) if interrupted else self.fitted(p, fed=fed)
-
-        at, losses = self.settled(fitted(model.p, None), None, rounds)
+        at, losses = self.settled(model.p, None, interrupted)
         fed: Mask | None = None
         if at.has_feedthrough and not self.felt.all():
             fed = self.felt | self.stands_out(at)
             if not fed.all():
-                at, losses = self.settled(fitted(at.p, fed), fed, rounds)
+                at, losses = self.settled(at.p, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
-        unknowns = self.unknowns(len(rank)) - (0 if fed is None else int(np.sum(~fed)))
+        unknowns = self.search.unknowns(len(rank)) - (0 if fed is None else int(np.sum(~fed)))
         table = tuple(self.table[n] for n in sorted(self.table))
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
         return FreeFit(
-            at, channels, 1.0 / self.sizes, table, per_entry, hold, self.search.region, unknowns, criteria, rounding,
-            interrupted,
-        )  # fmt: skip
+            at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted
+        )
+
+    def settled(self, p: ComplexArray, fed: Mask | None, as_it_is: bool) -> tuple[FreeProjection, Array]:
+        """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
+        before, alone = -np.inf, as_it_is or len(self.counts) == 1
+        if as_it_is:
+            at = FreeProjection(self.scaled.data, p, fed)
+        else:
+            at = self.refined(p, _EXACT if alone else TUNING.rough, fed)
+        for _ in range(_ROUNDS):
+            losses = self.left_by(at).losses
+            now = self.loglik(losses)
+            self.weigh(losses)
+            at = self.refined(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.data, at.p, fed)
+            if alone or now - before <= _SETTLED * max(1.0, abs(now)) / len(losses):
+                break
+            before = now
+        return at, losses
+
+    def refined(self, p: ComplexArray, rtol: float, fed: Mask | None) -> FreeProjection:
+        """Modes refined over all data."""
+        data, region = self.scaled.data, self.scaled.region
+        return refine_free(lambda _: data, p, region, rtol, fed, progress=self.report(len(p)))
 
     def stands_out(self, at: FreeProjection) -> Mask:
         """Which of all that may be fed through is more than its error shows."""
         n, width = len(at.p), 2 * len(at.p) + 1
-        errors = np.sqrt(np.diag(at.covariance(at.rows / max(1, at.rows - self.unknowns(n)))))[2 * n :]
+        errors = np.sqrt(np.diag(at.covariance(at.rows / max(1, at.rows - self.search.unknowns(n)))))[2 * n :]
         errors = errors.reshape(len(at.feedthrough), at.inputs, width)[:, :, -1]
         return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
 
 
-def _counter(rows: Sequence[FreeRecord] | Sequence[FreeResponse], inputs: int) -> Callable[[int], int]:
-    """Number of parameters of n modes: poles, residues and what is fed through of each output, nuisance parameters."""
-    outputs = np.unique(np.concatenate([one.outputs for one in rows]))
-    driven = inputs * any(one.inputs > 0 for one in rows)
+def closest(at: FreeProjection, band: float) -> tuple[float, int]:
+    """How far, in units of what is demanded, the closest pair is apart, and the weaker mode of it.
 
-    def unknowns(n: int) -> int:
-        own = sum(one.own_unknowns(n) * len(one.outputs) for one in rows)
-        fed = driven * any(one.through for one in rows)
-        return 2 * n + len(outputs) * (2 * n * driven + fed) + own
+    Two modes that all channels see in different proportions may be as close as they like.
+    """
+    d, half_width = at.d, np.abs(at.sigma)
+    if len(d) < 2:
+        return np.inf, 0
+    apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
+    apart[~_alike(at)] = np.inf
+    np.fill_diagonal(apart, np.inf)
+    first, second = np.unravel_index(np.argmin(apart), apart.shape)
+    # of a pair that mends one peak the broader is the patch
+    weaker = first if half_width[first] > half_width[second] else second
+    return float(apart[first, second]), int(weaker)
 
-    return unknowns
+
+def _alike(at: FreeProjection) -> Mask:
+    """Which pairs of modes have the same shape in all channels, by the modal assurance criterion."""
+    n = len(at.p)
+    shapes = at.residues.reshape(n, -1)
+    if not at.inputs:
+        shapes = np.concatenate([own[:n] + 1j * own[n : 2 * n] for own in at.own], axis=1)
+    if shapes.shape[1] == 1:
+        return np.ones((n, n), bool)
+    power = np.sum(np.abs(shapes) ** 2, axis=1)
+    products = np.outer(power, power)
+    return np.abs(shapes.conj() @ shapes.T) ** 2 >= TUNING.same_shape * np.where(products > 0, products, 1.0)
 
 
 def _together(at: FreeProjection, p: ComplexArray, gains: Array, width: float, most: int) -> ComplexArray:

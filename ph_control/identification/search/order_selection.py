@@ -242,7 +242,7 @@ def order_selection(
     wanted = _wanted(orders, problem)
     largest = posed.largest_order(wanted[-1], wanted[-1], guess)
     try:
-        found = posed.path(guess, largest, report=reporter(problem, largest, callback))
+        found = posed.path(guess, largest, report=reporter(largest, callback, problem.samples))
     except KeyboardInterrupt:
         found = posed.so_far(largest)
     posed, path = found.posed, found.steps

@@ -22,9 +22,8 @@ from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
-from .criteria import criteria
+from .criteria import criteria, criteria_of
 from .formulation import Formulation
-from .free_path import free_criterion
 from .free_search import Responses
 from .response_search import ResponseSearch
 
@@ -116,11 +115,13 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
     search = ResponseSearch(problem)
     step = search.damped(d)
     lossless = refine(problem, step.at.d, rtol=TUNING.rough).projection
-    simpler = criteria(problem, max(lossless.loss, problem.rounding), len(d)).bic <= free_criterion(search.data, step)
+    unknowns, floor = search.damped_search.unknowns(len(step.p)), problem.rounding
+    damped = criteria_of(problem.samples, max(step.loss, floor), unknowns).bic
+    simpler = criteria(problem, max(lossless.loss, floor), len(d)).bic <= damped
     squares, shares, gains = [], [], []
-    parts = zip(search.data.all_rows(), search.data.experiments, step.left, lossless.predicted(), strict=True)
-    for damped, rows, (left,), predicted in parts:
-        columns = next(damped.at(step.at.p).blocks())
+    parts = zip(search.damped_search.data, search.experiments, step.left, lossless.predicted(), strict=True)
+    for free, rows, (left,), predicted in parts:
+        columns = next(free.at(step.p).blocks())
         if simpler:
             columns = next(rows.at(lossless.d).sensitive_blocks(lossless.kappa, np.zeros(0)))
             left = rows.target - predicted[rows.record.observed] * rows.scale
@@ -135,9 +136,9 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
 
 def entry_laws(at: FreeProjection) -> list[tuple[NoiseLaw, float]]:
     """Law of the noise of each entry of responses about damped modes, and how much likelier it is than a constant."""
-    search = Responses([one for one in at.experiments if isinstance(one, FreeResponse)], lambda _: 0, 0.0)
+    search = Responses([one for one in at.experiments if isinstance(one, FreeResponse)])
     parts: list[list[tuple[Array, Array, Array]]] = [[] for _ in range(at.shared.shape[1])]
-    for rows, left in zip(search.responses, search.left(at), strict=True):
+    for rows, left in zip(search.data, search.left(at), strict=True):
         q, slopes = len(rows.outputs), 2 * len(at.p)
         columns = next(rows.at(at.p).blocks())[:-q]
         # poles are fitted to all entries, of which each feels its share

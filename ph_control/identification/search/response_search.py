@@ -8,19 +8,17 @@ judged by the loss.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices
+from ..regression.free import refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows, differentiated
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from ..uncertainty.residual_data import without_peaks
 from ..uncertainty.residual_tests import ljung_box
-from .free_path import FreeStep, free_step
-from .free_search import Left, Responses, free_unknowns
+from .free_search import FreeModel, Responses
 from .screening import highest_peaks
 from .steps import Report, Search, Step
 
@@ -33,54 +31,36 @@ _PEAKS = 300
 _COMPARED = 40
 
 
-@dataclass(frozen=True)
-class LosslessResponses(Responses):
-    """Responses of one channel, where candidates are those beside lossless modes."""
-
-    experiments: Sequence[FrequencyRows] = ()
-
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
-        """Candidates between the points."""
-        d, gain = ranked_candidates(self.experiments, [one[0] for one in left])
-        return np.asarray(np.nan + 1j * d, complex), gain
-
-
-def responses_of(problem: Problem) -> LosslessResponses:
-    """Where damped modes are looked for in frequency responses of a problem of lossless modes."""
-    rows = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
-    unknowns = partial(free_unknowns, problem)
-    return LosslessResponses([FreeResponse.of(one) for one in rows], unknowns, problem.rounding, experiments=rows)
-
-
 class ResponseSearch(Search):
     """Search in frequency responses."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem)
-        self.data = responses_of(problem)
-        self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.data.experiments)
+        self.experiments = [one for one in problem.experiments if isinstance(one, FrequencyRows)]
+        self.damped_search = Responses([FreeResponse.of(one) for one in self.experiments])
+        self.power = sum(float(np.sum(np.abs(one.target) ** 2)) for one in self.experiments)
         self._poles: dict[float, complex] = {}
 
-    def damped(self, d: Array) -> FreeStep:
+    def damped(self, d: Array) -> FreeModel:
         """The best damped modes near some frequencies, from the poles that were found there before."""
         p = np.array([self._poles.get(one, complex(np.nan, one)) for one in d.tolist()], complex)
-        step = free_step(self.data, p)
-        self._poles.update(zip(step.at.d.tolist(), step.at.p.tolist(), strict=True))
-        return step
+        found = self.damped_search.model(refine_free(self.damped_search.rows, p, self.damped_search.region))
+        self._poles.update(zip(found.at.d.tolist(), found.p.tolist(), strict=True))
+        return found
 
-    def _is_white(self, step: FreeStep) -> bool:
+    def _is_white(self, step: FreeModel) -> bool:
         """Whether what damped modes leave is noise from point to point, but for a few that outweigh all others."""
         parts = [without_peaks(part) for (one,) in step.left for part in (one.real, one.imag)]
         return ljung_box(parts, TUNING.lags) >= TUNING.white
 
     def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:
         damped = self.damped(d)
-        candidates, gains = self.data.candidates(damped.left)
+        candidates, gains = ranked_candidates(self.experiments, [one for (one,) in damped.left])
         end = refine(self.problem, damped.at.d, rtol=rtol, progress=report)
         at = end.projection
         # the path goes on from the damped frequencies: damping, not noise, is what moves those of the lossless model
         return Step(
-            damped.at.d, at.loss, end.iterations, end.converged, candidates.imag, gains, ~at.free, at.energies,
+            damped.at.d, at.loss, end.iterations, end.converged, candidates, gains, ~at.free, at.energies,
             damped.loss > TUNING.much * self.power and not self._is_white(damped),
         )  # fmt: skip
 

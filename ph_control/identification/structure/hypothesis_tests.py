@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from ..._checks import EPS
-from ..diagnosis.damped_model import HypothesisTest
+from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues, PoleRegion
 from .constrained import StructuredFit, constrained
 from .layout import ChannelLayout
