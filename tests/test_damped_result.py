@@ -278,3 +278,35 @@ def test_lossless_results_have_a_diagram_of_frequencies():
     assert found.orders.tolist() == [1, 2, 3, 4] and np.array_equal(found.poles[1], 1j * lossless.d)
     assert all(np.abs(np.abs(poles)[:, None] - lossless.d).min(axis=0).max() < 0.01 for poles in found.poles[1:])
     assert found.stable[-1].sum() >= 2 and not np.any(found.damping_ratios[-1])
+
+
+# --- bands -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("structure", ["auto", "free"])
+def test_bands_of_what_was_measured_lie_about_its_curve(structure):
+    """A displacement: neither the velocity of the port nor a power of s more is drawn."""
+    rng, plant = np.random.default_rng(0), ct.ss(ct.tf([1], [1, 0.1, 1]))
+    u = rng.standard_normal(800)
+    y = ct.forced_response(ct.c2d(plant, 0.5), 0.5 * np.arange(800), u).outputs
+    y = y + 0.1 * np.std(y) * rng.standard_normal(800)
+    found = phc.pem((u, y), 1, dt=0.5, quantity="displacement", structure=structure)
+    picture = phc.bode_plot(found, confidence=True)
+    for row, true in ((0, lambda g: 20 * np.log10(np.abs(g))), (1, lambda g: np.degrees(np.angle(g)))):
+        axis = picture.axes[row, 0]
+        omega, drawn = picture.lines[row, 0][0].get_data()
+        expected = true(found.observed_system(1j * omega))
+        assert np.all(np.abs(np.mod(drawn - expected + 180, 360) - 180) < 1e-6)
+        near = np.abs(omega - 0.5) < 0.02
+        assert near.any() and np.all(np.abs(drawn[near] - true(plant(1j * omega[near]))) < (1 if row == 0 else 5))
+        (band,) = [one for one in axis.collections if "95 %" in str(one.get_label())]
+        ends = band.get_paths()[0].vertices
+        near = ends[np.abs(ends[:, 0] - 0.5) < 0.02]
+        assert len(near) and np.all(np.abs(near[:, 1] - np.interp(0.5, omega, drawn)) < (1 if row == 0 else 5))
+    for draw, response in ((phc.step_plot, ct.step_response), (phc.impulse_plot, ct.impulse_response)):
+        picture = draw(found, 20.0, confidence=True)
+        time, drawn = picture.lines[0, 0][0].get_data()
+        fine = np.linspace(0, 20, 401)
+        assert np.allclose(np.interp(fine, time, drawn), response(plant, fine).outputs, atol=0.05)
+        assert [one for one in picture.axes[0, 0].collections if "95 %" in str(one.get_label())]
+    plt.close("all")

@@ -617,7 +617,7 @@ def test_a_fit_of_another_quantity_is_drawn_as_that_with_its_band(quantity):
         ({"confidence": 3}, "confidence is a int; pass the result of pem"),
         ({"confidence": [None, None]}, "confidence has 2 entries for 1 systems"),
         ({"confidence": True}, "confidence is True, but none of the systems is the result of a fit"),
-        ({"sysdata": ct.rss(2, 2, 2), "confidence": drawn_models(3)}, "bands are those of one port"),
+        ({"sysdata": ct.rss(2, 2, 2), "confidence": drawn_models(3)}, "bands are those of one input and one output"),
         ({"confidence": drawn_models(3), "level": 2.0}, "level is 2.0"),
         ({"plot_magnitude": False, "plot_phase": False}, "there is nothing to draw"),
     ],

@@ -15,7 +15,7 @@ from .._types import Array, ComplexArray, Indices, Mask
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import in_normal_form
-from .inputs import FitResult, Subject, models_around, subjects_of, timebase, title_of
+from .inputs import FitResult, Subject, is_damped, models_around, subjects_of, timebase, title_of
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
@@ -229,7 +229,8 @@ def decibels(values: ComplexArray) -> Array:
 
 def _power_of_s(subject: Subject) -> int:
     """Power of s that leads from the velocity of a port to the quantity that a fit is of."""
-    return POWERS[subject.given.quantity if isinstance(subject.given, FitResult) else "velocity"]
+    lossless = isinstance(subject.given, FitResult) and not is_damped(subject.given)
+    return POWERS[subject.given.quantity if lossless else "velocity"]
 
 
 def band_of(models: Any, omega: Array, level: float, power: int) -> BodeBand:

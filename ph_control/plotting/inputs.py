@@ -82,7 +82,15 @@ def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: b
 
 
 def _inside(given: Any) -> Any:
-    return given.system if isinstance(given, FitResult) else given
+    """Linear system of what is to be drawn: of damped modes from the inputs to what was measured."""
+    if isinstance(given, FitResult):
+        return given.observed_system if is_damped(given) else given.system
+    return given
+
+
+def is_damped(given: Any) -> bool:
+    """Whether this is a result of damped modes, whose models answer with what was measured."""
+    return isinstance(given, FitResult) and hasattr(given, "quantities")
 
 
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
@@ -143,7 +151,10 @@ def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list
 
 def _models(given: Any, sys: Any, bands: tuple[str, ...]) -> Any:
     if not sys.issiso():
-        raise StructureError(f"bands are those of one port; {sys.name} has {sys.ninputs}")
+        raise StructureError(
+            f"bands are those of one input and one output; {sys.name} has {sys.ninputs} and {sys.noutputs}: leave "
+            "confidence out, or draw frf_plot(result, confidence=True)"
+        )
     # the same picture each time
     models = given.sample(_DRAWS, 0) if isinstance(given, FitResult) else given
     if not all(hasattr(models, band) for band in bands):

@@ -24,7 +24,7 @@ from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
-from .inputs import Subject, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, is_damped, models_around, subjects_of, timebase, title_of
 from .style import BAND, DOTS, ZERO, LineStyle, Look, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -407,7 +407,8 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked
 
 
 def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, kind: str, level: float) -> TimeBand:
-    if modes is None or (subject.lossless and subject.system._integrated):
+    damped = is_damped(subject.given)
+    if not damped and (modes is None or (subject.lossless and subject.system._integrated)):
         raise StructureError(f"bands are those of port-Hamiltonian systems; {subject.system.name} is none")
     if not trace.resolved:
         raise StructureError(
@@ -415,7 +416,8 @@ def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, 
             f"{_MOST * 2 * np.pi / _PER_PERIOD / float(trace.fast.max()):.3g}"
         )
     draws = len(models) if hasattr(models, "__len__") else 1
-    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * modes.n))]
+    count = subject.system.nstates // 2 if modes is None else modes.n
+    t = trace.time[: max(2, _MOST_IN_BAND // max(1, draws * count))]
     ends = (models.step_band if kind == "step" else models.impulse_band)(t, level)
     shown = f"{100 * level:g} % band" + ("" if len(t) == len(trace.time) else f" (to {t[-1]:.3g})")
     return TimeBand(shown, t, np.asarray(ends))
