@@ -89,10 +89,10 @@ def _in_a_new_process(*arguments: str) -> str:
 
 def _measured(work: Callable[[Array, Array, Array], Array], folder: Path) -> dict[str, Any]:
     u, y, d = (np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("u", "y", "d"))
-    before = _peak()
+    before = peak()
     start = process_time()
     found = work(u, y, d)
-    return {"seconds": process_time() - start, "before": before, "peak": _peak(), "d": found.tolist()}
+    return {"seconds": process_time() - start, "before": before, "peak": peak(), "d": found.tolist()}
 
 
 def _fit(u: Array, y: Array, d: Array) -> Array:
@@ -110,7 +110,7 @@ def _step(u: Array, y: Array, d: Array) -> Array:
 WORKS: dict[str, Callable[[Array, Array, Array], Array]] = {"fit": _fit, "step": _step}
 
 
-def _peak() -> int:
+def peak() -> int:
     """Largest resident memory so far, bytes.
 
     That of the system call can be the one of the process that started this one; the kernel's own count is not.

@@ -44,9 +44,10 @@ class _ExperimentColumns:
     @classmethod
     def of(cls, rows: FreeRows, columns: Array, n: int, shared: int) -> _ExperimentColumns:
         """Columns in the order of `FreeRows`; `shared` are those that any experiment has."""
-        own, last = rows.inputs * (2 * n + rows.through), columns.shape[1] - len(rows.outputs)
+        places, last = places_of(rows, n), columns.shape[1] - len(rows.outputs)
+        own = len(places)
         padded = np.zeros((len(columns), shared))
-        padded[:, :own] = columns[:, :own]
+        padded[:, places] = columns[:, :own]
         return cls(padded, columns[:, own:last], columns[:, last:])
 
 
@@ -78,7 +79,7 @@ class FreeProjection(LinearProjection):
         self.p, self.x, self.d, self.sigma = p, np.concatenate([p.imag, p.real]), np.abs(p), -p.real
         self.sizes, self.experiments = np.tile(self.d, 2), experiments
         self.rows = sum(one.samples * len(one.outputs) for one in experiments)
-        self.inputs = max(one.inputs for one in experiments)
+        self.inputs = max(int(one.acting.max(initial=-1)) + 1 for one in experiments)
         self.fed = fed
         self.region: PoleRegion | None = None  # at whose border poles may be
 
@@ -210,7 +211,8 @@ class FreeProjection(LinearProjection):
     def predictions(self) -> list[NDArray[Any]]:
         """Outputs (q, T) at all instants or frequencies of each experiment."""
         pairs = zip(self.experiments, self.own, strict=True)
-        return [one.at(self.p).predict(self.shared[:, one.outputs], own) for one, own in pairs]
+        n = len(self.p)
+        return [one.at(self.p).predict(self.shared[np.ix_(places_of(one, n), one.outputs)], own) for one, own in pairs]
 
     def motions(self, experiment: int) -> list[tuple[Array, Array]]:
         """Of what belongs to an experiment without inputs, for each output: inverse Gram matrix, derivatives by poles.
@@ -327,6 +329,12 @@ class GivenResidues(FreeProjection):
         return np.asarray(group.targets - group.columns @ self.shared[:, group.outputs])
 
 
+def places_of(rows: FreeRows, n: int) -> Indices:
+    """Places of the unknowns of the inputs of an experiment among those of all inputs."""
+    width = 2 * n + rows.through
+    return np.asarray((width * rows.acting[:, None] + np.arange(width)).ravel())
+
+
 def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexArray) -> Array:
     """Derivatives of an output by imaginary and real parts of the poles, from those of its columns.
 
@@ -335,7 +343,7 @@ def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexAr
     n = len(residues)
     found = np.zeros((len(derivatives), n), complex)
     amplitudes = [own[:n] + 1j * own[n : 2 * n]] if rows.moving else []
-    amplitudes += list(residues.T[: rows.inputs])
+    amplitudes += list(residues.T[rows.acting])
     for k, one in enumerate(amplitudes):
         first, second = derivatives[:, 2 * k * n : (2 * k + 1) * n], derivatives[:, (2 * k + 1) * n : (2 * k + 2) * n]
         # derivative along the real axis; along the imaginary one the coefficient turns by a quarter

@@ -163,6 +163,7 @@ class FreeResponse:
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
+    acting: ClassVar[Indices] = np.zeros(1, int)
 
     @classmethod
     def of(cls, rows: FrequencyRows) -> FreeResponse:

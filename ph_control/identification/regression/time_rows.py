@@ -72,6 +72,10 @@ class FreeRows(Protocol):
         """Number of inputs with columns for the residues; 0 for a free motion."""
 
     @property
+    def acting(self) -> Indices:
+        """Which of all inputs these are."""
+
+    @property
     def outputs(self) -> Indices:
         """Which of all outputs these rows show."""
 
@@ -198,6 +202,7 @@ class FreeRecord:
     """The observed samples of a record, for modes with any damping and residues.
 
     Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
+    Inputs that are zero throughout are left out, and those there are have their places `among` all.
     """
 
     u: Array
@@ -209,6 +214,7 @@ class FreeRecord:
     through: bool = True
     driven: bool = True
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
+    among: Indices | None = None
 
     @classmethod
     def of(cls, one: RecordRows, through: bool = True) -> FreeRecord:
@@ -240,6 +246,11 @@ class FreeRecord:
     def inputs(self) -> int:
         """Number of inputs."""
         return len(self.u) if self.driven else 0
+
+    @property
+    def acting(self) -> Indices:
+        """Which of all inputs these are."""
+        return (np.arange(len(self.u)) if self.among is None else self.among)[: self.inputs]
 
     @property
     def bin(self) -> float:

@@ -143,7 +143,8 @@ class Records(FreeSearch):
                 left = one.Y.copy()
             elif windowed:
                 motion, outputs = own[:n] + 1j * own[n : 2 * n], record.outputs
-                residues, through = at.residues[:, outputs, : record.inputs], at.feedthrough[outputs, : record.inputs]
+                residues = at.residues[:, outputs][:, :, record.acting]
+                through = at.feedthrough[np.ix_(outputs, record.acting)]
                 left = one.left(one.Y, one.U, SampledModes.of(one.hold, at.p), residues, motion, through)
             else:
                 left = np.fft.rfft(np.where(record.observed, record.y - predicted[k], 0.0))

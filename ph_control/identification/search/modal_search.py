@@ -296,9 +296,10 @@ def _records(channels: Sequence[Recording], hold: str, offset: bool, moving: boo
     found = []
     for one in channels:
         y = np.where(one.observed, one.y, 0.0)
-        driven = bool(one.u.any())
-        options = {"offset": int(offset), "driven": driven, "moving": moving or not driven}
-        u = one.u if len(one.u) else np.zeros((1, one.samples))
+        acting = np.flatnonzero(one.u.any(axis=1))
+        driven = len(acting) > 0
+        options = {"offset": int(offset), "driven": driven, "moving": moving or not driven, "among": acting}
+        u = one.u[acting] if driven else np.zeros((1, one.samples))
         found += FreeRecord.by_observation(u, y, one.observed, Hold(one.dt, "exact", hold), **options)
     return found
 
