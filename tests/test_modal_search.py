@@ -109,6 +109,26 @@ def test_a_roving_hammer_and_roving_sensors_are_missing_channels():
     assert np.allclose(fit.residues, residues(), atol=0.1 * np.abs(residues()).max())
 
 
+def hits(positions, samples=2000, seed=0):
+    """A hammer that hits one position after the other: four modes, as sharp as steel is, seen by two sensors."""
+    rng = np.random.default_rng(seed)
+    p = 2 * np.pi * np.array([0.0424, 0.256, 0.2828, 0.2957]) * (1j - np.array([0.001, 0.0086, 0.0054, 0.0019]))
+    shapes, found = rng.standard_normal((4, 2 + positions)), []
+    for k in range(positions):
+        u = np.zeros((positions, samples))
+        u[k, 5:10] = [0.2, 0.8, 1.0, 0.8, 0.2]
+        motion = np.array([np.convolve(u[k], np.exp(one * np.arange(samples)))[:samples].real for one in p])
+        y = (shapes[:, :2] * shapes[:, 2 + k, None]).T @ motion
+        found.append((u, y + 0.01 * rng.standard_normal(y.shape)))
+    return p, found
+
+
+def test_the_tails_of_peaks_beyond_their_bins_are_no_modes():
+    p, recordings = hits(4)
+    fit = fitted(recordings)
+    assert fit.order == 4 and np.abs(scores(fit, p)).max() < 5
+
+
 def test_a_free_decay_needs_no_input():
     _, y, _ = recorded(u=np.zeros((2, SAMPLES)), noise=0.1)
     fit = fitted((None, y))

@@ -390,21 +390,31 @@ class FreeWindow(SpectralRows[ChannelSpectra]):
 
     @classmethod
     def thinned(cls, spectrum: ChannelSpectra, p: ComplexArray) -> FreeWindow:
-        """The bins about some modes as far as their peaks reach; of wide ones a part, each counting as many."""
+        """The bins about some modes as far as their peaks reach; of wide ones a part, each counting as many.
+
+        A few bins everywhere tell what is fed through from the tails of peaks.
+        """
         steps = np.zeros(spectrum.last + 1, int)
         widths = np.abs(p.real) / spectrum.record.bin
         for k in np.argsort(-widths):
             reach = int(min(TUNING.half_width * (1 + widths[k]), spectrum.last))
             centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
             steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // TUNING.thinned)
-        bins = np.flatnonzero(np.arange(len(steps)) % np.maximum(steps, 1) == 0)
-        bins = bins[(bins >= 1) & (steps[bins] > 0)]
-        return cls(spectrum, bins, np.sqrt(steps[bins]))
+        apart = 1 + spectrum.last // TUNING.everywhere
+        shown = (steps > 0) | (np.arange(len(steps)) % apart == apart // 2)
+        bins = np.flatnonzero(shown & (np.arange(len(steps)) % np.maximum(steps, 1) == 0))
+        bins = bins[bins >= 1]
+        return cls(spectrum, bins, np.sqrt(np.maximum(steps[bins], 1)))
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
         return self.spectrum.record.inputs
+
+    @property
+    def acting(self) -> Indices:
+        """Which of all inputs these are."""
+        return self.spectrum.record.acting
 
     @property
     def outputs(self) -> Indices:
