@@ -253,7 +253,8 @@ def _weighted_bic(fit: FreeFit) -> float:
 
 
 def _with_weights(channels: Sequence[ResponseMatrix], weights: Sequence[Array]) -> list[ResponseMatrix]:
-    return [replace(one, weights=each) for one, each in zip(channels, weights, strict=True)]
+    pairs = zip(channels, weights, strict=True)
+    return [replace(one, weights=np.where(one.observed, each, 1.0)) for one, each in pairs]
 
 
 def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
