@@ -64,6 +64,32 @@ def test_one_output_may_be_any_sensor_by_a_word_a_list_or_its_label():
         phc.pem((u[0], y), dt=1.0, quantity="free", structure="passive")
 
 
+@pytest.mark.parametrize("kind", ["recording", "response"])
+def test_a_first_order_lag_beside_modes_is_named_with_its_pole(kind):
+    rng, u = np.random.default_rng(1), np.random.default_rng(0).standard_normal(800)
+    modes, lag = PLANT.velocities(np.stack([u, 0 * u]))[0], ct.tf([0.3], [1, 0.3])
+    lagging = ct.forced_response(ct.c2d(lag, 1.0, "zoh"), np.arange(800.0), u).outputs
+    if kind == "recording":
+        data = u, modes + 2 * lagging + 0.05 * rng.standard_normal(800)
+        options = {"dt": 1.0, "intersample": "zoh"}
+    else:
+        omega = np.linspace(0.02, 3.0, 400)
+        errors = rng.standard_normal((2, 400))
+        clean = PLANT.response(1j * omega)[0, 0] + 2 * lag(1j * omega)
+        data, options = ct.frd(clean + 0.02 * (errors[0] + 1j * errors[1]), omega), {"weights": np.ones(400)}
+    found = phc.pem(data, structure="free", order=2, **options)
+    (finding,) = (one for one in found.findings if one.cause.name == "REAL_POLE")
+    rate, share = finding.values
+    assert abs(rate / 0.3 - 1) < 0.3 and share > 0.6 and finding.gain > 100
+    assert "real pole" in found.message and "time constant" in found.message
+    if kind == "recording":  # what the sentence says to do
+        more = np.stack([u, lagging])
+        mended = phc.pem((more, data[1]), structure="free", order=2, **options)
+        assert np.abs(mended.poles - PLANT.poles).max() < 2e-4 < np.abs(found.poles - PLANT.poles).max()
+        assert mended.whiteness > 0.01
+        assert not any(one.cause.name == "REAL_POLE" for one in mended.findings)
+
+
 def test_an_interpolated_input_is_told_by_the_structure():
     """With free residues and a feedthrough a hold and an interpolation are the same models."""
     rng, t = np.random.default_rng(2), 0.1 * np.arange(1000)

@@ -22,7 +22,7 @@ from ..regression.free import FreeProjection
 from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, unexplained
 from ..regression.prediction import FittedExperiment
 from ..regression.tuning import TUNING
-from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
+from ..search.circumstances import REJECTED, Cause, Finding, real_pole, sentence_of, worth_telling
 from ..search.formulation import Callback, reporter
 from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
@@ -221,6 +221,8 @@ def _result(
     fitted = joint_percent(unexplained(experiments))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
+    lag = real_pole(free.projection) if whiteness < WHITE else None
+    findings = (*findings, *([lag] if lag else []))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown = tuple(_squeezed(one) for one in experiments) if single else experiments
     outcome = _outcome(free, fitted, whiteness, spare)

@@ -9,20 +9,26 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
 from ..._display import p_value
-from ..._types import Array, ComplexArray, Indices
+from ..._types import Array, ComplexArray, Indices, NDArray
+from ..regression.free import FreeProjection
+from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
-from ..regression.time_rows import RecordRows, Rows
+from ..regression.time_rows import FreeRecord, FreeRows, RecordRows, Rows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection
 
 _RIDGE = 1e-12
+_RATES = 16  # of real poles, over all frequencies
+_LARGE = 0.25  # part of what is left: of coloured noise a real pole explains a tenth
+_LONG_ENOUGH = 1 << 14  # samples that show a real pole
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
 
@@ -44,6 +50,7 @@ class Cause(Enum):
     ACTIVITY = "energy that no passive model gives"
     SEVERAL_SHAPES = "residues of more than one shape"
     ONE_WAY = "responses that are not reciprocal"
+    REAL_POLE = "a real pole"
 
 
 REJECTED = {
@@ -66,7 +73,7 @@ class Finding:
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
         that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
         0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
-        freedom.
+        freedom; of a real pole its rate, and the share that it explains of what the modes leave.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one.
     """
@@ -291,6 +298,43 @@ def _response(one: RecordRows, d: Array, kappa: Array, phase: Array) -> ComplexA
     return found
 
 
+# --- real poles ------------------------------------------------------------------------------------------------------
+
+
+def real_pole(at: FreeProjection) -> Finding | None:
+    """The real pole that explains most of what modes leave, a first-order lag; None if that is no large part.
+
+    Modes are pairs of complex poles, and none of them does what a lag does.
+    """
+    if not at.inputs:
+        return None
+    predictions = at.predictions() if len(at.p) else [None] * len(at.experiments)
+    left = [_left(rows, one) for rows, one in zip(at.experiments, predictions, strict=True)]
+    none = FreeProjection(left, np.zeros(0, complex)).loss
+
+    def loss(rate: float) -> float:
+        return FreeProjection(left, np.array([complex(-rate)])).loss
+
+    rates = np.geomspace(0.5 * min(one.bin for one in left), max(one.ceiling for one in left), _RATES)
+    k = int(np.clip(np.argmin([loss(one) for one in rates]), 1, _RATES - 2))
+    found = minimize_scalar(lambda x: loss(np.exp(x)), bounds=np.log(rates[[k - 1, k + 1]]), method="bounded",
+                            options={"xatol": 0.01})  # fmt: skip
+    share = 1 - float(found.fun) / none
+    gain = -0.5 * at.rows * float(np.log(max(1 - share, EPS)))
+    return Finding(Cause.REAL_POLE, (float(np.exp(found.x)), share), gain) if share > _LARGE else None
+
+
+def _left(rows: FreeRows, predicted: NDArray[Any] | None) -> FreeRecord | FreeResponse:
+    """The same rows with what is left of the outputs; of a long record the first part."""
+    if isinstance(rows, FreeResponse):
+        return replace(rows, response=rows.response - (0.0 if predicted is None else np.nan_to_num(predicted)))
+    assert isinstance(rows, FreeRecord)
+    start = int(np.argmax(rows.observed))
+    part = slice(start, start + _LONG_ENOUGH)
+    y = rows.y if predicted is None else np.where(rows.observed, rows.y - predicted, 0.0)
+    return replace(rows, u=rows.u[:, part], y=y[:, part], observed=rows.observed[part], moving=True)
+
+
 # --- in words --------------------------------------------------------------------------------------------------------
 
 
@@ -339,6 +383,13 @@ def sentence_of(finding: Finding, intersample: str) -> str:
         return (
             f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): this was estimated, and each "
             "point has the weight that belongs to it."
+        )
+    if finding.cause is Cause.REAL_POLE:
+        rate, share = values
+        return (
+            f"Of what the modes leave, {100 * share:.0f} % is like a first-order lag: a real pole at {-rate:.3g}, a "
+            f"time constant of {1 / rate:.3g}. Modes are pairs of complex poles: take the lag out of the data, or, of "
+            "recordings, pass its response to each input as one more input, which sets poles and predictions right."
         )
     if finding.cause is Cause.COLOURED_NOISE:
         return (
