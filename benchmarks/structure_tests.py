@@ -45,24 +45,23 @@ def velocities(p: ComplexArray, matrices: NDArray[Any]) -> ComplexArray:
     return (p / (2j * p.imag))[:, None, None] * matrices
 
 
-def with_dashpot(
-    masses: int, place: int, size: float
-) -> tuple[ComplexArray, ComplexArray, tuple[tuple[int, int], ...]]:
-    """Force and velocity at the first mass of a chain whose only damper is at another one: modes are complex."""
+def with_dampers(dampers: Array, ports: int, sensors: int) -> Plant:
+    """Forces and velocities at the first masses of a chain, and sensors at some more, with any damping matrix."""
+    masses = len(dampers)
     stiffness = 2 * np.eye(masses) - np.eye(masses, k=1) - np.eye(masses, k=-1)
-    none, unit, damping = np.zeros((masses, masses)), np.eye(masses), np.zeros((masses, masses))
-    damping[place, place] = size
-    poles, shapes = np.linalg.eig(np.block([[none, unit], [-stiffness, -damping]]))
+    poles, shapes = np.linalg.eig(np.block([[np.zeros((masses, masses)), np.eye(masses)], [-stiffness, -dampers]]))
     weights, upper = np.linalg.inv(shapes), poles.imag > 0
-    residues = shapes[masses, upper] * weights[upper, masses]
-    return poles[upper], residues[:, None, None], ((0, 0),)
+    seen, driven = shapes[masses : masses + sensors, upper].T, weights[upper, masses : masses + ports]
+    return poles[upper], seen[:, :, None] * driven[:, None], tuple((k, k) for k in range(ports))
 
 
 def plant(kind: str) -> Plant:
     """Poles, residues and ports."""
     half, one, three = np.array([0.005, 0.01]), np.array([5e-4, 5e-4]), np.array([0.005, 0.01, 0.01])
     if kind == "dashpot":
-        return with_dashpot(3, 2, 0.3)
+        return with_dampers(np.diag([0.0, 0.0, 0.3]), 1, 1)
+    if kind == "viscous":
+        return with_dampers(np.array([[0.02, -0.01, 0.0], [-0.01, 0.05, -0.04], [0.0, -0.04, 0.3]]), 2, 3)
     if kind in ("lossless", "classical", "lightly damped", "sensor beside"):
         p, shapes = chain(2, {"lossless": 0 * half, "lightly damped": one}.get(kind, half))
         sensor = shapes[:, 1] if kind == "sensor beside" else shapes[:, 0]
@@ -114,6 +113,7 @@ CASES: dict[str, tuple[list[str], list[str]]] = {
     "two ports": (["classical", "passive", "rank one", "reciprocal"], ["lossless"]),
     "rank one": (["rank one"], ["lossless", "classical"]),
     "reciprocal": (["rank one", "reciprocal"], ["lossless", "classical"]),
+    "viscous": (["passive", "rank one", "reciprocal"], ["lossless", "classical"]),
     "gyroscope": ([], ["lossless", "classical", "rank one", "reciprocal"]),
 }
 
