@@ -1,6 +1,6 @@
 """Monte Carlo of fits of damped modes under noise as it is: which order, and how often intervals cover the truth.
 
-python -m benchmarks.real_noise [--seeds N] [--modes N] [--noise constant|gain|both] [--structure NAME]
+python -m benchmarks.real_noise [--seeds N] [--modes N] [--noise NAME] [--structure NAME]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 import ph_control as phc
 
@@ -22,6 +23,8 @@ ComplexArray = NDArray[np.complex128]
 LINES = 600
 FLOOR, SHARE = 0.01, 0.03  # of the root mean square of a response, and of each value
 RESPONSES = ("constant", "gain", "both")
+RECORDINGS = ("white", "coloured", "input", "forces", "drift", "delay", "outlier")
+DELAY = 3  # samples
 SIZES = ((1, 1), (3, 2))  # outputs, inputs
 
 
@@ -49,6 +52,38 @@ def response(modes: int, outputs: int, inputs: int, noise: str, seed: int) -> An
     return ct.frd(G + size * (real + 1j * imaginary), omega)
 
 
+def velocities(poles: ComplexArray, residues: ComplexArray, u: Array) -> Array:
+    """Outputs (p, T) under held inputs (m, T) from rest, one sample a unit of time."""
+    y = np.zeros((residues.shape[1], u.shape[1]))
+    for pole, rho in zip(poles, residues, strict=True):
+        states = [lfilter([0.0, np.expm1(pole) / pole], [1.0, -np.exp(pole)], one + 0j) for one in u]
+        y += 2 * (rho @ np.array(states)).real
+    return y
+
+
+def recording(modes: int, outputs: int, inputs: int, noise: str, seed: int, samples: int = 1000) -> tuple[Array, Array]:
+    """Inputs and outputs with white or coloured noise, noise on the input, unknown forces, a drift, delay, outlier."""
+    poles, residues = plant(modes, outputs, inputs, seed)
+    rng = np.random.default_rng([seed, 5])
+    u = rng.standard_normal((inputs, samples + DELAY))
+    clean = velocities(poles, residues, u)
+    size, white = np.std(clean, axis=1, keepdims=True), rng.standard_normal(clean.shape)
+    y = clean + 0.1 * size * white
+    if noise == "coloured":
+        y = clean + 0.1 * size * np.sqrt(1 - 0.9**2) * lfilter([1.0], [1.0, -0.9], white)
+    elif noise == "input":
+        u, y = u + 0.1 * rng.standard_normal(u.shape), clean + 0.01 * size * white
+    elif noise == "forces":
+        y = clean + 0.02 * size * white + velocities(poles, residues, 0.1 * rng.standard_normal(u.shape))
+    elif noise == "drift":
+        y += 3 * size * np.arange(u.shape[1]) / samples
+    elif noise == "outlier":
+        y[0, samples // 3] += 3 * size[0, 0]
+    elif noise == "delay":
+        return u[:, DELAY:], y[:, :-DELAY]
+    return u[:, :samples], y[:, :samples]
+
+
 @dataclass(frozen=True)
 class Outcome:
     """Share of seeds with the order of the plant, those covered of its frequencies and damping ratios, CPU time."""
@@ -63,7 +98,10 @@ def study(modes: int, outputs: int, inputs: int, noise: str, seeds: int, **optio
     start, right, covered = time.process_time(), [], []
     for seed in range(seeds):
         poles, _ = plant(modes, outputs, inputs, seed)
-        found = phc.pem(response(modes, outputs, inputs, noise, seed), **options)
+        if noise in RESPONSES:
+            found = phc.pem(response(modes, outputs, inputs, noise, seed), **options)
+        else:
+            found = phc.pem(recording(modes, outputs, inputs, noise, seed), dt=1.0, **options)
         right.append(found.order == modes)
         if not right[-1]:
             continue
@@ -79,7 +117,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--modes", type=int, action="append")
-    parser.add_argument("--noise", action="append", choices=RESPONSES)
+    parser.add_argument("--noise", action="append", choices=RESPONSES + RECORDINGS)
     parser.add_argument("--structure", default="free", choices=("auto", "lossless", "classical", "passive", "free"))
     options = parser.parse_args()
     for modes in options.modes or (3, 6):

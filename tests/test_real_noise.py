@@ -1,10 +1,11 @@
 """Fits of damped modes to data whose noise is not white, or not constant."""
 
+import control as ct
 import numpy as np
 import pytest
 
 import ph_control as phc
-from benchmarks.real_noise import SHARE, plant, response, study
+from benchmarks.real_noise import SHARE, plant, recording, response, study
 
 
 def causes(result):
@@ -40,3 +41,50 @@ def test_constant_noise_keeps_equal_weights_and_given_ones_stay():
     own = phc.pem(data, 3)
     true = np.abs(plant(3, 2, 1, 1)[0])
     assert np.abs(own.d - true).max() < np.abs(given.d - true).max()
+
+
+# --- the error over what is held out ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), (3, 2)])
+def test_the_order_is_that_of_the_least_error_over_what_is_held_out(outputs, inputs):
+    assert phc.pem(response(3, outputs, inputs, "constant", 0), criterion="holdout", structure="free").order == 3
+    u, y = recording(3, outputs, inputs, "white", 0, 600)
+    assert phc.pem((u, y), dt=1.0, criterion="holdout", structure="free").order == 3
+    y[0, 450:] = np.nan
+    assert phc.pem((u, y), dt=1.0, criterion="holdout", structure="free").order == 3
+
+
+def test_a_part_of_which_nothing_was_measured_cannot_be_foretold():
+    u, y = recording(3, 2, 1, "white", 0, 600)
+    y[:, 390:] = np.nan
+    with pytest.raises(phc.IdentificationError, match="foretell"):
+        phc.pem((u, y), dt=1.0, criterion="holdout")
+
+
+# --- responses with little in them -----------------------------------------------------------------------------------
+
+
+def test_few_lines_show_no_mode_and_fewer_are_refused():
+    data = response(3, 3, 2, "constant", 0)
+    few = phc.pem(ct.frd(data.frdata[:, :, :8], data.omega[:8]))
+    assert few.order == 0 and few.outcome.name == "NOTHING" and np.isnan(few.covariance).all()
+    with pytest.raises(phc.IdentificationError, match=r"1 mode has 14 unknowns .* 12 samples"):
+        phc.pem(ct.frd(data.frdata[:, :, :1], data.omega[:1]))
+
+
+@pytest.mark.parametrize("kind", ["an entry of zeros", "an input of zeros", "an entry of five lines", "a line at 0"])
+def test_an_entry_that_shows_nothing_does_not_hide_the_modes(kind):
+    data = response(3, 3, 2, "constant", 0)
+    G, omega = data.frdata.copy(), data.omega.copy()
+    if kind == "an entry of zeros":
+        G[1, 1] = 0
+    elif kind == "an input of zeros":
+        G[:, 1] = 0
+    elif kind == "an entry of five lines":
+        G[1, 1, 5:] = np.nan
+    else:
+        G[:, :, 0], omega[0] = 0, 0
+    result = phc.pem(ct.frd(G, omega))
+    assert result.order == 3
+    np.testing.assert_allclose(result.d, np.abs(plant(3, 3, 2, 0)[0]), rtol=1e-3)

@@ -289,6 +289,8 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     inner = J @ given @ J.T
     inner = 0.5 * (inner + inner.T)  # but for rounding
     size = np.concatenate(unit)
+    if not inner.size:
+        return np.full((len(order), len(order)), np.nan)
     found = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that no experiment shows
     absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0))

@@ -18,7 +18,7 @@ from ..data.channels import ResponseMatrix, as_channels, has_several_channels
 from ..diagnosis.damping import DampingWatch, beside
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
-from ..search.criteria import CRITERIA, criteria, preference, significant
+from ..search.criteria import CRITERIA, HELD_OUT, criteria, preference, significant
 from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, reporter
 from ..search.modal_search import FreeFit
 from ..search.order_selection import held_out_losses
@@ -29,8 +29,6 @@ from .conclusion import Fit, conclude
 from .lossless_result import LosslessResult
 from .modal_fit import asked_of, checked_quantities, fit_channels, starting_poles, under_either_hold
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
-
-_HELD_OUT = 1 / 3  # of each record, by the criterion of that name
 
 
 @on_one_thread
@@ -167,7 +165,7 @@ def pem(
     if not several and not isinstance(quantity, str):
         (quantity,) = checked_quantities(quantity, as_channels(data, dt, weights=weights)[0].output_labels)
     if several or quantity == "free":
-        _refuse_lossless_options(structure, method, representation, criterion)
+        _refuse_lossless_options(structure, method, representation)
         _checks.choice("initial_state", initial_state, ("estimate", "zero"))
         channels = as_channels(data, dt, weights=weights)
         asked = asked_of(channels, structure, ports, quantity)
@@ -190,7 +188,7 @@ def pem(
             # the noise may grow with the gain of damped modes, too
             found = fit_channels(
                 free.channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
-                criterion="bic" if criterion == "holdout" else criterion, callback=callback,
+                criterion=criterion, callback=callback,
                 start=None if order == "auto" else free.projection.p, findings=result.findings, weighted=False,
             )  # fmt: skip
         else:
@@ -200,7 +198,7 @@ def pem(
     return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
 
 
-def _refuse_lossless_options(structure: str, method: str, representation: str, criterion: str) -> None:
+def _refuse_lossless_options(structure: str, method: str, representation: str) -> None:
     """Refuse what only fits of lossless models of one input and output have."""
     options = {
         "method": (method, METHODS), "representation": (representation, REPRESENTATIONS),
@@ -208,7 +206,6 @@ def _refuse_lossless_options(structure: str, method: str, representation: str, c
     for name, (value, allowed) in options.items():
         _checks.choice(name, value, allowed)
     refused = [(name, value, allowed[0]) for name, (value, allowed) in options.items() if value != allowed[0]]
-    refused += [("criterion", criterion, "bic")] * (criterion == "holdout")
     if refused:
         name, value, instead = refused[0]
         what = f"structure={structure!r}"
@@ -290,7 +287,7 @@ def _found(
     if automatic:
         values = [preference(problem, step, criterion) for step in path]
         if criterion == "holdout":
-            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], _HELD_OUT, workers)[1])
+            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], HELD_OUT, workers)[1])
         place = int(np.argmin(values))
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d

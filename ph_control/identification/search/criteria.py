@@ -15,6 +15,7 @@ from ..regression.variable_projection import Problem, Projection, Refinement
 from .steps import Step
 
 CRITERIA = ("bic", "aicc", "aic", "holdout")
+HELD_OUT = 1 / 3  # of each experiment, by the criterion of that name
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding, autoregression, correlations
 from .criteria import Criteria, past_of_noise
 from .free_search import FreeModel, FreeSearch, Records, Responses
+from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
 from .steps import stands_out
 
@@ -176,8 +177,9 @@ def free_fit(
         Whether the modes may be in motion where a recording begins.
     max_order : int
         Largest order that 'auto' looks at.
-    criterion : {'bic', 'aicc', 'aic'}
-        What chooses the order.
+    criterion : {'bic', 'aicc', 'aic', 'holdout'}
+        What chooses the order; 'holdout' is the error over the last third of each recording, or a third of the points
+        of a response, of models fitted to the rest.
     reports : callable, optional
         Called with a number of modes, to give what is called after each of their iterations: with its number, and the
         mean squared residual, of outputs in a common unit of noise.  On `KeyboardInterrupt` the best model so far is
@@ -200,17 +202,23 @@ def free_fit(
     StructureError
         If an entry of the response matrices was measured in none of them.
     """
-    path = FreePath.of(channels, quantities, intersample, offset, moving, criterion, reports)
+
+    def posed(channels: Experiments) -> FreePath:
+        return FreePath.of(channels, quantities, intersample, offset, moving, criterion, reports)
+
+    path = posed(channels)
     automatic = not isinstance(order, int)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
     most = min(max_order, path.carried) if automatic else int(order)
+    if automatic and criterion == "holdout":
+        most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
     if not found.per_entry or weighted or found.interrupted or not found.order or found.rounding:
         return found
 
     def again(channels: Experiments, start: ComplexArray | None) -> FreeFit:
-        path = FreePath.of(channels, quantities, "zoh", offset, moving, criterion, reports)
+        path = posed(channels)
         return path.finished(path.chosen(begin, most, automatic) if start is None else path.model(start), channels)
 
     try:
@@ -359,6 +367,7 @@ class FreePath:
         for one in search.data:
             counts[one.outputs] += one.samples
             largest[one.outputs] = np.maximum(largest[one.outputs], one.largest)
+        largest = np.where(largest > 0, largest, largest.max())  # what is zero is so to the rounding of the others
         # real equations of each output, losses that are rounding, and the power of all
         self.counts = np.maximum(counts, 1)
         self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
@@ -434,8 +443,9 @@ class FreePath:
     def check(self, order: int) -> None:
         """Refuse more modes than the data can carry."""
         if order > self.carried:
+            have = "modes have" if order > 1 else "mode has"
             raise IdentificationError(
-                f"{order} modes have {self.search.unknowns(order)} unknowns in all channels, more than the "
+                f"{order} {have} {self.search.unknowns(order)} unknowns in all channels, more than the "
                 f"{int(self.counts.sum())} samples can carry; the largest order for these data is {self.carried}"
             )
 

@@ -1,0 +1,95 @@
+"""The order of damped modes whose model of a part of the data has the least error over the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..._types import Array, ComplexArray, Mask, NDArray
+from ...exceptions import IdentificationError
+from ..data.channels import Recording, ResponseMatrix
+from ..regression.free import FreeProjection
+from ..regression.frequency_rows import FreeResponse
+from .criteria import HELD_OUT
+
+Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
+
+
+def foretelling_order(
+    channels: Experiments, start: ComplexArray, most: int, posed: Callable[[Experiments], Any]
+) -> int:
+    """Order of the least error over what is held out, all outputs together; `posed` makes a search in channels."""
+    ahead = [_ahead(one) for one in channels]
+    # the search has only what comes before; its models are judged where the rest is missing
+    rest, gaps = (
+        [_without(one, hidden, shorter) for one, hidden in zip(channels, ahead, strict=True)]
+        for shorter in (True, False)
+    )
+    path, judge = posed(rest), posed(gaps)
+    path.chosen(start, min(most, path.carried), True)
+    values = {}
+    for n, row in path.table.items():
+        losses, counts = _errors(judge, row.poles, channels, ahead)
+        seen = counts > 0
+        if not seen.any():
+            raise IdentificationError(
+                "with a third of the data held out there are 0 observed outputs to foretell; choose by 'bic'"
+            )
+        variances = np.maximum(losses[seen], np.finfo(float).tiny) / counts[seen]
+        values[n] = float(np.sum(counts[seen] * np.log(variances)))
+    return min(values, key=lambda n: (values[n], n))
+
+
+def _ahead(one: Recording | ResponseMatrix) -> Mask:
+    """Which samples are held out: the end of a recording, points all over a response."""
+    if isinstance(one, Recording):
+        return np.asarray(np.arange(one.samples) >= one.samples - max(1, round(HELD_OUT * one.samples)))
+    return np.asarray(np.diff(np.floor(HELD_OUT * np.arange(one.samples + 1) + 0.5)) > 0)
+
+
+def _without(one: Any, hidden: Mask, shorter: bool) -> Any:
+    """An experiment whose outputs are missing at some samples; a recording ends before them if it may be shorter."""
+    if isinstance(one, ResponseMatrix):
+        return replace(one, response=np.where(hidden, np.nan, one.response))
+    if shorter:
+        return replace(one, time=one.time[~hidden], u=one.u[:, ~hidden], y=one.y[:, ~hidden])
+    return replace(one, y=np.where(hidden, np.nan, one.y))
+
+
+def _errors(path: Any, p: ComplexArray, channels: Experiments, ahead: Sequence[Mask]) -> tuple[Array, Array]:
+    """Weighted squares of each output where it is held out, of modes refined over the rest, and their number."""
+    at = path.refined(path.reweighted(path.model(p)).p, 1e-13, None)
+    outputs, sizes = len(path.counts), path.sizes[:, None]
+    losses, counts, rows = np.zeros(outputs), np.zeros(outputs), iter(_foretold(at))
+    for one, hidden in zip(channels, ahead, strict=True):
+        data: Any = one
+        measured = data.y if isinstance(data, Recording) else data.response.reshape(outputs, -1)
+        weights = np.reshape(getattr(data, "weights", np.ones(measured.shape)), measured.shape)
+        left = int(np.any(~np.isnan(measured) & ~hidden, axis=1).sum())
+        while left > 0:
+            which, values = next(rows)
+            left -= len(which)
+            errors = measured[which] - values / sizes[which]
+            seen = hidden & ~np.isnan(errors)
+            losses[which] += np.sum(np.where(seen, weights[which] * np.abs(errors) ** 2, 0.0), axis=1)
+            counts[which] += seen.sum(axis=1) * (1 + np.iscomplexobj(errors))
+    return losses, counts
+
+
+def _foretold(at: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
+    """Outputs of each of the rows, and what they are at all samples, also where nothing was measured."""
+    n, found = len(at.p), []
+    known = at.predictions() if n else [own[-1:].T * 1.0 for own in at.own]  # without modes a constant
+    for rows, own, values in zip(at.experiments, at.own, known, strict=True):
+        if isinstance(rows, FreeResponse):
+            everywhere = replace(rows, observed=np.ones(len(rows.frequencies), bool))
+            weights = np.concatenate([own, at.shared[: 2 * n + rows.through, rows.outputs]])
+            # few points have no background
+            values = (
+                weights.T @ (everywhere.columns(at.p) / everywhere.weight)[-len(weights) :] if len(weights) else 0.0
+            )
+        found.append((rows.outputs, np.zeros((len(rows.outputs), 1)) if not np.size(values) else np.asarray(values)))
+    return found
