@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from benchmarks.real_noise import SHARE, plant, recording, response, study
+from benchmarks.real_noise import DELAY, SHARE, plant, recording, response, study
 
 
 def causes(result):
@@ -88,3 +88,31 @@ def test_an_entry_that_shows_nothing_does_not_hide_the_modes(kind):
     result = phc.pem(ct.frd(G, omega))
     assert result.order == 3
     np.testing.assert_allclose(result.d, np.abs(plant(3, 3, 2, 0)[0]), rtol=1e-3)
+
+
+# --- delays and drifts -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("outputs", "inputs"), [(1, 1), (3, 2)])
+@pytest.mark.parametrize("kind", ["delay", "drift"])
+def test_delays_and_drifts_are_named_and_add_no_modes(kind, outputs, inputs):
+    u, y = recording(3, outputs, inputs, kind, 0)
+    result = phc.pem((u, y), dt=1.0, structure="classical", ports=[(0, 0)])
+    poles, residues = plant(3, outputs, inputs, 0)
+    assert result.order == 3
+    finding = causes(result)[kind.upper()]
+    assert finding.gain > 10 and "(log-likelihood + " in result.message
+    if kind == "delay":
+        assert finding.values == (DELAY,)
+        assert result.experiments[0].record.samples == u.shape[1] - DELAY
+    else:
+        slopes = 3 * np.std(recording(3, outputs, inputs, "white", 0)[1], axis=1) / u.shape[1]
+        np.testing.assert_allclose(finding.values, slopes, rtol=0.05)
+    for name, true in (("natural_frequencies", np.abs(poles)), ("residues", residues)):
+        np.testing.assert_allclose(getattr(result, name), true, rtol=0.1, atol=0.1 * np.abs(true).max())
+
+
+def test_white_noise_gives_no_finding_of_the_recording():
+    u, y = recording(3, 3, 2, "white", 0)
+    assert not causes(phc.pem((u, y), dt=1.0, structure="free"))
+    assert not phc.pem((u, y + 1), dt=1.0, structure="free", offset=True).experiments[0].drifts.any()

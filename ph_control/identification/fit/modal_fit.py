@@ -64,7 +64,7 @@ def fit_channels(
     most = _checks.whole_number("max_order", max_order, 1)
     reports = reporter(most if isinstance(wanted, str) else wanted, callback)
     free = free_fit(
-        channels, wanted, quantities=asked.quantities, intersample=intersample, offset=bool(offset), moving=moving,
+        channels, wanted, quantities=asked.quantities, intersample=intersample, offset=offset, moving=moving,
         max_order=most, criterion=criterion, reports=reports, start=start, weighted=weighted,
     )  # fmt: skip
     return under_either_hold(free, asked, findings)

@@ -373,7 +373,7 @@ def sentence_of(finding: Finding, intersample: str) -> str:
         )  # fmt: skip
         return (
             f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} what the input would cause "
-            f"({certain}): a delay of the recording; fit {remedy}."
+            f"({certain}): a delay of the recording; {remedy} belong together."
         )
     if finding.cause in REJECTED.values():
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)

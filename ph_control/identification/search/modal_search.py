@@ -15,7 +15,7 @@ import numpy as np
 
 from ..._checks import EPS
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, ComplexArray, Mask, NDArray
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
@@ -43,6 +43,7 @@ _EXACT = 1e-13  # relative decrease of the loss at which the last refinement end
 _LOWEST = 0.5  # bins: what does not swing half a time is a drift
 _GROWING = 3.0  # standard errors of a decay rate beyond which a mode grows
 _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
+_DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
 
@@ -150,7 +151,7 @@ def free_fit(
     *,
     quantities: Sequence[str] | None = None,
     intersample: str = "auto",
-    offset: bool = True,
+    offset: bool | str = True,
     moving: bool = True,
     max_order: int = 40,
     criterion: str = "bic",
@@ -171,8 +172,8 @@ def free_fit(
         accelerometer feels the input at once; elsewhere what is fed through stays 0 unless it stands out.
     intersample : {'auto', 'zoh', 'foh'}
         Whether inputs are held or interpolated between samples; 'auto' takes the likelier.
-    offset : bool
-        Whether outputs have a constant of their own in each recording.
+    offset : bool or 'auto'
+        Whether outputs have a constant of their own in each recording; 'auto' lets it drift where that explains more.
     moving : bool
         Whether the modes may be in motion where a recording begins.
     max_order : int
@@ -203,8 +204,8 @@ def free_fit(
         If an entry of the response matrices was measured in none of them.
     """
 
-    def posed(channels: Experiments) -> FreePath:
-        return FreePath.of(channels, quantities, intersample, offset, moving, criterion, reports)
+    def posed(channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample) -> FreePath:
+        return FreePath.of(channels, quantities, hold, terms, moving, criterion, reports)
 
     path = posed(channels)
     automatic = not isinstance(order, int)
@@ -214,8 +215,21 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-    if not found.per_entry or weighted or found.interrupted or not found.order or found.rounding:
+    if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
         return found
+    if not found.per_entry:
+
+        def anew(channels: Experiments, terms: int, start: ComplexArray | None) -> FreeFit:
+            path = posed(channels, terms, found.intersample if either is None else either)
+            if start is not None:
+                return path.finished(path.model(start), channels)
+            return path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+
+        either = None if intersample == "auto" else intersample
+        try:
+            return _on_time(_beside_drift(found, anew) if offset == "auto" else found, anew)
+        except KeyboardInterrupt:
+            return replace(found, interrupted=True)
 
     def again(channels: Experiments, start: ComplexArray | None) -> FreeFit:
         path = posed(channels)
@@ -225,6 +239,82 @@ def free_fit(
         return _reweighted(found, again)
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
+
+
+# --- drifts and delays -----------------------------------------------------------------------------------------------
+
+Anew = Callable[[Experiments, int, ComplexArray | None], FreeFit]  # search, or from poles, with terms of the offset
+
+
+def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
+    """The fit beside outputs that drift, where a line explains more than a slow mode or what is left."""
+    rows = [one for one in found.projection.experiments if isinstance(one, FreeRecord)]
+    slow = found.projection.p.imag < TUNING.damped_apart * min(one.bin for one in rows)
+    if not slow.any() and not any(_leans(*one) for one in zip(rows, found.projection.predictions(), strict=True)):
+        return found
+    trial = anew(found.channels, 2, found.projection.p[~slow])
+    if trial.criteria.bic > found.criteria.bic - 2 * TUNING.sure:
+        return found
+    again = anew(found.channels, 2, None)
+    best = again if again.criteria.bic <= trial.criteria.bic else trial
+    drifts = [
+        float(one) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
+        if isinstance(rows, FreeRecord) for one in best.scales[rows.outputs] * own[-2] / rows.hold.h
+    ]  # fmt: skip
+    finding = Finding(Cause.DRIFT, tuple(drifts), best.criteria.loglik - found.criteria.loglik)
+    return replace(best, findings=(*found.findings, finding))
+
+
+def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
+    """Whether a line explains some of what is left of outputs."""
+    t = np.flatnonzero(rows.observed) - np.mean(np.flatnonzero(rows.observed))
+    left = (rows.y - predicted)[:, rows.observed]
+    share = (left @ t) ** 2 / np.maximum(np.sum(left**2, axis=1) * (t @ t), np.finfo(float).tiny)
+    return bool(np.any(-0.5 * len(t) * np.log1p(-np.minimum(share, 0.5)) > TUNING.likely))
+
+
+def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
+    """The fit with outputs that come some samples after the inputs, or before, where the modes say so.
+
+    Residues turn with a delay; what the first samples of an answer are tells it.
+    """
+    terms = max(getattr(one, "offset", 0) for one in found.projection.experiments)
+    if not found.projection.inputs:
+        return found
+    p, some = found.projection.p, [_first(one, _DELAYS_FROM) for one in found.channels]
+    gains = {}
+    for delay in (0, *TUNING.delays):
+        late = [_delayed(one, delay) for one in some]
+        rows = _records(late, found.intersample, terms, True)
+        at = FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
+        if at.rows > 2 * at.unknowns or not delay:
+            gains[delay] = -0.5 * found.projection.rows * float(np.log(at.loss / at.rows))
+    # modes too many may stand for most of a delay; one sample more or less is what may be fed through
+    likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
+    likely |= {1} & gains.keys() if likely else set()
+    likely |= {max(gains, key=lambda delay: gains[delay])} - {0}
+    best, gain = found, TUNING.likely
+    for delay in sorted(likely):
+        again = anew([_delayed(one, delay) for one in found.channels], terms, None)
+        share = found.projection.rows / again.projection.rows
+        now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
+        if now > gain:
+            finding = Finding(Cause.DELAY, (float(delay),), now)
+            best, gain = replace(again, findings=(*found.findings, finding)), now
+    return best
+
+
+def _first(one: Recording, samples: int) -> Recording:
+    return replace(one, time=one.time[:samples], u=one.u[:, :samples], y=one.y[:, :samples])
+
+
+def _delayed(one: Recording, samples: int) -> Recording:
+    """A recording whose outputs are those so many samples after the inputs."""
+    if not samples or not one.u.any():
+        return one
+    early, late = slice(None, -abs(samples)), slice(abs(samples), None)
+    u, y = (early, late) if samples > 0 else (late, early)
+    return replace(one, time=one.time[y], u=one.u[:, u], y=one.y[:, y])
 
 
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
@@ -301,13 +391,13 @@ def orders_about(
 # --- data ------------------------------------------------------------------------------------------------------------
 
 
-def _records(channels: Sequence[Recording], hold: str, offset: bool, moving: bool) -> list[FreeRecord]:
+def _records(channels: Sequence[Recording], hold: str, offset: int, moving: bool) -> list[FreeRecord]:
     found = []
     for one in channels:
         y = np.where(one.observed, one.y, 0.0)
         acting = np.flatnonzero(one.u.any(axis=1))
         driven = len(acting) > 0
-        options = {"offset": int(offset), "driven": driven, "moving": moving or not driven, "among": acting}
+        options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting}
         u = one.u[acting] if driven else np.zeros((1, one.samples))
         found += FreeRecord.by_observation(u, y, one.observed, Hold(one.dt, "exact", hold), **options)
     return found
@@ -377,7 +467,7 @@ class FreePath:
 
     @classmethod
     def of(
-        cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: bool, moving: bool,
+        cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None,
     ) -> FreePath:  # fmt: skip
         """The search in channels."""
