@@ -579,3 +579,24 @@ def test_the_pictures_of_a_fit_show_its_data_names_and_errors(fitted):
     assert "95 % interval" in legend_texts(shapes.legend)
     with pytest.raises(StructureError, match="kind is 'all'; it must be one of 'fit', 'responses'"):
         fitted.plot(kind="all")
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_dots_of_an_accelerometer_lie_on_the_curve_up_to_the_nyquist_frequency(hold):
+    """The feedthrough is held for no step, and the modes fold back."""
+    rng, plant, T = np.random.default_rng(0), ct.ss(ct.tf([1, 0, 0], [1, 0.1, 1])), 6000
+    t, u = 0.5 * np.arange(T), rng.standard_normal(T)
+    y = ct.forced_response(ct.c2d(plant, 0.5) if hold == "zoh" else plant, t, u).outputs
+    data = ct.TimeResponseData(t, y, inputs=u)
+    for model, kind, limit in ((plant, hold, 0.1), (ct.c2d(plant, 0.5), "zoh", 0.1 if hold == "zoh" else np.inf)):
+        plot = phc.frf_plot(model, data, intersample=kind, Hz=False, omega_limits=[0.1, 6.0])
+        for row in (0, 1):
+            dots = plot.lines[row, 0][1]
+            at, values = dots.get_data()
+            high = (at > 1.5) & (at < 5.8)
+            unit = 20 / np.log(10) if row == 0 else np.degrees(1)
+            expected = model(1j * at[high]) if model is plant else model(np.exp(0.5j * at[high]))
+            expected = 20 * np.log10(np.abs(expected)) if row == 0 else np.degrees(np.angle(expected))
+            off = np.mod(values[high] - expected + 180, 360) - 180
+            assert high.sum() > 50 and np.abs(np.median(off)) < limit * unit and np.abs(off).mean() < limit * unit
+    plt.close("all")

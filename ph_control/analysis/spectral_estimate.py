@@ -143,7 +143,7 @@ def spectral_estimate(
     coherence = np.abs(Puy) ** 2 / np.where(Pyy > 0, Puu * Pyy, 1.0)
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
     names = {key: value for key, value in inherited.items() if value} | names
-    response = Puy / Puu / _hold_response(omega * step, intersample)
+    response = Puy / Puu / hold_response(omega * step, intersample)
     found = SpectralEstimate(response, omega, np.minimum(coherence, 1.0), count, step, **names)
     return with_unit(found, common_unit(data))
 
@@ -206,7 +206,7 @@ def _averaged_spectra(u: Array, y: Array, length: int) -> tuple[Array, Array, Co
     return sums[0].real / count, sums[1].real / count, sums[2] / count, count
 
 
-def _hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
+def hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
     """Response of the hold at `theta = omega * step`, without what folds back from beyond the Nyquist frequency."""
     if intersample == "bandlimited":
         return np.ones_like(theta)
@@ -255,7 +255,7 @@ def response_matrix_estimate(
     response = np.linalg.solve(np.swapaxes(Suu, 2, 3), Syu[..., None])[..., 0]
     explained = np.sum(response * Syu.conj(), axis=2).real
     coherence = np.clip(explained / np.where(Syy > 0, Syy, 1.0), 0.0, 1.0)
-    hold = _hold_response(omega * step, intersample)
+    hold = hold_response(omega * step, intersample)
     response = np.where(told[..., None] & present, response / hold[:, None, None], np.nan)
     return omega, np.moveaxis(response, 0, -1), coherence.T
 

@@ -16,7 +16,7 @@ from .. import _checks
 from .._display import counted
 from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
-from ..analysis.spectral_estimate import INTERSAMPLE, response_matrix_estimate
+from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from .bode_data import POWERS, band_of, decibels, timebase
@@ -33,6 +33,8 @@ NARROWEST = 1e-6  # half width of a resonance beside its frequency, below which 
 _DECADES = 30.0  # ratio of natural frequencies beyond which their scale is logarithmic
 _BEYOND = 45.0  # degrees beyond a turn of the phase in which measured ones stay beside the model
 _DEEPEST = 0.02  # share of a curve in its antiresonances that may leave the picture
+_FOLDED = 20  # turns of the sampling frequency from which responses fold back
+_FAR = 1e6  # times the highest of these: the response there is what is fed through
 _CIRCLE = 4.0  # half widths of a resonance of which its circle is drawn
 _LETTERS = 34  # of the name of a panel
 _DRAWS = 300  # models of a band
@@ -111,7 +113,9 @@ def frf_plot(
     turn where the model does not.  Frequencies are to a logarithmic scale if the modes span more than a factor of 30.
 
     Responses are estimated from recordings as cross spectra of outputs and inputs over spectra of the inputs (H1), all
-    recordings together.  Dots of a multiple coherence below one half are pale.
+    recordings together, and over the response of the hold.  What folds back from beyond the Nyquist frequency of a
+    model in continuous time, and what it feeds through from sample to sample, is taken off first.  Dots of a multiple
+    coherence below one half are pale.
 
     O((n + K) p m) for K frequencies.
 
@@ -303,9 +307,29 @@ def measured_by(
     if recordings and not driven and data is not None:
         raise StructureError("the recordings are free motions, which have no frequency response; leave data out")
     if driven:
+        # a model in discrete time answers to samples, whatever is between them
+        hold = hold if np.isinf(source.nyquist) else "bandlimited"
         omega, found, coherence = response_matrix_estimate(driven, segments, hold)
+        if hold != "bandlimited":
+            found = found - _folded(source, omega, driven[0][2], hold)
         responses.append(MeasuredMatrix(omega, found, coherence < 0.5, "measured (spectral estimate)", recorded=True))
     return responses
+
+
+def _folded(source: ModelSource, omega: Array, step: float, hold: str) -> ComplexArray:
+    """What folds back on the response of a model from beyond the Nyquist frequency, under the response of the hold.
+
+    What is fed through passes from sample to sample as it is.
+    """
+    turns = np.concatenate([np.arange(-_FOLDED, 0), np.arange(1, _FOLDED + 1)])
+    beyond = omega + 2.0 * np.pi / step * turns[:, None]
+    every = np.abs(beyond).ravel()
+    through = source.response(_FAR * every.max(keepdims=True)).real
+    above = source.response(every) - through
+    above = np.where(beyond.ravel() < 0, above.conj(), above)
+    held = (above * hold_response(beyond.ravel() * step, hold)).reshape(*above.shape[:2], *beyond.shape)
+    own = hold_response(omega * step, hold)
+    return np.asarray((held.sum(axis=2) + through * (1.0 - own)) / own)
 
 
 def _tabulated(given: Any, shape: tuple[int, int]) -> MeasuredMatrix:
