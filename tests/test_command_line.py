@@ -118,10 +118,11 @@ def test_the_page_tells_every_command_and_status():
 
 def test_the_page_tells_the_keys_of_every_answer(workshop):
     text = PAGE.read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| `(\w+)` \| (`verdict.*|`source.*|`output.*|`kind.*|`folder.*) \|$", text, flags=re.M))
+    rows = dict(re.findall(r"^\| `([\w-]+)` \| (`(?:verdict|source|output|kind|folder|rows).*) \|$", text, flags=re.M))
     assert set(rows) == set(cli.COMMANDS)
     lines = {
         "fit": "ph-control fit recording.csv --order 2 --json",
+        "fit-many": "ph-control fit-many recording.csv --order 2 --json",
         "info": "ph-control info plant.mat --json",
         "convert": "ph-control convert plant.mat keys.json --json --overwrite",
         "netlist": "ph-control netlist plant.mat keys.cir --json",
@@ -135,7 +136,7 @@ def test_the_page_tells_the_keys_of_every_answer(workshop):
         told = set(re.findall(r"`(\w+)`", rows[name]))
         if name == "info":  # what it says of losses instead
             answer |= json.loads(workshop.line("ph-control info --num 1,0 --den 1,0.2,4 --json").out)
-        inner = {"models", "plants"}
+        inner = {"models", "plants", "rows"}
         nested = {key for part in inner & set(answer) for one in answer[part] if isinstance(one, dict) for key in one}
         assert told - {"models", "fit"} <= set(answer) | nested | (lossy if name == "info" else set()), name
         assert answer["command"] == name

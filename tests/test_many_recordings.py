@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import os
 import signal
 import subprocess
@@ -14,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scripts import ROOT
+from shell import run as shell
 from test_workers import cluster
 
 import ph_control as phc
@@ -100,6 +103,15 @@ def test_patterns_files_and_data_of_any_kind_are_recordings(files, tmp_path):
     assert fits.table["name"].tolist() == [*map(str, files[3:]), "test 5", "recording 2"]
     assert np.ptp(fits.table["hertz"][2:]) < 1e-12
     assert len(phc.fit_many(str(tmp_path / "*.csv"), **OPTIONS).table) == 6
+
+
+def test_data_of_any_kind_travel_to_other_processes():
+    rng, t = np.random.default_rng(0), STEP * np.arange(80)
+    u = rng.standard_normal(80)
+    response = ct.forced_response(ct.tf([1, 0], [1, 0, 1]), t, u)
+    data = [response, (response.inputs, response.outputs), [(u, response.outputs)]]
+    here, there = (phc.fit_many(data, workers=workers, dt=STEP, **OPTIONS) for workers in (1, 2))
+    assert same(here, there) and not len(here.failures)
 
 
 def test_an_iterator_is_taken_as_there_is_room():
@@ -347,3 +359,45 @@ def test_the_picture_has_frequencies_dampings_and_their_bands():
 def test_bounds_that_make_no_sense_are_refused(wrong):
     with pytest.raises(phc.StructureError, match=next(iter(wrong))):
         crossing(1, recordings=2)[0].track(**wrong)
+
+
+# --- the command line ------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_the_table_and_says_what_failed(files, tmp_path):
+    table, picture = tmp_path / "modes.csv", tmp_path / "tracks.svg"
+    pattern, lossless = str(tmp_path / "0?.csv"), ("--order", 1, "--structure", "lossless")
+    done = shell("fit-many", pattern, *lossless, "--table", table, "--plot", picture, "--store", tmp_path / "results")
+    assert done.status == 1 and "5 modes of 6 recordings, 1 failed" in done.out and "it must increase" in done.out
+    fits = phc.fit_many(files, **OPTIONS)
+    with open(table, newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == fits.table["name"].tolist()
+    assert [float(row["hertz"] or "nan") for row in rows] == pytest.approx(fits.table["hertz"].tolist(), nan_ok=True)
+    assert [int(row["track"]) for row in rows] == fits.track().ids.tolist()
+    assert picture.read_text().startswith("<?xml") and len(list((tmp_path / "results").iterdir())) == 5
+    again = shell("fit-many", pattern, *lossless, "--json", "--workers", 2, "--store", tmp_path / "results")
+    told = json.loads(again.out)
+    assert (
+        told["failed"] == 1 and told["rows"][2]["hertz"] is None and told["rows"][5]["hertz"] == fits.table["hertz"][5]
+    )
+
+
+def test_columns_and_weights_reach_the_fits(tmp_path):
+    w = np.linspace(0.51, 2.02, 40)
+    response = phc.ph(phc.modes(1.0, 1.0))(1j * w) + 0.01 * np.random.default_rng(0).standard_normal(40)
+    columns = np.column_stack([w, response.real, response.imag, 1 + w])
+    np.savetxt(tmp_path / "r.csv", columns, delimiter=",", header="omega,re,im,trust", comments="")
+    words = ("fit-many", tmp_path / "r.csv", "--order", 1, "--structure", "lossless", "--json")
+    words += ("--frequency-unit", "rad/s", "--weights", "trust")
+    (row,) = json.loads(shell(*words).out)["rows"]
+    one = phc.pem(ct.frd(response, w), 1, weights=1 + w, structure="lossless")
+    assert row["hertz"] == pytest.approx(one.hertz[0], rel=1e-9)
+
+
+def test_a_cluster_is_named_by_its_address(files):
+    distributed = pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
+    words = ("fit-many", *files[3:], "--order", 1, "--structure", "lossless", "--json")
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as found:
+        there = shell(*words, "--scheduler", found.scheduler_address)
+    assert there.status == 0 and there.out == shell(*words).out

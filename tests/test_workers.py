@@ -18,7 +18,7 @@ def cluster():
     distributed = pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="inproc"
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0", protocol="inproc"
         ) as found,
         distributed.Client(found) as client,
     ):

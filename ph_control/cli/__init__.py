@@ -15,6 +15,7 @@ from .outcome import EXIT_CODES, guarded
 COMMANDS = {
     "demo": "identify two known plants from noisy recordings, compare with the truth",
     "fit": "identify a model from recordings or frequency responses",
+    "fit-many": "identify a model from each of many recordings, follow their modes",
     "info": "show what a model is, and whether it is lossless",
     "convert": "turn a model into another form or file format",
     "netlist": "write a circuit of a model as SPICE text",
@@ -60,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     command: str = _parser().parse(words[: place + 1]).command
-    module = import_module(f".{command}", __name__)
+    module = import_module(f".{command.replace('-', '_')}", __name__)
     parser = Parser(module.__doc__, prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}")
     module.add_options(parser)
     code: int = module.run(parser.parse(_plain(words[place + 1 :])))

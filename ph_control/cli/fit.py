@@ -19,7 +19,6 @@ Examples
 from __future__ import annotations
 
 import argparse
-import sys
 from argparse import Namespace
 from math import inf, sqrt
 from pathlib import Path
@@ -30,7 +29,7 @@ import ph_control as phc
 from ..exceptions import StructureError
 from .inputs import measurements, read_model, system_name_of
 from .options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
-from .outcome import DONE, INTERRUPTED, NO, NoError, complain, emit, in_shell_terms
+from .outcome import DONE, INTERRUPTED, NO, NoError, complain, emit, in_shell_terms, show_progress, watching
 from .outputs import check_files, check_place, deliver, deliver_picture, emit_json, fit_of, is_described, picture_format
 
 USAGE = "RECORDING [RECORDING ...] [options]"
@@ -47,6 +46,20 @@ def add_options(parser: Parser) -> None:
         "recordings", nargs="+", metavar="RECORDING", help="tables of measurements; - for standard input"
     )
     add_recording(parser)
+    add_fitted(parser)
+    out = parser.add_argument_group("what is written")
+    out.add_argument("--model", metavar="FILE", help="the model (JSON); - for standard output, in place of the summary")
+    out.add_argument("--result", metavar="FILE", help="the whole result, uncertainty and residuals too (JSON)")
+    out.add_argument("--report", metavar="FILE", help="summary, tables and pictures on one page (html)")
+    out.add_argument("--plot", metavar="FILE", help="measured, predicted and residual (png, svg, pdf)")
+    out.add_argument("--bode", metavar="FILE", help="Bode picture of the model and the measurement (png, svg, pdf)")
+    out.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
+    out.add_argument("--name", type=system_name, help="name of the model (default: that of the recording)")
+    add_written(out)
+
+
+def add_fitted(parser: Parser) -> None:
+    """What is fitted, and how."""
     model = parser.add_argument_group("the model")
     model.add_argument("--order", type=order, default="auto", metavar="N", help="number of modes, or auto (default)")
     model.add_argument("--max-order", type=int, default=20, metavar="N", help="largest order of auto (default 20)")
@@ -76,16 +89,23 @@ def add_options(parser: Parser) -> None:
     model.add_argument(
         "--seed", type=within(int, 0, inf), metavar="N", help="seed of further starts (default: always the same)"
     )
-    model.add_argument("--workers", type=int, default=1, metavar="N", help="processes for them, -1 for all (default 1)")
-    out = parser.add_argument_group("what is written")
-    out.add_argument("--model", metavar="FILE", help="the model (JSON); - for standard output, in place of the summary")
-    out.add_argument("--result", metavar="FILE", help="the whole result, uncertainty and residuals too (JSON)")
-    out.add_argument("--report", metavar="FILE", help="summary, tables and pictures on one page (html)")
-    out.add_argument("--plot", metavar="FILE", help="measured, predicted and residual (png, svg, pdf)")
-    out.add_argument("--bode", metavar="FILE", help="Bode picture of the model and the measurement (png, svg, pdf)")
-    out.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
-    out.add_argument("--name", type=system_name, help="name of the model (default: that of the recording)")
-    add_written(out)
+    model.add_argument("--workers", type=int, default=1, metavar="N", help="processes, -1 for all (default 1)")
+
+
+def keywords_of(options: Namespace) -> dict[str, Any]:
+    """What is fitted, as `pem` takes it."""
+    guess = None
+    if options.guess is not None:
+        try:
+            guess = read_model(options.guess).lossless()
+        except NoError as error:
+            # status 1 is said of the fit, not of what it starts from
+            raise StructureError(f"--guess: {error}") from None
+    same = (
+        "order", "method", "intersample", "initial_state", "offset", "quantity", "representation", "criterion",
+        "max_order", "structure", "ports",
+    )  # fmt: skip
+    return {name: getattr(options, name) for name in same} | {"initial_guess": guess, "rng": options.seed}
 
 
 def ports(text: str) -> list[tuple[str | int, str | int]]:
@@ -141,34 +161,18 @@ def run(options: Namespace) -> int:
 
 
 def _fitted(options: Namespace) -> phc.PEMResult:
-    found, guess = measurements(options.recordings, options), None
-    if options.guess is not None:
-        try:
-            guess = read_model(options.guess).lossless()
-        except NoError as error:
-            # status 1 is said of the fit, not of what it starts from
-            raise StructureError(f"--guess: {error}") from None
-    watched = sys.stderr is not None and sys.stderr.isatty()
-    try:
+    found, keywords = measurements(options.recordings, options), keywords_of(options)
+    with watching(_progress_line) as callback:
         return phc.pem(
-            found.whole, options.order, method=options.method, intersample=options.intersample,
-            initial_state=options.initial_state, offset=options.offset, quantity=options.quantity,
-            representation=options.representation, initial_guess=guess, criterion=options.criterion,
-            max_order=options.max_order, workers=options.workers, rng=options.seed, structure=options.structure,
-            ports=options.ports,
-            callback=_progress_line if watched else None, **found.keywords,
-        )  # fmt: skip
-    finally:
-        if watched:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+            found.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=callback, **found.keywords
+        )
 
 
 def _progress_line(progress: Any) -> None:
-    line = (
+    show_progress(
         f"order {progress.order} of at most {progress.max_order}, iteration {progress.iteration}, rms residual "
         f"{sqrt(progress.loss):.4g}"
     )
-    print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
 
 
 def _write(result: phc.PEMResult, place: int, options: Namespace) -> None:

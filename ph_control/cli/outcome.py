@@ -7,8 +7,8 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError, shortened
@@ -58,6 +58,22 @@ def complain(message: str) -> None:
     if sys.stderr is not None:
         with suppress(OSError, ValueError):
             print("ph-control: " + shortened(" ".join(message.split())), file=sys.stderr, flush=True)
+
+
+@contextmanager
+def watching(callback: Callable[[Any], None]) -> Iterator[Callable[[Any], None] | None]:
+    """The callback where somebody watches standard error, whose last line is cleared at the end."""
+    watched = sys.stderr is not None and sys.stderr.isatty()
+    try:
+        yield callback if watched else None
+    finally:
+        if watched:
+            show_progress("")
+
+
+def show_progress(line: str) -> None:
+    """Put a line in the place of the last one on standard error."""
+    print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
 
 
 def emit(content: str | bytes) -> None:

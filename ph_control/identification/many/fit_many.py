@@ -16,6 +16,7 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
+from ..._threads import on_one_thread
 from ..._workers import check_workers, completed
 from ...exceptions import IdentifiabilityWarning, OutputExistsError, StructureError
 from ..data.data_frames import is_data_frame
@@ -50,6 +51,7 @@ class RecordingFitted:
     message: str
 
 
+@on_one_thread
 def fit_many(
     recordings: Any,
     *,
@@ -105,9 +107,7 @@ def fit_many(
 
     Notes
     -----
-    Numbers are the same bit by bit for any `workers` that runs on processors of one kind with one thread for linear
-    algebra each, as processes of a number and of Dask do; set `OPENBLAS_NUM_THREADS=1` for those that are given, or for
-    `workers=1`.
+    Numbers are the same bit by bit for any `workers` on processors of one kind: each fit runs on one thread.
 
     What is under way takes memory, about two recordings a process, and so does the table.  Files are read where they
     are fitted: a cluster must see them, and `store`, under the same paths.  Arrays travel with the call.

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from control.iosys import NamedSignal
 
 from ..._types import Array, ComplexArray
 from ..._units import hertz_size
@@ -42,12 +43,20 @@ def sources(recordings: Iterable[Any]) -> Iterator[OneRecording]:
     """Recordings one by one; a pattern of file names stands for the files that match, sorted."""
     for place, data in enumerate(recordings):
         if not isinstance(data, str | os.PathLike):
-            yield OneRecording(str(getattr(data, "title", None) or f"recording {place}"), data)
+            yield OneRecording(str(getattr(data, "title", None) or f"recording {place}"), _plain(data))
             continue
         name = os.fspath(data)
         # a file that there is may be called like a pattern
         found = [] if os.path.exists(name) else sorted(glob.glob(name, recursive=True))
-        yield from (OneRecording(one, Path(one)) for one in found or [name])
+        # other processes may be in another folder
+        yield from (OneRecording(one, Path(os.path.abspath(one))) for one in found or [name])
+
+
+def _plain(data: Any) -> Any:
+    """Data that can travel to another process, which signals of python-control cannot."""
+    if isinstance(data, NamedSignal):
+        return np.asarray(data)
+    return type(data)(map(_plain, data)) if type(data) in (tuple, list) else data
 
 
 @dataclass(frozen=True)

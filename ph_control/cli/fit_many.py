@@ -1,0 +1,134 @@
+"""Identify a model from each of many recordings, in processes or on a Dask cluster, and follow their modes.
+
+Files are named one by one or by patterns in quotes. The table has one row for each recording and mode, and says which
+mode of the other recordings it is. With --store a run that was ended at any moment goes on where it was. Status 1 if
+recordings failed: their rows say why.
+
+Examples
+--------
+  ph-control fit-many 'rec*.csv' --order 2
+  ph-control fit-many recording.csv fresh.csv --table modes.csv --plot tracks.png
+  ph-control fit-many 'rec*.csv' --store results --workers 2 --json
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from argparse import Namespace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import ph_control as phc
+
+from ..exceptions import MissingPackageError, PHControlError, StructureError
+from .fit import add_fitted, keywords_of
+from .inputs import measurements
+from .options import Parser, add_recording, add_written
+from .outcome import DONE, INTERRUPTED, NO, complain, emit, in_shell_terms, show_progress, watching
+from .outputs import check_files, deliver, deliver_picture, emit_json, picture_format
+
+USAGE = "RECORDING [RECORDING ...] [options]"
+
+
+def add_options(parser: Parser) -> None:
+    """Declare the options."""
+    parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="files, or patterns such as 'data/*.csv'")
+    add_recording(parser)
+    add_fitted(parser)
+    where = parser.add_argument_group("where it is done")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://host:8786")
+    where.add_argument("--store", metavar="FOLDER", help="keep results there; what is there is not fitted again")
+    out = parser.add_argument_group("what is written")
+    out.add_argument("--table", metavar="FILE", help="a row for each recording and mode (CSV); - for standard output")
+    out.add_argument("--plot", metavar="FILE", help="frequencies and dampings over the recordings (png, svg, pdf)")
+    add_written(out)
+
+
+def run(options: Namespace) -> int:
+    """Fit, print, write."""
+    outputs = [options.table, options.plot]
+    check_files(options, [options.guess], outputs)
+    if "-" in options.recordings:
+        raise StructureError("standard input is one recording: ph-control fit - takes it")
+    if options.plot is not None:
+        picture_format(options.plot)
+    reader = partial(recording_of, {name: value for name, value in vars(options).items() if name in _reading()})
+    with _workers(options) as workers, watching(_progress_line) as callback:
+        fits = phc.fit_many(
+            options.recordings, workers=workers, store=options.store, callback=callback, reader=reader,
+            **keywords_of(options),
+        )  # fmt: skip
+    tracks = fits.track()
+    if options.table is not None:
+        deliver(_as_csv(tracks), options.table, options.overwrite)
+    if options.plot is not None:
+        deliver_picture(tracks.plot(), options.plot, options.overwrite)
+    written = [name for name in outputs if name not in (None, "-")]
+    if options.json:
+        rows = [dict(zip(fits.table.dtype.names or (), row.tolist(), strict=True)) for row in fits.table]
+        told = [row | {"track": k} for row, k in zip(rows, tracks.ids.tolist(), strict=True)]
+        counts = {"failed": len(fits.failures), "interrupted": not fits.complete}
+        emit_json({"command": "fit-many", "rows": told, **counts, "written": written})
+    elif options.table != "-":
+        emit(in_shell_terms(f"{fits}\n\n{tracks}\n") + f"\nWritten: {', '.join(written)}\n" * bool(written))
+    if not fits.complete:
+        complain("interrupted; these are the recordings that were done until then")
+        return INTERRUPTED
+    return NO if len(fits.failures) else DONE
+
+
+def _reading() -> set[str]:
+    """Options that say how a file is read."""
+    parser = Parser(None)
+    add_recording(parser)
+    return {action.dest for action in parser._actions} - {"help"}
+
+
+def recording_of(reading: Mapping[str, Any], path: Path) -> Any:
+    """Data of a file, with weights where a column of them was named."""
+    from ..identification.data.channels import as_channels, has_several_channels
+    from ..identification.data.experiments import as_experiments
+
+    found = measurements([str(path)], Namespace(**reading))
+    if found.weights is None:
+        return found.whole
+    return list((as_channels if has_several_channels(found.data) else as_experiments)(found.data, **found.keywords))
+
+
+@contextmanager
+def _workers(options: Namespace) -> Iterator[Any]:
+    """Number of processes, or the client of a cluster."""
+    if options.scheduler is None:
+        yield options.workers
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise MissingPackageError(
+            "--scheduler needs the package distributed, which is not installed: pip install 'ph_control[distributed]'"
+        ) from None
+    try:
+        client = Client(options.scheduler, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise PHControlError(f"there is no cluster at {options.scheduler}: {error}; check its address") from None
+    with client:
+        yield client
+
+
+def _progress_line(progress: Any) -> None:
+    of = "" if progress.total is None else f" of {progress.total}"
+    show_progress(f"{progress.done}{of} done, {progress.failed} failed, {Path(progress.name).name}")
+
+
+def _as_csv(tracks: phc.ModeTracks) -> str:
+    """Table with the number of the mode that each row belongs to, empty where there is no number."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*(tracks.table.dtype.names or ()), "track"])
+    for row, k in zip(tracks.table.tolist(), tracks.ids.tolist(), strict=True):
+        writer.writerow(["" if value != value else value for value in (*row, k)])
+    return text.getvalue()
