@@ -342,16 +342,22 @@ def test_the_tracks_are_rows_of_the_table():
 
 
 def test_the_picture_has_frequencies_dampings_and_their_bands():
-    fits, _ = crossing(3, recordings=30)
-    plot = fits.plot()
-    above, below = plot.axes[:, 0]
-    tracks = fits.track()
-    assert [line.get_ydata().tolist() for line in plot.lines[0, 0]] == [one["hertz"].tolist() for one in tracks]
-    assert len(above.collections) == len(below.collections) == 3 and len(plot.legend.get_texts()) == 3
-    band = above.collections[0].get_paths()[0].vertices[:, 1]
-    assert np.isclose(np.ptp(band[:1]), 0.0) and band.max() > tracks[0]["hertz"].max()
+    fits, _ = crossing(3)
+    plot, tracks = fits.plot(), fits.track()
+    far, near, below = plot.axes[:, 0]
+    # modes that meet share a panel
+    assert [len(axis.collections) for axis in (far, near, below)] == [1, 2, 3] and len(plot.legend.get_texts()) == 3
+    drawn = sorted(line.get_ydata().tolist() for row in plot.lines[:2, 0] for line in row)
+    assert drawn == sorted(one["hertz"].tolist() for one in tracks)
+    (band,) = far.collections
+    highest = max(tracks, key=lambda one: one["hertz"][0])
+    edges = highest["hertz"] + 1.959964 * np.array([[1], [-1]]) * highest["hertz_stderr"]
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert (heights.max(), heights.min()) == pytest.approx((edges.max(), edges.min()), rel=1e-9)
     moved = fits.plot(relative=True)
-    assert moved.axes[0, 0].get_ylabel() == "Change of natural frequency [%]"
+    assert moved.axes.shape == (2, 1) and moved.axes[0, 0].get_ylabel() == "Change of natural frequency [%]"
+    own = plt.subplots(2)[1]
+    assert fits.plot(ax=own).axes[:, 0].tolist() == own.tolist()
     plt.close("all")
 
 

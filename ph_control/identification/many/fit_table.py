@@ -150,7 +150,7 @@ class FitTable(Report, Frozen):
         Returns
         -------
         control.ControlPlot
-            `axes` of shape (2, 1).
+            As that of `ModeTracks.plot`.
 
         Examples
         --------

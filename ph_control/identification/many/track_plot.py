@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _MARKED = 60  # recordings up to which each has a marker
 _NAMED = 8  # modes up to which there is a legend
+_PANELS = 5  # of frequencies
 
 
 @dataclass(frozen=True)
@@ -42,35 +43,60 @@ def tracks_plot(
     look = Look.of(style, FrameStyle)
     _checks.flags(relative=relative)
     width = float(ndtri(0.5 + _checks.level("level", level) / 2))
+    groups = _groups(tracks) if ax is None and not relative else [list(range(len(tracks)))]
+    count = len(groups)
     with look.context():
-        drawn = picture(look, ax, (2, 1), (7.5, 5.6), meaning="frequency and damping", tied=2)
-        above, below = drawn.axes[:, 0]
-        drawn.lines[0, 0], drawn.lines[1, 0] = [], []
-        for k, one in enumerate(tracks):
-            middle = float(np.median(one.hertz))
+        drawn = picture(
+            look, ax, (count + 1, 1), (7.5, 2.8 + 1.6 * (count + 1)), meaning="frequency and damping", tied=count + 1
+        )
+        *above, below = drawn.axes[:, 0]
+        for row in range(count + 1):
+            drawn.lines[row, 0] = []
+        for row, k in [(row, k) for row, group in enumerate(groups) for k in group]:
+            one, middle = tracks[k], float(np.median(tracks[k].hertz))
             size = 100 / middle if relative else 1.0
             shown, error = size * (one.hertz - middle * relative), size * width * one.hertz_stderr
-            label = f"mode {k} ({middle:.4g} Hz)"
-            drawn.lines[0, 0] += _curve(above, one.recording, shown, error, f"C{k % 10}", label)
+            named = {"color": f"C{k % 10}", "label": f"mode {k} ({middle:.4g} Hz)"}
+            drawn.lines[row, 0] += _curve(above[row], one.recording, shown, error, named)
             part = 100 * one.damping_ratio, 100 * width * one.damping_ratio_stderr
-            drawn.lines[1, 0] += _curve(below, one.recording, *part, f"C{k % 10}", label)
-        if not relative:
-            above.plot(loose.recording, loose.hertz, **DOTS)
+            drawn.lines[count, 0] += _curve(below, one.recording, *part, named)
+        for axis in above:
+            limits = axis.get_ylim()
+            if not relative:
+                axis.plot(loose.recording, loose.hertz, **DOTS)
+            if count > 1:
+                axis.set_ylim(limits)
+            axis.set_ylabel("Change of natural frequency [%]" if relative else _LABELS[count > 1])
         below.plot(loose.recording, 100 * loose.damping_ratio, **DOTS)
-        above.set_ylabel("Change of natural frequency [%]" if relative else "Natural frequency [Hz]")
         below.set_ylabel("Damping ratio [%]")
         below.set_xlabel("Recording")
         below.xaxis.set_major_locator(MaxNLocator(integer=True))
-        for axis in (above, below):
+        for axis in drawn.axes[:, 0]:
             look.lattice(axis)
-        legend = look.legend(above) if len(tracks) <= _NAMED or look.show_legend else False
-        return drawn.finished(f"Modes over recordings, with {100 * level:g} % bands", legend)
+        heading = f"Modes over recordings, with {100 * level:g} % bands"
+        few = len(tracks) <= _NAMED or look.show_legend
+        return drawn.finished(heading, drawn.legend_of_all() if few else False)
 
 
-def _curve(axis: Axes, x: Array, y: Array, error: Array, colour: str, label: str) -> list[Any]:
+_LABELS = ("Natural frequency [Hz]", "Frequency [Hz]")
+
+
+def _groups(tracks: Sequence[Track]) -> list[list[int]]:
+    """Modes whose frequencies meet, in the order of these, for a panel each; all in one where these were too many."""
+    groups: list[list[int]] = []
+    high = -np.inf
+    for k in sorted(range(len(tracks)), key=lambda k: float(tracks[k].hertz.min())):
+        if tracks[k].hertz.min() > high:
+            groups.append([])
+        groups[-1].append(k)
+        high = max(high, float(tracks[k].hertz.max()))
+    return groups[::-1] if 0 < len(groups) <= _PANELS else [list(range(len(tracks)))]
+
+
+def _curve(axis: Axes, x: Array, y: Array, error: Array, named: dict[str, Any]) -> list[Any]:
     """Line with its band, broken where a recording is missing."""
     ends = np.flatnonzero(np.diff(x) > 1) + 1
     x, y, error = (np.insert(values, ends, np.nan) for values in (x, y, error))
     marker = "." if len(x) <= _MARKED else None
-    axis.fill_between(x, y - error, y + error, color=colour, **BAND)
-    return list(axis.plot(x, y, color=colour, linewidth=1.2, marker=marker, label=label))
+    axis.fill_between(x, y - error, y + error, color=named["color"], **BAND)
+    return list(axis.plot(x, y, linewidth=1.2, marker=marker, **named))

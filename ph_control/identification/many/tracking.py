@@ -89,7 +89,7 @@ class ModeTracks(Report, Frozen):
         Returns
         -------
         control.ControlPlot
-            `axes` of shape (2, 1): frequency above damping ratio, over a common axis of recordings.
+            `axes` of shape (k + 1, 1): frequencies above damping ratios, over a common axis of recordings.
 
         Raises
         ------
@@ -98,7 +98,9 @@ class ModeTracks(Report, Frozen):
 
         Notes
         -----
-        Lines end where a mode is missing in a recording.  Rows that belong to no mode are grey dots.
+        Modes whose frequencies meet share a panel, k of them; there is one panel for all where these were more than
+        five, with `relative`, and on given axes.  Lines end where a mode is missing in a recording.  Rows that belong
+        to no mode are grey dots.
 
         Examples
         --------
