@@ -96,8 +96,9 @@ def test_chain_with_an_exact_hold_does_not_show_its_weights_and_the_fit_warns(no
     # sin t drives a transmission zero of the chain: G(i) = 0
     chain, t = phc.frenkel_kontorova(2), 0.01 * np.arange(1000)
     y = phc.forced_response(chain, t, np.sin(t), CHAIN_STATE, return_states=False, intersample="zoh").outputs
-    with pytest.warns(phc.IdentifiabilityWarning, match=r"r_1 and r_2 .* cannot be learned from this record"):
+    with pytest.warns(phc.IdentifiabilityWarning, match=r"r_1 and r_2 .* cannot be learned from this record") as told:
         result = lossless_fit((np.sin(t), y + noise * np.random.default_rng(0).standard_normal(1000)), 2, dt=0.01)
+    assert [one.filename for one in told] == [__file__], "it names the line that asked for the fit"
     assert np.abs(result.d - chain.d).max() <= max(1e-6, 5 * noise)
     assert result.rank_deficiency == 1 and {"r_1", "r_2"} <= set(result.identifiability.blind_parameters)
     assert "white or multisine" in result.message

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +10,6 @@ import numpy as np
 
 from ..._types import Array, NDArray
 from ..._units import common_unit
-from ...exceptions import IdentifiabilityWarning
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
@@ -64,10 +62,17 @@ class Fit:
     reports: Reports = lambda order: None
 
 
-def conclude(
-    fit: Fit, method: str, intersample: str, quantity: str, representation: str
-) -> tuple[LosslessResult, FreeFit | None]:
-    """Make the result of a fit, and warn of what the data do not show; with the damped modes that contradict it."""
+@dataclass(frozen=True)
+class Conclusion:
+    """A result, the damped modes that contradict it, and what the data do not show, if anything, in a sentence."""
+
+    result: LosslessResult
+    free: FreeFit | None
+    blind: str
+
+
+def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> Conclusion:
+    """Make the result of a fit."""
     problem, found = fit.problem, fit.found
     at: Projection = found.end.projection.ascending
     n = len(at.d)
@@ -136,8 +141,6 @@ def conclude(
         named=named,
         outliers=tuple(one.outliers for one in experiments),
     )
-    if verdict.blind:
-        warnings.warn(verdict.blind, IdentifiabilityWarning, stacklevel=3)
     result = LosslessResult(
         system=_named_system(modes, fit.records[0]),
         experiments=experiments,
@@ -168,7 +171,7 @@ def conclude(
         tests=fit.tests,
         damped=fit.damped,
     )
-    return result, fit.free
+    return Conclusion(result, fit.free, verdict.blind)
 
 
 def _examined(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +13,7 @@ from ... import _checks
 from ..._threads import on_one_thread
 from ..._types import Array
 from ..._workers import check_workers
-from ...exceptions import StructureError
+from ...exceptions import IdentifiabilityWarning, StructureError
 from ...modal.discretization import METHODS
 from ..data.channels import ResponseMatrix, as_channels, has_several_channels
 from ..diagnosis.damping import DampingWatch, beside
@@ -20,13 +21,11 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, HELD_OUT, criteria, preference, significant
 from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, reporter
-from ..search.modal_search import FreeFit
 from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
-from .conclusion import Fit, conclude
-from .lossless_result import LosslessResult
+from .conclusion import Conclusion, Fit, conclude
 from .modal_fit import asked_of, checked_quantities, fit_channels, starting_poles, under_either_hold
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 
@@ -176,26 +175,29 @@ def pem(
         )  # fmt: skip
     if ports is not None:
         _checks.port_pairs(ports, *_labels_of(data, dt, weights))
-    result, free = _lossless_fit(
+    found = _lossless_fit(
         data, order, dt, method, intersample, initial_state, offset, quantity, representation, initial_guess, weights,
         criterion, max_order, workers, rng, callback,
     )  # fmt: skip
+    result, free = found.result, found.free
+    if found.blind:
+        warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
     if structure == "lossless" or free is None or method != "exact" or not (result.success or free.interrupted):
         return result
     asked = asked_of(free.channels, "auto", ports, result.quantity)
     try:
         if isinstance(free.channels[0], ResponseMatrix) and weights is None and not free.interrupted:
             # the noise may grow with the gain of damped modes, too
-            found = fit_channels(
+            damped = fit_channels(
                 free.channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
                 criterion=criterion, callback=callback,
                 start=None if order == "auto" else free.projection.p, findings=result.findings, weighted=False,
             )  # fmt: skip
         else:
-            found = under_either_hold(free, asked, result.findings)
+            damped = under_either_hold(free, asked, result.findings)
     except KeyboardInterrupt:
         return cut_short(result)
-    return result if found.structure == "lossless" else replace(found, order_table=result.order_table)
+    return result if damped.structure == "lossless" else replace(damped, order_table=result.order_table)
 
 
 def _refuse_lossless_options(structure: str, method: str, representation: str) -> None:
@@ -226,8 +228,8 @@ def _lossless_fit(
     data: Any, order: int | str, dt: Any, method: str, intersample: str, initial_state: str, offset: bool | str,
     quantity: str, representation: str, initial_guess: Any, weights: Any, criterion: str, max_order: int, workers: Any,
     rng: Any, callback: Callback | None,
-) -> tuple[LosslessResult, FreeFit | None]:  # fmt: skip
-    """A lossless model of one input and one output, and the damped modes that contradict it."""
+) -> Conclusion:  # fmt: skip
+    """A lossless model of one input and one output."""
     check_workers(workers)
     rng = None if rng is None else _checks.random_generator(rng)
     posed = Formulation.of(
