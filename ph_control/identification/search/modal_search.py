@@ -632,11 +632,13 @@ class FreePath:
         band = self.search.region.bin
         whole = _together(model.at, p, gains, band, most - len(model.p))
         modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
-        if automatic and len(self.counts) * max(1, model.at.inputs) == 1:
+        alone = automatic and len(self.counts) * max(1, model.at.inputs) == 1
+        if alone:
             needed = TUNING.damped_apart * band + np.abs(model.at.sigma)
             modal &= np.all(np.abs(p.imag[:, None] - model.p.imag) > needed, axis=1)
         sure = p[modal]
-        trials = [whole[np.isin(whole, sure)] if automatic else whole]
+        # beside modes of one channel that are still wrong, others that stand out may be no more than their shadows
+        trials = [whole[np.isin(whole, sure if p[0] in sure or not alone else [])] if automatic else whole]
         trials += [sure[k : k + 1] for k in range(min(TUNING.tried, len(sure)))]
         first: FreeModel | None = None
         for joining in trials:
