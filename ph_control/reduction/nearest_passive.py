@@ -23,7 +23,7 @@ from .closest_passive import Closest, FixedPoles, closest_passive
 
 _ACTIVE = 1e-12  # of its size: what a feedthrough that cannot move may lack of passivity
 _RIDGE = 1e-13  # of the largest: least information on what moves
-_STEADY = 1e-3  # standard errors of a damping ratio by which poles are kept from the axis
+_STEADY = (0.1, 0.3, 1.0, 3.0)  # standard errors of damping ratios that growing poles may get: the cheapest is taken
 _POWERS = {"displacement": 1, "free": 1, "velocity": 0, "acceleration": -1}  # of the pole, from outputs to velocities
 
 
@@ -60,8 +60,8 @@ def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immi
     the closest point in all of them is least squares with non-negative multipliers, and the exact test finds where the
     next ones are, until there are none.  Of a system residues move with the inputs of the modes as they are, which
     keeps its order; of a fit all entries move, and sensors with the ports that they are correlated with.  Growing
-    poles of a fit come to the axis, and the cost is with that.  Poles on the imaginary axis keep the positive
-    semidefinite part of their residues.  O(rounds (n + m)^3), 5 to 20 rounds.
+    poles of a fit cross the axis, by what costs least of a few steps, and the cost is with that.  Poles on the
+    imaginary axis keep the positive semidefinite part of their residues.  O(rounds (n + m)^3), 5 to 20 rounds.
 
     Examples
     --------
@@ -258,8 +258,23 @@ def _of_fit(result: Any, weight: Any, kind: str) -> Any:
 
 def passive_fit(result: Any, weight: Any, kind: str) -> tuple[Any, float]:
     """A fit with passive residues and feedthrough, and its squared distance."""
+    if (result.poles.real < 0).all():
+        return _moved(result, weight, kind, 0.0)
+    found, refusal = [], None
+    for steady in _STEADY:
+        try:
+            found.append(_moved(result, weight, kind, steady))
+        except StructureError as refused:
+            refusal = refused
+    if refusal is not None and not found:
+        raise refusal
+    return min(found, key=lambda one: one[1])
+
+
+def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, float]:
+    """The fit of poles that decay by so many standard errors, made passive."""
     pairs = _driving_points(result, kind)
-    start, covariance, cost = _decaying(result)
+    start, covariance, cost = _decaying(result, steady)
     ports = _ports_of(start, pairs, kind)
     theta = _parameters(start)
     C, D = ports.split(theta)
@@ -272,14 +287,14 @@ def passive_fit(result: Any, weight: Any, kind: str) -> tuple[Any, float]:
     return replace(_with(start, theta), structure=structure, ports=pairs), cost + closest.distance
 
 
-def _decaying(result: Any) -> tuple[Any, Array, float]:
+def _decaying(result: Any, steady: float) -> tuple[Any, Array, float]:
     """The fit with poles that decay, the covariance of its residues and feedthrough for given poles, and the cost.
 
-    Growing poles come to the axis but for a part of their standard error, and all else follows by its correlation.
+    Growing poles cross the axis by so many standard errors, and all else follows by its correlation.
     """
     n, C = len(result.poles), np.nan_to_num(np.asarray(result.covariance, float))
     d, zeta = np.abs(result.poles), -result.poles.real / np.abs(result.poles)
-    wanted = np.maximum(zeta, _STEADY * np.minimum(np.sqrt(np.diag(C)[n : 2 * n]), 1.0))
+    wanted = np.maximum(zeta, steady * np.minimum(np.sqrt(np.diag(C)[n : 2 * n]), 1.0))
     theta, growing = _parameters(result), np.flatnonzero(zeta <= 0)
     held = n + growing
     cost = 0.0
