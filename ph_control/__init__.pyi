@@ -107,6 +107,8 @@ from .plotting.time_plot import step_plot as step_plot
 from .plotting.validation_plot import hypothesis_plot as hypothesis_plot
 from .plotting.validation_plot import stabilisation_plot as stabilisation_plot
 from .reduction.nearest_passive import nearest_passive as nearest_passive
+from .reduction.pymor_bridge import from_pymor as from_pymor
+from .reduction.pymor_bridge import to_pymor as to_pymor
 from .reduction.reduce import reduce as reduce
 from .structures.modal_reduction import StructuralModes as StructuralModes
 from .structures.second_order import from_second_order as from_second_order

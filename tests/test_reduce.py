@@ -189,3 +189,22 @@ def test_refusals(keywords, match):
 def test_what_is_not_passive_is_sent_on():
     with pytest.raises(phc.NotPassiveError):
         phc.reduce(ct.tf([1.0, -0.1, 0.0], [1.0, 0.4, 2.1, 0.4, 1.0]), 2)
+
+
+def test_models_of_pymor_and_back():
+    pytest.importorskip("pymor", reason="pyMOR is optional")
+    from pymor.reductors.ph.ph_irka import PHIRKAReductor
+
+    chain = phc.msd_chain(6)
+    model = phc.to_pymor(chain)
+    again = phc.from_pymor(model)
+    assert np.array_equal(again.A, chain.A) and np.array_equal(again.C, chain.C)
+    small = phc.from_pymor(PHIRKAReductor(model).reduce(4))
+    assert isinstance(small, phc.PortHamiltonian) and small.nstates == 4 and phc.passivity(small).is_passive
+    plain = phc.to_pymor(ct.ss(chain.A, chain.B, chain.C, np.eye(2)))
+    assert np.array_equal(phc.from_pymor(plain).D, np.eye(2))
+    for wrong in (3.0, ct.tf([1.0], [1.0, 1.0])):
+        with pytest.raises(phc.StructureError, match="StateSpace"):
+            phc.to_pymor(wrong)
+    with pytest.raises(phc.StructureError, match="LTIModel"):
+        phc.from_pymor(chain)
