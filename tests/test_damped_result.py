@@ -310,3 +310,31 @@ def test_bands_of_what_was_measured_lie_about_its_curve(structure):
         assert np.allclose(np.interp(fine, time, drawn), response(plant, fine).outputs, atol=0.05)
         assert [one for one in picture.axes[0, 0].collections if "95 %" in str(one.get_label())]
     plt.close("all")
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6])
+def test_a_hammer_that_hits_after_few_samples_is_no_riddle(seed):
+    """Six quiet samples do not tell the motion there was, which free residues would be told apart from."""
+    frame = phc.spring_chain(
+        [80.0, 60.0, 40.0], [4e5, 2.5e5], ground=[6e5, 0, 0], c=[60.0, 40.0], ground_c=[80.0, 0, 0], port=2
+    )
+    t = np.arange(2000) / 500
+    force = np.where((t > 0.01) & (t < 0.02), 800 * np.sin(np.pi * (t - 0.01) / 0.01), 0.0)
+    states = phc.forced_response(frame, t, force, intersample="foh").states
+    acceleration = (frame.A @ states + frame.B * force)[-1] / 40.0
+    noise = 0.01 * acceleration.std() * np.random.default_rng(seed).standard_normal(t.size)
+    found = phc.pem((force, acceleration + noise), dt=1 / 500, quantity="acceleration", ports=[(0, 0)])
+    assert found.order == 3 and found.structure in ("classical", "passive")
+    for name, truth in (("natural_frequencies", frame.natural_frequencies), ("damping_ratios", frame.damping_ratios)):
+        assert np.all(np.abs(getattr(found, name) - truth) < 4.5 * found.stderr[name])
+
+
+def test_a_motion_before_the_input_is_estimated_where_it_shows():
+    plant, t = phc.spring_chain([1.0, 1.0], 2.0, ground=[1.0, 0.0], c=0.02, ground_c=0.01), 0.2 * np.arange(800)
+    force = np.where(np.arange(800) == 8, 5.0, 0.0)
+    rng = np.random.default_rng(0)
+    for start in ([0.2, 0.1, 0.0, 0.0], [5.0, 3.0, 0.0, 0.0]):  # less than what follows, and more
+        y = phc.forced_response(plant, t, force, start, intersample="zoh").outputs + 0.01 * rng.standard_normal(800)
+        found = phc.pem((force, y), dt=0.2, structure="free")
+        assert found.order == 2 and found.experiments[0].free_amplitudes.any()
+        assert np.all(np.abs(found.damping_ratios - plant.damping_ratios) < 4.5 * found.stderr["damping_ratios"])

@@ -32,6 +32,11 @@ from .time_record import (
 Labels = tuple[str, ...]
 
 
+_ACTING = 0.01  # of its largest value: an input that acts
+_QUIET = 3  # samples before that, at least, that show what was before
+_STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a system at rest
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(CheckedData):
     """Inputs and outputs on a uniform grid.
@@ -80,6 +85,26 @@ class Recording(CheckedData):
     def observed(self) -> Mask:
         """Where each output was measured, shape (p, T)."""
         return _checks.readonly(~np.isnan(self.y))
+
+    @property
+    def begins_at_rest(self) -> bool:
+        """Whether outputs are small, beside what follows, until an input acts."""
+        size = np.abs(self.u)
+        largest: Array = size.max(axis=1, keepdims=True, initial=0.0)
+        first = int(np.argmax((size > _ACTING * largest).any(axis=0)))
+        if first < _QUIET:
+            return False
+        level = self.y - np.nanmedian(
+            np.where(self.observed.any(axis=1, keepdims=True), self.y, 0.0), axis=1, keepdims=True
+        )
+        before, after = (
+            np.sqrt(np.mean(np.where(seen, part, 0.0) ** 2, axis=1) / np.maximum(np.mean(seen, axis=1), _ACTING))
+            for part, seen in (
+                (level[:, :first], self.observed[:, :first]),
+                (level[:, first:], self.observed[:, first:]),
+            )
+        )
+        return bool(np.all(before <= _STILL * after))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -62,12 +63,24 @@ def fit_channels(
     if not isinstance(offset, str) or offset != "auto":
         _checks.flags(offset=offset)
     most = _checks.whole_number("max_order", max_order, 1)
-    reports = reporter(most if isinstance(wanted, str) else wanted, callback)
-    free = free_fit(
-        channels, wanted, quantities=asked.quantities, intersample=intersample, offset=offset, moving=moving,
-        max_order=most, criterion=criterion, reports=reports, start=start, weighted=weighted,
+    search = partial(
+        free_fit, channels, quantities=asked.quantities, intersample=intersample, offset=offset, max_order=most,
+        criterion=criterion, reports=reporter(most if isinstance(wanted, str) else wanted, callback),
+        weighted=weighted,
     )  # fmt: skip
+    # before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues
+    resting = moving and begin_at_rest(channels)
+    free = search(wanted, start=start, moving=moving and not resting)
+    if resting and free.order and not free.interrupted:
+        other = search(free.order, start=free.projection.p, moving=True)
+        if other.criteria.bic < free.criteria.bic:
+            free = search(wanted, start=start, moving=True)
     return under_either_hold(free, asked, findings)
+
+
+def begin_at_rest(channels: Channels) -> bool:
+    """Whether all experiments are recordings that begin at rest, by what is seen of the outputs."""
+    return all(isinstance(one, Recording) and one.begins_at_rest for one in channels)
 
 
 def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:

@@ -26,7 +26,7 @@ from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Conclusion, Fit, conclude
-from .modal_fit import asked_of, checked_quantities, fit_channels, starting_poles, under_either_hold
+from .modal_fit import asked_of, begin_at_rest, checked_quantities, fit_channels, starting_poles, under_either_hold
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 
 
@@ -185,19 +185,25 @@ def pem(
     if structure == "lossless" or free is None or method != "exact" or not (result.success or free.interrupted):
         return result
     asked = asked_of(free.channels, "auto", ports, result.quantity)
+    # the noise may grow with the gain of damped modes, too; before a hammer hits, a motion is hardly seen
+    responses = isinstance(free.channels[0], ResponseMatrix)
+    anew = weights is None if responses else initial_state == "estimate" and begin_at_rest(free.channels)
+    anew = anew and not free.interrupted
     try:
-        if isinstance(free.channels[0], ResponseMatrix) and weights is None and not free.interrupted:
-            # the noise may grow with the gain of damped modes, too
+        if anew:
             damped = fit_channels(
                 free.channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
                 criterion=criterion, callback=callback,
-                start=None if order == "auto" else free.projection.p, findings=result.findings, weighted=False,
+                start=free.projection.p if responses and order != "auto" else None, findings=result.findings,
+                weighted=weights is not None,
             )  # fmt: skip
         else:
             damped = under_either_hold(free, asked, result.findings)
     except KeyboardInterrupt:
         return cut_short(result)
-    return result if damped.structure == "lossless" else replace(damped, order_table=result.order_table)
+    if damped.structure == "lossless":
+        return result
+    return damped if anew else replace(damped, order_table=result.order_table)
 
 
 def _refuse_lossless_options(structure: str, method: str, representation: str) -> None:
