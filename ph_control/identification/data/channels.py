@@ -22,9 +22,11 @@ from .time_record import (
     CheckedData,
     Record,
     checked_record,
+    instants,
     refuse_contradiction,
     refuse_short,
     signal,
+    stays_on_disk,
     titles_of,
     uniform_time,
 )
@@ -314,7 +316,7 @@ def _of_response(data: TimeResponseData, dt: Any) -> list[Recording]:
     return found
 
 
-def _signals(role: str, value: Any, missing: bool = False) -> list[Array]:
+def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | Array:
     """Signals of one channel (T,), or of several (channels, T)."""
     shape = _shape_of(value)
     if len(shape) != 2 or shape[1] == 1:
@@ -327,7 +329,8 @@ def _signals(role: str, value: Any, missing: bool = False) -> list[Array]:
     if not hasattr(type(value), "__array__") and not isinstance(value, list | tuple):
         raise StructureError(f"the {role} is a {type(value).__name__}; pass an array of signals")
     rows = value if isinstance(value, np.ndarray) else list(value)
-    return [signal(f"{role} {k}", row, missing=missing) for k, row in enumerate(rows, start=1)]
+    found = [signal(f"{role} {k}", row, missing=missing) for k, row in enumerate(rows, start=1)]
+    return np.asarray(value) if stays_on_disk(value) else found
 
 
 def _shape_of(value: Any) -> tuple[int, ...]:
@@ -343,12 +346,13 @@ def _numbered(letter: str, count: int) -> Labels:
 
 
 def _recording(
-    time: Array | None, dt: float, inputs: Sequence[Array], outputs: Sequence[Array], names: Labels, seen: Labels,
-    title: str = "", time_unit: str | None = None,
+    time: Array | None, dt: float, inputs: Sequence[Array] | Array, outputs: Sequence[Array] | Array,
+    names: Labels, seen: Labels, title: str = "", time_unit: str | None = None,
 ) -> Recording:  # fmt: skip
     """Put checked signals together, of one length each."""
     if not len(outputs):
         raise StructureError("the record has no outputs; needed at least one, missing samples as NaN")
+    time = instants(len(outputs[0]), dt) if time is None else time
     records = [checked_record(time, dt, None, y) for y in outputs]
     records += [checked_record(time, dt, u, outputs[0]) for u in inputs]
     _refuse_repeated("input", names)
@@ -356,8 +360,17 @@ def _recording(
     lengths = {one.samples for one in records}
     if len(lengths) > 1:
         raise StructureError(f"the outputs have {' and '.join(map(str, sorted(lengths)))} samples; needed one length")
-    u = np.reshape(inputs, (len(inputs), records[0].samples)).astype(float)
-    return Recording(records[0].time, dt, u, np.stack(outputs), names, seen, title, time_unit)
+    u, y = _stacked(inputs, records[0].samples), _stacked(outputs, records[0].samples)
+    return Recording(records[0].time, dt, u, y, names, seen, title, time_unit)
+
+
+def _stacked(signals: Sequence[Array] | Array, samples: int) -> Array:
+    """Signals (k, T) as rows; those of one array on the disk stay there."""
+    if len(signals) == 1:
+        return signals[0][None]
+    if isinstance(signals, np.ndarray):
+        return signals
+    return np.reshape(signals, (len(signals), samples)).astype(float)
 
 
 def _refuse_repeated(role: str, labels: Labels) -> None:

@@ -21,12 +21,18 @@ from ..._units import checked_unit, with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError
 
+LONG = 1 << 21  # numbers of a record up to which it is searched as a whole, and has doubles
 _LARGEST = 1e100  # of a signal whose squares are summed
 _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record
 
 
 class CheckedData(Frozen):
     """Data of any kind that have been checked."""
+
+    @property
+    def samples(self) -> int:
+        """Number of instants or frequencies."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -210,8 +216,7 @@ def signal(name: str, value: Any, *, missing: bool = False) -> Array:
 
     With `missing`, what is masked, None or NaN becomes NaN; otherwise it is refused with its place.
     """
-    if isinstance(value, np.memmap) and value.dtype == np.float64 and not value.flags.writeable:
-        # what lies on the disk stays there
+    if stays_on_disk(value):
         array: Array = np.asarray(value)
     else:
         array = np.array(_numbers(name, value), dtype=float)
@@ -233,6 +238,13 @@ def signal(name: str, value: Any, *, missing: bool = False) -> Array:
             f"at index {first}; every sample is needed, so fill them in or cut the record there"
         )
     return array
+
+
+def stays_on_disk(value: Any) -> bool:
+    """Whether an array is read from the disk block by block: of doubles, or of many numbers of single precision."""
+    if not isinstance(value, np.memmap) or value.flags.writeable:
+        return False
+    return bool(value.dtype == np.float64 or (value.dtype == np.float32 and value.size > LONG))
 
 
 def _numbers(name: str, value: Any) -> NDArray[Any]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..data.time_record import LONG
 from ..regression.prediction import FittedExperiment
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
@@ -40,7 +41,9 @@ def _noise(at: Projection, experiments: Sequence[FittedExperiment]) -> list[Find
     records = [one for one in at.problem.experiments if isinstance(one, RecordRows)]
     if len(records) < len(experiments) or not all(one.complete for one in records):
         return []
-    left = [one.residuals for one in experiments]
+    # of long records a part
+    records = [replace(one, u=one.u[:LONG], y=one.y[:LONG], observed=one.observed[:LONG]) for one in records]
+    left = [one.left[:LONG] for one in experiments]
     lengths, transforms = [len(one) for one in left], [np.fft.rfft(one) for one in left]
     models, variances = autoregression(correlations(transforms, lengths), min(lengths))
     gains = -0.5 * sum(lengths) * np.log(variances)

@@ -19,6 +19,7 @@ from scipy.stats import norm
 
 from ..._types import Array, Mask
 from ..data.channels import as_channels
+from ..data.time_record import LONG
 from ..regression.free import first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
@@ -98,7 +99,7 @@ def lossless_test(problem: Problem, at: Projection, noise: Finding | None = None
             rows.append(FreeResponse.of(one))
         if not isinstance(one, RecordRows):
             continue
-        if len(one.u) > _IN_TIME and one.complete and not one.from_rest and one.offset < 2:
+        if _IN_TIME < len(one.u) <= LONG and one.complete and not one.from_rest and one.offset < 2:
             about = FreeWindow.about(ChannelSpectra.of(FreeRecord.of(one, through)), p.imag)
             rows.append(replace(about, counts=noise_size(noise, one, at, about.bins) ** -0.5))
         else:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from ..._types import Array
+from ..data.parts import Signal, blocks
+from ..data.time_record import LONG
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.time_rows import RecordRows
 from ..regression.variable_projection import Problem
@@ -21,24 +23,27 @@ _SHARE = 0.01  # of the samples: with more of them the noise has another distrib
 _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of squares
 
 
-def outliers(residuals: Sequence[NDArray[Any]], spare: int) -> tuple[tuple[int, ...], ...]:
+def outliers(residuals: Sequence[Signal], spare: int) -> tuple[tuple[int, ...], ...]:
     """Samples of each of several experiments that noise with the scale of the others would hardly show anywhere.
 
     Residuals are in the scale of the noise, real, or complex with parts alike; NaN where missing.  `spare` are the
     residuals, real and imaginary parts, less what was fitted to them.  The scale of each experiment is that of the
-    median, which outliers do not move, and the bound that of the largest of so many t variables, Bonferroni's.
+    median, of long records of a part, which outliers do not move, and the bound that of the largest of so many t
+    variables, Bonferroni's.
     """
-    parts = [_parts(one) for one in residuals]
-    count = sum(int(np.count_nonzero(~np.isnan(one))) for one in parts)
+    count = sum(int(np.count_nonzero(~np.isnan(_parts(one[part])))) for one in residuals for part in blocks(len(one)))
     if spare < _FEWEST:
-        return ((),) * len(parts)
-    bound = float(t.isf(0.5 * _BY_CHANCE / count, _EFFICIENCY * spare / len(parts)))
+        return ((),) * len(residuals)
+    bound = float(t.isf(0.5 * _BY_CHANCE / count, _EFFICIENCY * spare / len(residuals)))
     found = []
-    for one in parts:
-        size = np.abs(one)
-        scale = float(np.nanmedian(size)) / float(norm.isf(0.25)) * np.sqrt(count / spare) if len(size) else 0.0
-        far = np.flatnonzero(np.any(size > bound * scale, axis=1)) if scale else np.zeros(0, int)
-        found.append(tuple(far.tolist()) if len(far) <= max(1, _SHARE * len(size)) else ())
+    for one in residuals:
+        few = np.abs(_parts(one[:: 1 + len(one) // LONG]))
+        scale = float(np.nanmedian(few)) / float(norm.isf(0.25)) * np.sqrt(count / spare) if len(few) else 0.0
+        far: list[int] = []
+        for part in blocks(len(one)) if scale else ():
+            size = np.abs(_parts(one[part]))
+            far += (part.start + np.flatnonzero(np.any(size > bound * scale, axis=1))).tolist()
+        found.append(tuple(far) if len(far) <= max(1, _SHARE * len(one)) else ())
     return tuple(found)
 
 

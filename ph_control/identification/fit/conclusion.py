@@ -13,6 +13,7 @@ from ..._units import common_unit
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
+from ..data.parts import Signal
 from ..data.time_record import Record
 from ..diagnosis.circumstance_tests import NOISE, circumstances_of
 from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence, standing_out
@@ -20,7 +21,7 @@ from ..diagnosis.fitted_directions import Directions, of_record, of_response
 from ..diagnosis.outliers import outliers, without
 from ..diagnosis.verdict import WHITE, FitVerdict, HypothesisTest
 from ..excitation.excitation import examine_fit
-from ..regression.prediction import FittedExperiment, fit_percent, state_from_amplitudes
+from ..regression.prediction import FittedExperiment, joint_fit_percent, state_from_amplitudes
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
@@ -79,20 +80,20 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     modes = _modes(at, fit.order)
     experiments = _experiments(fit.records, at, modes, quantity)
     estimated = uncertainty(at, fit.order, quantity)
-    kept = [one.record.observed for one in experiments]
-    measured = np.concatenate([one.measured[k] for one, k in zip(experiments, kept, strict=True)])
-    residuals = np.concatenate([one.residuals[k] for one, k in zip(experiments, kept, strict=True)])
     noiseless = at.loss <= found.floor
     whiteness = 1.0 if noiseless else _whiteness(experiments, at)
     weights = [
         one.record.weights[one.record.observed] for one in experiments if isinstance(one.record, FrequencyRecord)
     ]
-    fitted = fit_percent(measured, residuals, np.concatenate(weights) if weights else None)
+    fitted = joint_fit_percent(experiments)
     held = ~at.free
     findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
     spare = problem.samples - problem.unknowns(n)
     if not noiseless:
-        scaled = [one.residuals * np.sqrt(getattr(one.record, "weights", 1.0)) for one in experiments]
+        scaled = [
+            one.residuals * np.sqrt(one.record.weights) if isinstance(one.record, FrequencyRecord) else one.left
+            for one in experiments
+        ]
         found_out = outliers(scaled, spare)
         experiments = tuple(replace(one, outliers=k) for one, k in zip(experiments, found_out, strict=True))
     if not (fit.examined or noiseless or found.interrupted):
@@ -278,11 +279,10 @@ def _whiteness(experiments: tuple[FittedExperiment, ...], at: Projection) -> flo
 
     What was fitted is missing from the residuals; short records feel that, and are asked again if they look coloured.
     """
-    parts = [
-        part if isinstance(one.record, Record) else without_peaks(part)
-        for one in experiments
-        for part in _in_parts(one, one.residuals)
-    ]
+    parts: list[Signal] = []
+    for one in experiments:
+        in_time = isinstance(one.record, Record)
+        parts += [one.left] if in_time else [without_peaks(part) for part in _in_parts(one, one.residuals)]
     p = ljung_box(parts, TUNING.lags)
     n, samples = len(at.d), sum(one.record.samples for one in experiments)
     unknowns = 2 * n + max(rows.own_unknowns(n) for rows in at.problem.experiments)

@@ -17,10 +17,11 @@ from ...modal.discretization import INTERSAMPLE
 from ...modal.modal_form import ModalForm
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
+from ..data.parts import Difference, Signal
 from ..data.time_record import Record
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
 from ..regression.free import FreeProjection
-from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, unexplained
+from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, pieces, unexplained
 from ..regression.prediction import FittedExperiment
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, real_pole, sentence_of, worth_telling
@@ -128,7 +129,7 @@ def _refuse_still(channels: Channels) -> None:
     """Refuse outputs that are zero, and inputs whose response cannot be told from a free motion."""
     for k, label in enumerate(channels[0].output_labels):
         values = [one.y[k] if isinstance(one, Recording) else one.response[k] for one in channels]
-        if not any(np.nan_to_num(one).any() for one in values):
+        if not any(np.any((one != 0) & (one == one)) for one in values):
             raise IdentificationError(f"output {label!r} is zero throughout; there is nothing to model: leave it out")
     recordings = [one for one in channels if isinstance(one, Recording)]
     for k, label in enumerate(channels[0].input_labels if recordings else ()):
@@ -229,7 +230,7 @@ def _result(
     loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
     samples = int(counts.sum())
     spare = max(1, samples - unknowns)
-    rows = [row for one in experiments for row in _rows(one) if not np.isnan(row).all()]
+    rows = [row for one in experiments for row in _rows(one)]
     whiteness = 1.0 if free.rounding else ljung_box(rows, TUNING.lags)
     fitted = joint_percent(unexplained(experiments))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
@@ -319,8 +320,10 @@ def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[Fitt
     for one in free.channels:
         p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
         in_time = isinstance(one, Recording)
-        left = int(one.observed.reshape(outputs, -1).any(axis=1).sum())
-        predicted = np.full((outputs, one.samples), np.nan, float if in_time else complex)
+        seen = one.observed.reshape(outputs, -1).any(axis=1)
+        left = int(seen.sum())
+        predicted: NDArray[Any] = np.empty((outputs, one.samples), float if in_time else complex)
+        predicted[~seen] = np.nan
         motion, offsets, drifts = np.zeros((n, outputs), complex), np.zeros(outputs), np.zeros(outputs)
         while left > 0:
             part, own, values = next(rows)
@@ -332,7 +335,12 @@ def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[Fitt
                 motion[:, which] = 2 * scale * (own[:n] + 1j * own[n : 2 * n])[rank]
             offsets[which] = scale * own[-1] if terms else 0.0
             drifts[which] = scale * own[-2] / one.dt if terms > 1 else 0.0
-            predicted[which] = offsets[which, None] if values is None else values * scale[:, None]
+            if values is None:
+                predicted[which] = offsets[which, None]
+            elif len(which) == outputs:
+                predicted = np.multiply(values, scale[:, None], out=values)
+            else:
+                predicted[which] = values * scale[:, None]
         if in_time:
             found.append(FittedChannels(one, motion, offsets, drifts, predicted))
         else:
@@ -345,18 +353,20 @@ def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Arr
     """Real residuals, and sums of their weighted squares, of each output or entry."""
     counts, losses = 0.0, 0.0
     for one in experiments:
-        weights = np.where(one.record.observed, getattr(one.record, "weights", 1.0), 0.0)
         counts = counts + one.record.observed.sum(axis=-1) * (1 + per_entry)
-        squares = np.abs(np.where(one.record.observed, one.residuals, 0.0)) ** 2
-        losses = losses + np.sum(weights * squares, axis=-1)
+    for weights, _, residuals in pieces(experiments):
+        losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1)
     return np.ravel(counts), np.ravel(losses)
 
 
-def _rows(one: FittedChannels) -> list[Array]:
+def _rows(one: FittedChannels) -> Sequence[Signal]:
     """Residuals of each output; of each entry of a response weighted real and imaginary parts."""
+    if isinstance(one.record, Recording):
+        seen = np.flatnonzero(one.record.observed.any(axis=1)).tolist()
+        return [Difference(one.measured[k], one.predicted[k]) for k in seen]
     left = one.residuals * np.sqrt(getattr(one.record, "weights", 1.0))
     flat = left.reshape(-1, left.shape[-1])
-    return [*flat.real, *flat.imag] if np.iscomplexobj(flat) else list(flat)
+    return [row for row in (*flat.real, *flat.imag) if not np.isnan(row).all()]
 
 
 def _shapes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,11 +16,14 @@ from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ...modal.discretization import METHODS
 from ..data.channels import ResponseMatrix, as_channels, has_several_channels
-from ..diagnosis.damping import DampingWatch, beside
+from ..data.parts import GLANCE, is_long, stages
+from ..data.time_record import LONG
+from ..diagnosis.circumstance_tests import NOISE
+from ..diagnosis.damping import REFUSED, DampingWatch, beside, lossless_test
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, HELD_OUT, criteria, preference, significant
-from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, reporter
+from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, Records, reporter
 from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
@@ -175,27 +178,31 @@ def pem(
         )  # fmt: skip
     if ports is not None:
         _checks.port_pairs(ports, *_labels_of(data, dt, weights))
-    found = _lossless_fit(
+    found, records = _lossless_fit(
         data, order, dt, method, intersample, initial_state, offset, quantity, representation, initial_guess, weights,
-        criterion, max_order, workers, rng, callback,
+        criterion, max_order, workers, rng, callback, structure,
     )  # fmt: skip
     result, free = found.result, found.free
     if found.blind:
         warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
-    if structure == "lossless" or free is None or method != "exact" or not (result.success or free.interrupted):
+    # the test of a long record is that of all of it, where no damped modes were looked for
+    rejected = free is not None or (is_long(records) and any(one.p < REFUSED for one in result.tests))
+    usable = result.success or (free is not None and free.interrupted)
+    if structure == "lossless" or not rejected or method != "exact" or not usable:
         return result
-    asked = asked_of(free.channels, "auto", ports, result.quantity)
+    whole = free is not None and all(a.samples == b.samples for a, b in zip(free.channels, records, strict=True))
+    channels = free.channels if free is not None and whole else as_channels(list(records))
+    asked = asked_of(channels, "auto", ports, result.quantity)
     # the noise may grow with the gain of damped modes, too; before a hammer hits, a motion is hardly seen
-    responses = isinstance(free.channels[0], ResponseMatrix)
-    anew = weights is None if responses else initial_state == "estimate" and begin_at_rest(free.channels)
-    anew = anew and not free.interrupted
+    responses = isinstance(channels[0], ResponseMatrix)
+    anew = not whole or (weights is None if responses else initial_state == "estimate" and begin_at_rest(channels))
     try:
-        if anew:
+        if free is None or (anew and not free.interrupted):
             damped = fit_channels(
-                free.channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
+                channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
                 criterion=criterion, callback=callback,
-                start=free.projection.p if responses and order != "auto" else None, findings=result.findings,
-                weighted=weights is not None,
+                start=free.projection.p if responses and free is not None and order != "auto" else None,
+                findings=result.findings, moving=initial_state == "estimate", weighted=weights is not None,
             )  # fmt: skip
         else:
             damped = under_either_hold(free, asked, result.findings)
@@ -233,9 +240,9 @@ def _labels_of(data: Any, dt: Any, weights: Any) -> tuple[tuple[str, ...], tuple
 def _lossless_fit(
     data: Any, order: int | str, dt: Any, method: str, intersample: str, initial_state: str, offset: bool | str,
     quantity: str, representation: str, initial_guess: Any, weights: Any, criterion: str, max_order: int, workers: Any,
-    rng: Any, callback: Callback | None,
-) -> Conclusion:  # fmt: skip
-    """A lossless model of one input and one output."""
+    rng: Any, callback: Callback | None, structure: str,
+) -> tuple[Conclusion, Records]:  # fmt: skip
+    """A lossless model of one input and one output, and the records; of a part of long ones where modes are damped."""
     check_workers(workers)
     rng = None if rng is None else _checks.random_generator(rng)
     posed = Formulation.of(
@@ -245,6 +252,34 @@ def _lossless_fit(
     guess = posed.guess(initial_guess)
     largest = posed.largest_order(order, max_order, guess)
     posed.check_signals()
+    how = (order, largest, max_order, guess, weights, criterion, workers, rng, callback)
+    records = posed.records
+    if structure == "auto" and method == "exact" and any(one.samples > GLANCE for one in records):
+        # a part shows losses as well, which take the longer to imitate by lossless modes, the longer the record
+        fit = _searched(posed.over(posed.searched_parts(GLANCE), records), *how)
+        concluded = conclude(fit, method, fit.found.posed.intersample, quantity, representation)
+        if concluded.free is not None or fit.found.interrupted:
+            return concluded, records
+    parts = posed.searched_parts(LONG)
+    searched = posed.over(parts, records)
+    fit = _searched(searched, *how)
+    hold = fit.found.posed.intersample
+    try:
+        concluded = conclude(fit, method, hold, quantity, representation)
+        if searched is posed or fit.found.interrupted or (structure == "auto" and concluded.free is not None):
+            return concluded, records
+        fit = _on_all(replace(fit, damped=concluded.result.damped), records, parts)
+        return conclude(fit, method, hold, quantity, representation), records
+    except KeyboardInterrupt:
+        fit = replace(fit, found=replace(fit.found, interrupted=True))
+        return conclude(fit, method, hold, quantity, representation), records
+
+
+def _searched(
+    posed: Formulation, order: int | str, largest: int, max_order: int, guess: Array, weights: Any, criterion: str,
+    workers: Any, rng: Any, callback: Callback | None,
+) -> Fit:  # fmt: skip
+    """The minimum that a search ends in."""
 
     def again(posed: Formulation, start: Array | None) -> Found:
         return _found(posed, order, largest, guess if start is None else start, criterion, workers, rng, callback)
@@ -262,16 +297,29 @@ def _lossless_fit(
     wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
     if law is None:
         posed = found.posed
-    reports = reporter(largest, callback)
-    fit = Fit(
+    return Fit(
         posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law, criterion=criterion,
-        reports=reports,
+        reports=reporter(largest, callback),
     )  # fmt: skip
-    try:
-        return conclude(fit, method, posed.intersample, quantity, representation)
-    except KeyboardInterrupt:
-        fit = replace(fit, found=replace(found, interrupted=True))
-        return conclude(fit, method, posed.intersample, quantity, representation)
+
+
+def _on_all(fit: Fit, records: Records, parts: Sequence[slice]) -> Fit:
+    """Modes of parts of long records, refined over longer and longer ones, up to all samples; and tested there."""
+    found, part = fit.found, list(parts)
+    posed, end = found.posed, found.end
+    while any(one.stop - one.start < record.samples for one, record in zip(part, records, strict=True)):
+        part = [next(stages(one, record.samples), one) for one, record in zip(part, records, strict=True)]
+        posed = posed.over(part, records)
+        end = refine(posed.problem, end.projection.d, rtol=TUNING.rough)
+    end = refine(posed.problem, end.projection.d, rtol=LAST)
+    noise = next((one for one in found.posed.findings if one.cause in NOISE), None)
+    test = lossless_test(posed.problem, end.projection, noise)
+    all_found = replace(
+        found, end=end, posed=posed, floor=posed.problem.rounding, all_d=end.projection.d, followed=None,
+        explained=end.projection, iterations=found.iterations + end.iterations,
+    )  # fmt: skip
+    tests = () if test is None else (test,)
+    return replace(fit, records=records, problem=posed.problem, found=all_found, tests=tests, examined=True)
 
 
 def _found(

@@ -200,9 +200,17 @@ class FreeProjection(LinearProjection):
         ]
 
     @cached_property
+    def losses(self) -> Array:
+        """Sum of squares of what is left of each output."""
+        found = np.zeros(sum(len(one.outputs) for one in self._groups))
+        for one in self._groups:
+            found[one.outputs] = np.sum(without(one.targets, one.basis) ** 2, axis=0)
+        return found
+
+    @cached_property
     def loss(self) -> float:
-        """Sum of squares of what is left."""
-        return float(sum(np.sum(without(one.targets, one.basis) ** 2) for one in self._groups))
+        """That of all outputs."""
+        return float(self.losses.sum())
 
     def predicted(self) -> list[NDArray[Any]]:
         """Outputs at all instants or frequencies of each experiment; those of a single one without a dimension."""

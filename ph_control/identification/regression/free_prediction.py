@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, NDArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
+from ..data.parts import blocks
 from .free import FreeProjection
 from .time_rows import FreeRecord
 
@@ -63,25 +65,27 @@ class FittedChannels(Report, Frozen):
         return unexplained([self])
 
 
-def unexplained(experiments: Any) -> Array:
+def unexplained(experiments: Sequence[FittedChannels]) -> Array:
     """Share of each output or entry, over all experiments, that is left unexplained; weighted as in the fit."""
     total, sums, left, whole = 0.0, 0.0, 0.0, 0.0
-    for one in experiments:
-        weights, measured = _weighted(one)
+    for weights, measured, residuals in pieces(experiments):
         total = total + weights.sum(axis=-1)
         sums = sums + np.sum(weights * measured, axis=-1)
-        left = left + np.sum(weights * np.abs(np.where(one.record.observed, one.residuals, 0.0)) ** 2, axis=-1)
+        left = left + np.sum(weights * np.abs(residuals) ** 2, axis=-1)
     mean = np.asarray(sums / np.where(np.asarray(total) > 0, total, 1.0))[..., None]
-    for one in experiments:
-        weights, measured = _weighted(one)
+    for weights, measured, _ in pieces(experiments):
         whole = whole + np.sum(weights * np.abs(measured - mean) ** 2, axis=-1)
     return np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), np.nan)
 
 
-def _weighted(one: FittedChannels) -> tuple[Array, NDArray[Any]]:
-    """Weights of all values, 0 where one is missing, and the values, 0 there."""
-    observed = one.record.observed
-    return np.where(observed, getattr(one.record, "weights", 1.0), 0.0), np.where(observed, one.measured, 0.0)
+def pieces(experiments: Sequence[FittedChannels]) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
+    """Weights of values block by block, 0 where one is missing, the values, and what is left of them, 0 there."""
+    for one in experiments:
+        for part in blocks(one.record.samples, one.predicted[..., 0].size):
+            observed, measured = one.record.observed[..., part], one.measured[..., part]
+            weights = one.record.weights[..., part] if isinstance(one.record, ResponseMatrix) else 1.0
+            residuals = np.where(observed, measured - one.predicted[..., part], 0.0)
+            yield np.where(observed, weights, 0.0), np.where(observed, measured, 0.0), residuals
 
 
 def joint_percent(shares: Array) -> float:

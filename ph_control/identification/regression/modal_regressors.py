@@ -233,7 +233,7 @@ def _toeplitz(now: NDArray[Any], later: NDArray[Any]) -> NDArray[Any]:
 
 
 def in_groups(signal: Array) -> Array:
-    """Samples `SHORT` at a time, shape (count, SHORT), zeros after the last."""
-    padding = -len(signal) % SHORT
+    """Samples `SHORT` at a time, shape (count, SHORT), as doubles, zeros after the last."""
+    signal, padding = np.asarray(signal, float), -len(signal) % SHORT
     padded = np.concatenate([signal, np.zeros(padding)]) if padding else signal
     return padded.reshape(-1, SHORT)

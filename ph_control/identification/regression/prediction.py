@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,10 +20,13 @@ from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.frequency_record import FrequencyRecord
+from ..data.parts import Difference, blocks
 from ..data.time_record import Record
 from .modal_regressors import output_weight
 from .time_rows import RecordRows
 from .variable_projection import Problem
+
+Piece = tuple[NDArray[Any], NDArray[Any], Array | None]  # outputs, errors, weights
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,25 +77,53 @@ class FittedExperiment(Report, Frozen):
     @property
     def fit_percent(self) -> float:
         """`100 (1 - norm(residual) / norm(output - mean))`, of a response in the scale of its weights."""
-        kept = self.record.observed
-        weights = self.record.weights[kept] if isinstance(self.record, FrequencyRecord) else None
-        return fit_percent(self.measured[kept], self.residuals[kept], weights)
+        return joint_fit_percent([self])
+
+    @property
+    def left(self) -> Difference:
+        """The residuals, worked out where they are asked for."""
+        return Difference(self.measured, self.predicted)
+
+    def pieces(self) -> Iterator[Piece]:
+        """Observed outputs, what is left of them, and their weights, block by block."""
+        for part in blocks(self.record.samples):
+            kept, measured = self.record.observed[part], np.asarray(self.measured[part])
+            weights = self.record.weights[part][kept] if isinstance(self.record, FrequencyRecord) else None
+            yield measured[kept], (measured - self.predicted[part])[kept], weights
+
+
+def joint_fit_percent(experiments: Sequence[FittedExperiment]) -> float:
+    """The percentage of all experiments together."""
+    return _percent(lambda: (piece for one in experiments for piece in one.pieces()))
 
 
 def fit_percent(y: NDArray[Any], error: NDArray[Any], weights: Array | None = None) -> float:
     """`100 (1 - |error| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
-    share = np.ones(len(y)) if weights is None else weights / weights.max()
+    return _percent(lambda: [(y, error, weights)])
+
+
+def _percent(pieces: Callable[[], Iterable[Piece]]) -> float:
     # in units of the largest, so that squares stay in the range of doubles
-    unit = float(np.max(np.abs(y)))
-    size = float(np.linalg.norm(np.sqrt(share) * (y / unit - np.average(y / unit, weights=share))))
-    if size <= _checks.EPS * np.sqrt(len(y)):
-        size = float(np.linalg.norm(np.sqrt(share) * y / unit))
-    return 100.0 * (1.0 - unit_norm(np.sqrt(share) * error, unit) / size)
+    unit = max((float(np.max(np.abs(y), initial=0.0)) for y, _, _ in pieces()), default=0.0)
+    heaviest = max((float(np.max(one, initial=0.0)) for _, _, one in pieces() if one is not None), default=1.0)
+
+    def shared() -> Iterator[tuple[NDArray[Any], NDArray[Any], Array]]:
+        for y, error, weights in pieces():
+            yield y / unit, error, np.ones(len(y)) if weights is None else weights / heaviest
+
+    count = sum(len(y) for y, _, _ in shared())
+    total = sum(float(share.sum()) for _, _, share in shared())
+    mean = sum(np.sum(share * y) for y, _, share in shared()) / total
+    size = float(np.sqrt(sum(np.sum(share * np.abs(y - mean) ** 2) for y, _, share in shared())))
+    if size <= _checks.EPS * np.sqrt(count):
+        size = float(np.sqrt(sum(np.sum(share * np.abs(y) ** 2) for y, _, share in shared())))
+    norms = [unit_norm(np.sqrt(share) * error, unit) for _, error, share in shared()]
+    return 100.0 * (1.0 - unit_norm(np.array(norms), 1.0) / size)
 
 
 def unit_norm(error: NDArray[Any], unit: float) -> float:
     """Norm in a unit, also of numbers whose squares leave the range of doubles."""
-    largest = float(np.max(np.abs(error)))
+    largest = float(np.max(np.abs(error), initial=0.0))
     return float(np.linalg.norm(error / largest)) * (largest / unit) if largest else 0.0
 
 

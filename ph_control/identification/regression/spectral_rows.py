@@ -128,11 +128,10 @@ class ChannelSpectra(Bins):
     @classmethod
     def of(cls, record: FreeRecord) -> ChannelSpectra:
         """Transform a record."""
-        y = np.where(record.observed, record.y, 0.0)
-        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(y))
+        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(record.measured))
 
     def scaled(self, record: FreeRecord, sizes: Array) -> ChannelSpectra:
-        """Those of the record with outputs (q, T) so many times as large."""
+        """Those of the record with outputs (q,) so many times as large."""
         return ChannelSpectra(record, self.U, self.Y * sizes[:, None])
 
     @property

@@ -25,6 +25,11 @@ _FEWEST = 32  # groups of samples in a block
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
 
 
+def size_of(values: Array) -> float:
+    """Largest absolute value, without an array of them; NaN is left out."""
+    return max(float(np.fmax.reduce(values, initial=0.0)), -float(np.fmin.reduce(values, initial=0.0)))
+
+
 class Rows(Protocol):
     """What an experiment offers to the solver of lossless modes."""
 
@@ -160,7 +165,7 @@ class RecordRows:
     @cached_property
     def largest(self) -> float:
         """Largest output."""
-        return float(np.max(np.abs(self.target), initial=0.0))
+        return size_of(self.target)
 
     def seen(self, rows: Array) -> Array:
         """Rows at which the output was observed."""
@@ -215,6 +220,13 @@ class FreeRecord:
     driven: bool = True
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
     among: Indices | None = None
+    scale: Array | None = None  # (q,) that the outputs are multiplied by
+
+    @property
+    def measured(self) -> Array:
+        """Outputs (q, T) in their scale, 0 where missing."""
+        y = self.y if self.scale is None else self.y * self.scale[:, None]
+        return y if self.observed.all() else np.where(self.observed, y, 0.0)
 
     @classmethod
     def of(cls, one: RecordRows, through: bool = True) -> FreeRecord:
@@ -227,6 +239,8 @@ class FreeRecord:
         groups: dict[bytes, list[int]] = {}
         for output in np.flatnonzero(observed.any(axis=1)).tolist():
             groups.setdefault(observed[output].tobytes(), []).append(output)
+        if len(groups) == 1 and len(y) == len(next(iter(groups.values()))):
+            return [cls(u, y, observed[0], hold, outputs=np.arange(len(y)), **options)]
         return [
             cls(u, y[outputs], observed[outputs[0]], hold, outputs=np.array(outputs), **options)
             for outputs in groups.values()
@@ -265,7 +279,7 @@ class FreeRecord:
     @property
     def largest(self) -> Array:
         """Largest value of each output."""
-        return np.abs(self.y[:, self.observed]).max(axis=1, initial=0.0)
+        return np.array([size_of(y) for y in self.y])
 
     @property
     def whole(self) -> bool:
@@ -300,6 +314,8 @@ class RecordColumns(Evaluation):
             rows.offset,
         )
         self._observed, self._complete, self._kernel = rows.observed, bool(rows.observed.all()), kernel
+        given = getattr(rows, "scale", None)
+        self._scale = np.ones(len(self._y)) if given is None else given
         self._groups = self._at_once(width * SHORT)
         self._only: tuple[GroupStates, Array] | None = None
 
@@ -319,7 +335,10 @@ class RecordColumns(Evaluation):
     def predict(self, shared: Array, own: Array) -> Array:
         """Output at all samples, observed or not, shape (T,); of several outputs (q, T)."""
         weights = np.concatenate([own, shared[: len(shared) * self._driven]])
-        return np.concatenate([weights.T @ columns[: len(weights)] for _, columns in self._pieces(False)], axis=-1)
+        found = np.empty((*weights.T.shape[:-1], self._u.shape[1]))
+        for states, columns in self._pieces(False):
+            found[..., states.samples] = weights.T @ columns[: len(weights)]
+        return found
 
     def _offsets(self) -> list[Column]:
         terms: list[Column] = [("drift", 0), ("constant", 0)]
@@ -366,7 +385,7 @@ class RecordColumns(Evaluation):
             return np.arange(float(part.start), part.stop)
         if kind == "constant":
             return 1.0
-        return (self._u if kind == "input" else self._y)[number, part]
+        return self._u[number, part] if kind == "input" else self._y[number, part] * self._scale[number]
 
     # --- inner products without columns -------------------------------------------------------------------------------
 
@@ -399,7 +418,8 @@ class RecordColumns(Evaluation):
         """What the columns within each group are made of, shape (rows, count): see `_parts`."""
         amplitudes = [each for one in layout if isinstance(one, ModalColumns) for each in one.amplitudes]
         rows = [part for amplitude in amplitudes for part in (amplitude.real, amplitude.imag)]
-        signals = [*states.inputs, *(in_groups(y[states.samples]) for y in self._y)]
+        outputs = zip(self._y, self._scale, strict=True)
+        signals = [*states.inputs, *(scale * in_groups(y[states.samples]) for y, scale in outputs)]
         return np.concatenate([*rows, *(one.T for one in signals), np.ones((1, states.inputs.shape[1]))])
 
     def _parts(self, layout: Sequence[Column]) -> tuple[int, list[Modal], list[Shared]]:

@@ -18,6 +18,7 @@ from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import modes
 from ..data.experiments import as_experiments
 from ..data.frequency_record import FrequencyRecord
+from ..data.parts import cut, searched_part
 from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.modal_regressors import QUANTITIES
@@ -123,6 +124,23 @@ class Formulation:
     def of_equal_weights(self) -> bool:
         """Whether these are frequency responses whose points count alike."""
         return all(isinstance(one, FrequencyRecord) and not np.ptp(one.weights) for one in self.records)
+
+    def searched_parts(self, size: int) -> list[slice]:
+        """Samples of each record in which modes are looked for: of those with more numbers than `size` not all."""
+        pairs = zip(self.records, self.problem.experiments, strict=True)
+        return [searched_part(one, getattr(rows, "from_rest", False), size) for one, rows in pairs]
+
+    def over(self, parts: Sequence[slice], records: Records) -> Formulation:
+        """The same circumstances in parts of records; itself where these are all of its own."""
+        cuts: Any = tuple(cut(one, part) for one, part in zip(records, parts, strict=True))
+        if all(one is own for one, own in zip(cuts, self.records, strict=True)):
+            return self
+        rows: list[Any] = []
+        for one, record in zip(self.problem.experiments, cuts, strict=True):
+            signals = {name: getattr(record, name) for name in ("u", "y", "observed")}
+            rows.append(replace(one, **signals) if isinstance(one, RecordRows) else one)
+        problem = replace(self.problem, experiments=tuple(rows))
+        return replace(self, records=cuts, problem=problem, searched=None, trail=[])
 
     def weighted(self, weights: Sequence[Array]) -> Formulation:
         """The same with weights for the points that were measured of each response."""

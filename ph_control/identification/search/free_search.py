@@ -127,10 +127,11 @@ class Records(FreeSearch):
 
     def scaled(self, sizes: Array) -> Records:
         """The same with outputs (q,) so many times as large."""
-        records = [replace(one, y=one.y * sizes[one.outputs, None]) for one in self.data]
+        records = [replace(one, scale=sizes[one.outputs]) for one in self.data]
         found = replace(self, data=records)
-        pairs = zip(self.spectra, records, strict=True)
-        vars(found)["spectra"] = [one.scaled(record, sizes[record.outputs]) for one, record in pairs]
+        if "spectra" in vars(self):  # of a long record none is ever made
+            pairs = zip(self.spectra, records, strict=True)
+            vars(found)["spectra"] = [one.scaled(record, sizes[record.outputs]) for one, record in pairs]
         return found
 
     def left(self, at: FreeProjection) -> Left:
@@ -147,7 +148,7 @@ class Records(FreeSearch):
                 through = at.feedthrough[np.ix_(outputs, record.acting)]
                 left = one.left(one.Y, one.U, SampledModes.of(one.hold, at.p), residues, motion, through)
             else:
-                left = np.fft.rfft(np.where(record.observed, record.y - predicted[k], 0.0))
+                left = np.fft.rfft(np.where(record.observed, record.measured - predicted[k], 0.0))
             if record.offset:
                 left[:, 0] = 0.0
             found.append(left)

@@ -19,6 +19,7 @@ from ..._types import Array, ComplexArray, Mask, NDArray
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
+from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.time_rows import FreeRecord, RecordRows
@@ -203,6 +204,9 @@ def free_fit(
     StructureError
         If an entry of the response matrices was measured in none of them.
     """
+    if is_long(channels):
+        how: dict[str, Any] = {"quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports}
+        return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start)
 
     def posed(channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample) -> FreePath:
         return FreePath.of(channels, quantities, hold, terms, moving, criterion, reports)
@@ -241,6 +245,34 @@ def free_fit(
         return replace(found, interrupted=True)
 
 
+# --- long records ----------------------------------------------------------------------------------------------------
+
+
+def _of_long(
+    channels: Experiments, order: int | str, intersample: str, offset: bool | str, how: dict[str, Any], **options: Any
+) -> FreeFit:
+    """The fit to a part of long records, its modes refined over longer and longer ones, up to all samples."""
+    part = [searched_part(one, not how["moving"]) for one in channels]
+    parts = [cut(one, samples) for one, samples in zip(channels, part, strict=True)]
+    found = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
+    if found.interrupted:
+        return found
+    (delay,) = [int(one.values[0]) for one in found.findings if one.cause is Cause.DELAY] or [0]
+    data = [_delayed(one, delay) if isinstance(one, Recording) else one for one in channels]
+    part = [slice(one.start, min(one.stop, given.samples)) for one, given in zip(part, data, strict=True)]
+    terms = max(getattr(one, "offset", 0) for one in found.projection.experiments)
+    best, path = FreeModel(found.projection, [], found.projection.losses * found.scales**2), None
+    while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, data, strict=True)):
+        part = [next(stages(one, given.samples), one) for one, given in zip(part, data, strict=True)]
+        longer = [cut(given, one) for given, one in zip(data, part, strict=True)]
+        path = FreePath.of(longer, intersample=found.intersample, offset=terms, best=best, **how)
+        at = path.refined(best.p, TUNING.rough, None)
+        path.best = best = FreeModel(at, [], at.losses / path.sizes**2)
+    whole = path.fit(best.p, len(best.p), False, data, either_hold=intersample == "auto")
+    rival = whole.rival and replace(whole.rival, order_table=found.order_table)
+    return replace(whole, order_table=found.order_table, findings=found.findings, rival=rival)
+
+
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
 Anew = Callable[[Experiments, int, ComplexArray | None], FreeFit]  # search, or from poles, with terms of the offset
@@ -268,7 +300,7 @@ def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
 def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
     """Whether a line explains some of what is left of outputs."""
     t = np.flatnonzero(rows.observed) - np.mean(np.flatnonzero(rows.observed))
-    left = (rows.y - predicted)[:, rows.observed]
+    left = (rows.measured - predicted)[:, rows.observed]
     share = (left @ t) ** 2 / np.maximum(np.sum(left**2, axis=1) * (t @ t), np.finfo(float).tiny)
     return bool(np.any(-0.5 * len(t) * np.log1p(-np.minimum(share, 0.5)) > TUNING.likely))
 
@@ -377,6 +409,7 @@ def orders_about(
 
     Without inputs the residues are motions in the experiments.
     """
+    channels = [cut(one, searched_part(one, not moving)) for one in channels]
     path = FreePath.of(channels, quantities, intersample, offset, moving)
     found = []
     for start, end in ((poles[:0], len(poles) - 1), (poles, min(most, path.carried))):
@@ -394,12 +427,12 @@ def orders_about(
 def _records(channels: Sequence[Recording], hold: str, offset: int, moving: bool) -> list[FreeRecord]:
     found = []
     for one in channels:
-        y = np.where(one.observed, one.y, 0.0)
         acting = np.flatnonzero(one.u.any(axis=1))
         driven = len(acting) > 0
         options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting}
-        u = one.u[acting] if driven else np.zeros((1, one.samples))
-        found += FreeRecord.by_observation(u, y, one.observed, Hold(one.dt, "exact", hold), **options)
+        u = one.u if driven and len(acting) == len(one.u) else one.u[acting]
+        u = u if driven else np.broadcast_to(0.0, (1, one.samples))
+        found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, "exact", hold), **options)
     return found
 
 
@@ -448,11 +481,12 @@ class FreePath:
     """
 
     def __init__(
-        self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None
-    ) -> None:
+        self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
+        best: FreeModel | None = None,
+    ) -> None:  # fmt: skip
         self.search, self.felt, self.criterion, self.reports = search, felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
-        self.best: FreeModel | None = None  # so far
+        self.best = best  # so far
         counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
         for one in search.data:
             counts[one.outputs] += one.samples
@@ -461,23 +495,24 @@ class FreePath:
         # real equations of each output, losses that are rounding, and the power of all
         self.counts = np.maximum(counts, 1)
         self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
-        none = np.zeros(0, complex)
-        self.power = search.model(FreeProjection(search.rows(none), none)).losses
-        self.weigh(self.power)
+        if best is None:
+            none = np.zeros(0, complex)
+            self.power = search.model(FreeProjection(search.rows(none), none)).losses
+        self.weigh(self.power if best is None else best.losses)
 
     @classmethod
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
-        criterion: str = "bic", reports: Reports = lambda order: None,
+        criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
     ) -> FreePath:  # fmt: skip
-        """The search in channels."""
+        """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
         each = quantities or ["free"] * len(first.output_labels)
         felt = np.array([one == "acceleration" for one in each])[:, None].repeat(len(first.input_labels), axis=1)
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
-            return cls(Records(_records(recordings, held, offset, moving), _LOWEST), felt, criterion, reports)
+            return cls(Records(_records(recordings, held, offset, moving), _LOWEST), felt, criterion, reports, best)
         search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each), _LOWEST)
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports)
@@ -752,13 +787,13 @@ class FreePath:
         """
         found: FreeFit | None = None
         try:
-            self.best = self.chosen(start, most, automatic)
+            self.best = self.best or self.chosen(start, most, automatic)
             found = self.finished(self.best, channels)
             if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
-            rival = FreePath(other, self.felt, self.criterion, self.reports).finished(self.best, channels)
+            rival = FreePath(other, self.felt, self.criterion, self.reports, self.best).finished(self.best, channels)
         except KeyboardInterrupt:
             if found is not None:
                 return replace(found, interrupted=True)
@@ -800,7 +835,7 @@ class FreePath:
         else:
             at = self.refined(p, _EXACT if alone else TUNING.rough, fed)
         for _ in range(_ROUNDS):
-            losses = self.left_by(at).losses
+            losses = at.losses / self.sizes**2
             now = self.loglik(losses)
             self.weigh(losses)
             at = self.refined(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.data, at.p, fed)

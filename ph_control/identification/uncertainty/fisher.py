@@ -29,6 +29,7 @@ _STATE = "(0)"  # end of the name of an initial state
 _MINOR = 0.02  # weight below which a coefficient is not printed
 _LARGEST_ROUNDING = 1e-3  # of a null vector: without a gap, what takes part in it counts as blind
 _MANY = 8  # items of a list in a sentence
+_TOGETHER = 1 << 12  # groups of samples whose states are worked out at a time
 _LISTED = 6  # coefficients of a combination that are printed
 
 
@@ -288,9 +289,9 @@ def information_at(at: Projection) -> Information:
 def _state_sizes(problem: RecordRows, d: Array) -> tuple[Array, Array]:
     """Norms of the complex modal states, driven by the input and free; outputs are their real parts."""
     kernel = Kernel(SampledModes.lossless(problem.hold, d, "velocity"))
-    (states,) = kernel.pieces(problem.u[None], len(problem.u), False)
     weight = np.abs(kernel.weight)
-    size = np.sqrt(SHORT) * np.linalg.norm(states.driven[0], axis=1)
+    pieces = kernel.pieces(problem.u[None], _TOGETHER, False)
+    size = np.sqrt(SHORT * sum(np.sum(np.abs(states.driven[0]) ** 2, axis=1) for states in pieces))
     driven = size * problem.hold.h / np.where(weight > 0, weight, 1.0)
     if problem.hold.intersample == "foh":
         driven += problem.hold.h * np.linalg.norm(problem.u)

@@ -135,9 +135,16 @@ def noise_scales(residuals: Sequence[Array]) -> list[float]:
 
     None is taken as smaller than a millionth of the largest, nor a single record in other than its own unit.
     """
-    if len(residuals) == 1:
+    seen = [~np.isnan(one) for one in residuals]
+    return scales_of_noise([float(np.sum(one**2, where=kept)) for one, kept in zip(residuals, seen, strict=True)],
+                           [int(kept.sum()) for kept in seen])  # fmt: skip
+
+
+def scales_of_noise(powers: Sequence[float], counts: Sequence[int]) -> list[float]:
+    """The same of sums of squares and numbers of residuals."""
+    if len(powers) == 1:
         return [1.0]
-    sizes = [float(np.sqrt(np.nanmean(one**2))) if (~np.isnan(one)).any() else 0.0 for one in residuals]
+    sizes = [float(np.sqrt(power / max(1, count))) for power, count in zip(powers, counts, strict=True)]
     largest = max(sizes) or 1.0
     return [max(size, _QUIETEST * largest) for size in sizes]
 

@@ -17,9 +17,11 @@ from scipy.stats import chi2, f, norm
 
 from ..._checks import EPS
 from ..._types import Array, Indices, Mask
+from ..data.parts import Signal, blocks
 from ..regression.elimination import eliminate
+from ..regression.time_rows import size_of
 from ..regression.triangular import reduced, triangle
-from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit
+from .residual_data import RANK, ResidualData, factor_of, noise_scales, orthonormal_of_unit, scales_of_noise
 
 _NOISE_ORDERS = 20  # most that are tried for the noise
 _ROWS_PER_ORDER = 10
@@ -125,7 +127,7 @@ def _shifted(Q: Array, seen: Mask, lags: Indices) -> tuple[Array, Array]:
 
 
 def ljung_box(
-    residuals: Sequence[Array],
+    residuals: Sequence[Signal],
     lags: int,
     *,
     shared: Sequence[Array] | None = None,
@@ -138,10 +140,13 @@ def ljung_box(
     `shared` (T_k, s) and `local` (T_k, p_k) are the directions in which a model was fitted to each, to all of them and
     to one alone: they are missing from the residuals.  1 where there is too little to tell.
     """
-    lengths = tuple(len(one) for one in residuals)
-    largest = max((float(np.fmax.reduce(np.abs(one), initial=0.0)) for one in residuals), default=0.0)
-    scales = noise_scales([one / (largest or 1.0) for one in residuals])
-    joined = np.concatenate([np.zeros(0), *(one / size for one, size in zip(residuals, scales, strict=True))])
+    if shared is None and local is None:
+        return _of_noise_alone(residuals, lags)
+    given = [np.asarray(one[:]) for one in residuals]
+    lengths = tuple(len(one) for one in given)
+    largest = max((size_of(one) for one in given), default=0.0)
+    scales = noise_scales([one / (largest or 1.0) for one in given])
+    joined = np.concatenate([np.zeros(0), *(one / size for one, size in zip(given, scales, strict=True))])
     count = min(lags, int((~np.isnan(joined)).sum()) // _SAMPLES_PER_LAG, max(lengths, default=0) - 1)
     if count < 1 or largest == 0:
         return 1.0
@@ -153,6 +158,39 @@ def ljung_box(
     )
     p = autocorrelation(data, 0.95)[2]
     return 1.0 if np.isnan(p) else p
+
+
+def _of_noise_alone(residuals: Sequence[Signal], lags: int) -> float:
+    """The p-value with nothing fitted, `N (N + 2) sum rho_k^2 / pairs_k`; block by block."""
+    unit = max((size_of(one[part]) for one in residuals for part in blocks(len(one))), default=0.0)
+    powers, counts = [], []
+    for one in residuals:
+        power, count = 0.0, 0
+        for part in blocks(len(one)):
+            values = np.asarray(one[part]) / (unit or 1.0)
+            seen = ~np.isnan(values)
+            power, count = power + float(np.sum(values**2, where=seen)), count + int(seen.sum())
+        powers.append(power)
+        counts.append(count)
+    total = sum(counts)
+    most = min(lags, total // _SAMPLES_PER_LAG, max(map(len, residuals), default=0) - 1)
+    if most < 1 or unit == 0:
+        return 1.0
+    scales = scales_of_noise(powers, counts)
+    pairs, products, power = np.zeros(most), np.zeros(most), 0.0
+    for one, scale in zip(residuals, scales, strict=True):
+        past = np.full(most, np.nan)
+        for part in blocks(len(one)):
+            values = np.concatenate([past, np.asarray(one[part]) / (unit * scale)])
+            seen, past = ~np.isnan(values), values[-most:]
+            whole, values = bool(seen.all()), np.where(seen, values, 0.0)
+            power += float(values[most:] @ values[most:])
+            for k in range(1, most + 1):
+                products[k - 1] += values[most:] @ values[most - k : -k]
+                pairs[k - 1] += len(values) - most if whole else np.count_nonzero(seen[most:] & seen[most - k : -k])
+    usable = pairs > 0
+    statistic = total * (total + 2) * np.sum((products[usable] / power) ** 2 / pairs[usable])
+    return float(chi2.sf(statistic, int(usable.sum()))) if usable.any() else 1.0
 
 
 # --- correlation with the input --------------------------------------------------------------------------------------

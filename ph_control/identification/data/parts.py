@@ -1,0 +1,103 @@
+"""Parts of records that are too long to be searched at once: modes are found in one, and followed to the whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..._types import Array, NDArray
+from .channels import Recording
+from .time_record import LONG, CheckedData, Record
+
+GLANCE = 1 << 18  # numbers of a part that is asked whether there are losses
+_BLOCK = 1 << 18  # numbers that are looked at at a time
+
+
+class Signal(Protocol):
+    """Numbers that are read by slices: an array, or what is worked out where it is asked for."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> NDArray[Any]: ...
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What a prediction leaves of a signal (T,), worked out where it is asked for."""
+
+    measured: NDArray[Any]
+    predicted: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+    def __getitem__(self, part: slice) -> NDArray[Any]:
+        return self.measured[part] - self.predicted[part]
+
+
+def blocks(samples: int, rows: int = 1) -> Iterator[slice]:
+    """Consecutive samples, so many that a few megabytes hold them."""
+    size = max(1, _BLOCK // max(1, rows))
+    for first in range(0, samples, size):
+        yield slice(first, min(first + size, samples))
+
+
+def _size(one: Record | Recording, numbers: int = LONG) -> int:
+    """Samples that have so many numbers."""
+    channels = one.u.size // max(1, one.samples) + one.y.size // max(1, one.samples)
+    return max(2, numbers // max(1, channels))
+
+
+def is_long(records: Sequence[CheckedData]) -> bool:
+    """Whether modes are looked for in a part of the samples only."""
+    return any(isinstance(one, Record | Recording) and one.samples > _size(one) for one in records)
+
+
+def searched_part(one: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
+    """Samples in which modes are looked for: all, or of a long record those where the outputs move most.
+
+    A part has at most so many numbers; of a plant at rest before the record it is the first one.
+    """
+    if not isinstance(one, Record | Recording):
+        return slice(0, one.samples)
+    samples = one.samples
+    y, size = np.atleast_2d(one.y), _size(one, numbers)
+    if samples <= size or from_rest:
+        return slice(0, min(samples, size))
+    moved = np.zeros((len(y), -(-samples // size)))
+    for k in range(moved.shape[1]):
+        for part in blocks(min(size, samples - k * size), len(y)):
+            moved[:, k] += _motion(y[:, k * size + part.start : k * size + part.stop])
+    shares = moved / np.maximum(moved.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    first = min(int(np.argmax(shares.sum(axis=0))) * size, samples - size)
+    return slice(first, first + size)
+
+
+def _motion(y: NDArray[Any]) -> Array:
+    """Sum of `|y - mean|` of each output; not of squares, of which a single false sample is the largest."""
+    seen = ~np.isnan(y)
+    values = np.where(seen, y, 0.0).astype(float)
+    mean = values.sum(axis=1, keepdims=True) / np.maximum(seen.sum(axis=1, keepdims=True), 1)
+    return np.sum(np.abs(values - mean), axis=1, where=seen)
+
+
+def stages(part: slice, samples: int) -> Iterator[slice]:
+    """Parts that contain one another, each twice as long, up to the whole: modes stay in their basins on the way."""
+    size = part.stop - part.start
+    while size < samples:
+        size = min(2 * size, samples)
+        first = min(max(0, (part.start + part.stop - size) // 2), samples - size)
+        part = slice(first, first + size)
+        yield part
+
+
+def cut(one: Any, part: slice) -> Any:
+    """Some samples of a record, in memory and as doubles where they are few."""
+    if not isinstance(one, Record | Recording) or part == slice(0, one.samples):
+        return one
+    short = part.stop - part.start <= LONG
+    u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (one.u, one.y))
+    return replace(one, time=one.time[part], u=u, y=y)
