@@ -9,6 +9,7 @@ from pathlib import Path
 
 # from the top down, as in the picture: a file imports from folders below its own only
 FOLDERS = {
+    "cli.commands": "one module a command",
     "cli": "the command line",
     "identification.validation": "models on new data",
     "identification.many": "many recordings, tracking",

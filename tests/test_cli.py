@@ -524,7 +524,7 @@ def test_the_help_comes_without_the_libraries_of_numbers_and_pictures():
     code = "import sys; from ph_control.cli import main; main(['--help']); main(['fit', '--help']); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.splitlines()[-1].split())
-    assert "ph_control.cli.fit" in loaded and not loaded & {"numpy", "scipy", "matplotlib", "control"}
+    assert "ph_control.cli.commands.fit" in loaded and not loaded & {"numpy", "scipy", "matplotlib", "control"}
 
 
 def test_a_reader_that_has_gone_is_no_error_to_speak_of(tmp_path):

@@ -61,7 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     place = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     command: str = _parser().parse(words[: place + 1]).command
-    module = import_module(f".{command.replace('-', '_')}", __name__)
+    module = import_module(f".commands.{command.replace('-', '_')}", __name__)
     parser = Parser(module.__doc__, prog=f"ph-control {command}", usage=f"%(prog)s {module.USAGE}")
     module.add_options(parser)
     code: int = module.run(parser.parse(_plain(words[place + 1 :])))

@@ -24,12 +24,12 @@ from typing import Any
 
 import ph_control as phc
 
-from ..exceptions import MissingPackageError, PHControlError, StructureError
+from ...exceptions import MissingPackageError, PHControlError, StructureError
+from ..inputs import measurements
+from ..options import Parser, add_recording, add_written
+from ..outcome import DONE, INTERRUPTED, NO, complain, emit, in_shell_terms, show_progress, watching
+from ..outputs import check_files, deliver, deliver_picture, emit_json, picture_format
 from .fit import add_fitted, keywords_of
-from .inputs import measurements
-from .options import Parser, add_recording, add_written
-from .outcome import DONE, INTERRUPTED, NO, complain, emit, in_shell_terms, show_progress, watching
-from .outputs import check_files, deliver, deliver_picture, emit_json, picture_format
 
 USAGE = "RECORDING [RECORDING ...] [options]"
 
@@ -90,8 +90,8 @@ def _reading() -> set[str]:
 
 def recording_of(reading: Mapping[str, Any], path: Path) -> Any:
     """Data of a file, with weights where a column of them was named."""
-    from ..identification.data.channels import as_channels, has_several_channels
-    from ..identification.data.experiments import as_experiments
+    from ...identification.data.channels import as_channels, has_several_channels
+    from ...identification.data.experiments import as_experiments
 
     found = measurements([str(path)], Namespace(**reading))
     if found.weights is None:

@@ -19,12 +19,12 @@ from typing import Any
 
 import ph_control as phc
 
-from .._display import counted
-from .._units import hertz_size, rate
-from .inputs import Model, read_models
-from .options import Parser, add_json, add_model
-from .outcome import DONE, NO, NoError, emit, in_shell_terms
-from .outputs import check_files, emit_json, fit_of, modes_of
+from ..._display import counted
+from ..._units import hertz_size, rate
+from ..inputs import Model, read_models
+from ..options import Parser, add_json, add_model
+from ..outcome import DONE, NO, NoError, emit, in_shell_terms
+from ..outputs import check_files, emit_json, fit_of, modes_of
 
 USAGE = "MODEL [MODEL ...] [options]"
 
@@ -127,7 +127,7 @@ def _lines(found: Any) -> list[str]:
 
 def _in_d_and_r(form: phc.ModalForm) -> bool:
     """Whether frequencies and weights tell everything."""
-    from ..modal.general_form import GeneralModalForm
+    from ...modal.general_form import GeneralModalForm
 
     return not isinstance(form, GeneralModalForm)
 

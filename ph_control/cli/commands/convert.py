@@ -22,11 +22,11 @@ from typing import Any
 
 import ph_control as phc
 
-from ..exceptions import StructureError
-from .inputs import Model, read_models, source_and_target, system_name_of
-from .options import Parser, add_model, add_written, system_name
-from .outcome import DONE, emit
-from .outputs import deliver, emit_json, strict
+from ...exceptions import StructureError
+from ..inputs import Model, read_models, source_and_target, system_name_of
+from ..options import Parser, add_model, add_written, system_name
+from ..outcome import DONE, emit
+from ..outputs import deliver, emit_json, strict
 
 USAGE = "MODEL FILE [options]"
 
@@ -81,7 +81,7 @@ def _format_of(target: str) -> str:
 def _form_of(made: Any) -> str:
     from control import TransferFunction
 
-    from ..modal.general_form import GeneralModalForm
+    from ...modal.general_form import GeneralModalForm
 
     forms: dict[type, str] = {
         phc.ModalForm: "modes", GeneralModalForm: "modes", phc.ControllableHamiltonian: "ch",
@@ -108,8 +108,8 @@ def _converted(model: Model, form: str | None, name: str | None) -> Any:
 
 def _encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     """Content of the file."""
-    from ..io.codecs import document_of
-    from ..io.matlab import matlab_of
+    from ...io.codecs import document_of
+    from ...io.matlab import matlab_of
 
     found = _form_of(made)
     if found == "tf":

@@ -19,10 +19,10 @@ from argparse import Namespace
 
 import ph_control as phc
 
-from .inputs import labels_of, measurements, read_models
-from .options import Parser, add_labels, add_meeting, add_model, add_recording, add_written
-from .outcome import DONE, NO, complain, emit
-from .outputs import check_files, check_place, deliver_picture, emit_json, picture_format
+from ..inputs import labels_of, measurements, read_models
+from ..options import Parser, add_labels, add_meeting, add_model, add_recording, add_written
+from ..outcome import DONE, NO, complain, emit
+from ..outputs import check_files, check_place, deliver_picture, emit_json, picture_format
 
 USAGE = "RECORDING MODEL [MODEL ...] [options]"
 

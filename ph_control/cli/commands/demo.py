@@ -20,10 +20,10 @@ from typing import Any
 
 import ph_control as phc
 
-from ..exceptions import OutputExistsError
-from .options import Parser, add_json, within
-from .outcome import DONE, emit
-from .outputs import emit_json, fit_of, modes_of
+from ...exceptions import OutputExistsError
+from ..options import Parser, add_json, within
+from ..outcome import DONE, emit
+from ..outputs import emit_json, fit_of, modes_of
 
 USAGE = "[options]"
 

@@ -25,12 +25,12 @@ from typing import Any
 
 import ph_control as phc
 
-from .._units import unit_for, with_unit
-from ..exceptions import StructureError
-from .inputs import Model, labels_of, measurements, read_models
-from .options import Parser, add_labels, add_model, add_recording, add_written, pair, size, within
-from .outcome import DONE, emit
-from .outputs import check_files, check_place, deliver_picture, emit_json, picture_format
+from ..._units import unit_for, with_unit
+from ...exceptions import StructureError
+from ..inputs import Model, labels_of, measurements, read_models
+from ..options import Parser, add_labels, add_model, add_recording, add_written, pair, size, within
+from ..outcome import DONE, emit
+from ..outputs import check_files, check_place, deliver_picture, emit_json, picture_format
 
 USAGE = "KIND MODEL [MODEL ...] --out FILE [options]"
 
@@ -137,7 +137,7 @@ def _poles(models: list[Model], labels: list[str], options: Namespace) -> Any:
 
 
 def _energy(models: list[Model], labels: list[str], options: Namespace) -> Any:
-    from ..systems.port_hamiltonian import full_port_hamiltonian
+    from ...systems.port_hamiltonian import full_port_hamiltonian
 
     systems = [full_port_hamiltonian(model.port_hamiltonian()) for model in models]
     for model, system in zip(models, systems, strict=True):

@@ -17,10 +17,10 @@ from argparse import Namespace
 
 import ph_control as phc
 
-from .inputs import read_models, source_and_target
-from .options import Parser, add_model, add_written
-from .outcome import DONE, emit
-from .outputs import deliver, emit_json
+from ..inputs import read_models, source_and_target
+from ..options import Parser, add_model, add_written
+from ..outcome import DONE, emit
+from ..outputs import deliver, emit_json
 
 USAGE = "MODEL FILE [options]"
 

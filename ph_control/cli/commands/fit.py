@@ -26,11 +26,20 @@ from typing import Any
 
 import ph_control as phc
 
-from ..exceptions import StructureError
-from .inputs import measurements, read_model, system_name_of
-from .options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
-from .outcome import DONE, INTERRUPTED, NO, NoError, complain, emit, in_shell_terms, show_progress, watching
-from .outputs import check_files, check_place, deliver, deliver_picture, emit_json, fit_of, is_described, picture_format
+from ...exceptions import StructureError
+from ..inputs import measurements, read_model, system_name_of
+from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
+from ..outcome import DONE, INTERRUPTED, NO, NoError, complain, emit, in_shell_terms, show_progress, watching
+from ..outputs import (
+    check_files,
+    check_place,
+    deliver,
+    deliver_picture,
+    emit_json,
+    fit_of,
+    is_described,
+    picture_format,
+)
 
 USAGE = "RECORDING [RECORDING ...] [options]"
 
@@ -131,7 +140,7 @@ def quantities(text: str) -> str | list[str]:
 
 def run(options: Namespace) -> int:
     """Fit, print, write."""
-    from ..identification.diagnosis.verdict import Outcome
+    from ...identification.diagnosis.verdict import Outcome
 
     outputs = [options.model, options.result, options.report, options.plot, options.bode]
     check_files(options, [*options.recordings, options.guess], outputs)
@@ -177,8 +186,8 @@ def _progress_line(progress: Any) -> None:
 
 def _write(result: phc.PEMResult, place: int, options: Namespace) -> None:
     """Write what was asked for."""
-    from ..identification.validation.html_report import page_of
-    from ..io.codecs import document_of
+    from ...identification.validation.html_report import page_of
+    from ...io.codecs import document_of
 
     if options.model is not None:
         # what is not port-Hamiltonian is kept by its modes
