@@ -368,6 +368,26 @@ def test_a_circuit_of_a_model_is_written_and_is_a_model_again(model, tmp_path):
     assert "name the model and the netlist; 1 given" in run("netlist", model).error
 
 
+# --- reduce ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_model_is_reduced_and_written(model, tmp_path):
+    target = tmp_path / "small.json"
+    done = run("reduce", model, target, "--order", "2")
+    assert (done.status, done.error) == (0, "")
+    assert done.out == f"4 states reduced to 2, largest difference 0.1667\nWritten: {target}\n"
+    assert phc.load(target).nstates == 2
+    lossy = tmp_path / "lossy.json"
+    phc.save(phc.msd_chain(8), lossy)
+    answer = json.loads(
+        run("reduce", lossy, tmp_path / "s.json", "--tolerance", "0.3", "--method", "balanced", "--json").out
+    )
+    assert answer["states"] < 16 and 0 < answer["error_bound"] < 0.3
+    assert answer["states"] == phc.load(tmp_path / "s.json").nstates
+    assert run("reduce", lossy, tmp_path / "t.json").status == 2
+    assert run("reduce", "--num", "1,-3", "--den", "1,3,5", "-", "--order", "1").status == 1
+
+
 # --- convert ---------------------------------------------------------------------------------------------------------
 
 

@@ -46,6 +46,12 @@ def workshop(tmp_path_factory):
     result = phc.pem(phc.read_csv(folder / "recording.csv"), 2)
     result.save(folder / "result.json")
     phc.save(result.system, folder / "fitted.json")
+    machine = phc.spring_chain([1.0, 1.0, 1.0], 2.0, ground=[1.0, 0.0, 0.0], c=0.05, port=[0, 1])
+    u = rng.standard_normal((2, 600))
+    y = phc.forced_response(machine, t, u, intersample="zoh").outputs
+    head = "time,u1,u2,y1,y2"
+    np.savetxt(folder / "machine.csv", np.vstack([t, u, y]).T, delimiter=",", header=head, comments="")
+    phc.save(machine, folder / "machine.json")
     return Shell(folder)
 
 
@@ -125,6 +131,7 @@ def test_the_page_tells_the_keys_of_every_answer(workshop):
         "fit-many": "ph-control fit-many recording.csv --order 2 --json",
         "info": "ph-control info plant.mat --json",
         "convert": "ph-control convert plant.mat keys.json --json --overwrite",
+        "reduce": "ph-control reduce plant.mat keys.json --order 2 --json --overwrite",
         "netlist": "ph-control netlist plant.mat keys.cir --json",
         "compare": "ph-control compare fresh.csv fitted.json --json",
         "plot": "ph-control plot poles plant.mat --out keys.png --json --overwrite",

@@ -18,6 +18,7 @@ COMMANDS = {
     "fit-many": "identify a model from each of many recordings, follow their modes",
     "info": "show what a model is, and whether it is lossless",
     "convert": "turn a model into another form or file format",
+    "reduce": "make a smaller model of a model, port-Hamiltonian again",
     "netlist": "write a circuit of a model as SPICE text",
     "compare": "hold models against recordings",
     "plot": "draw models: bode, step, impulse, modes, poles, energy, fit",

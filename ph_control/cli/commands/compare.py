@@ -9,7 +9,7 @@ Examples
   ph-control compare fresh.csv fitted.json --plot comparison.png
   ph-control compare fresh.csv fitted.json --recording second.csv --json
   ph-control compare fresh.csv fitted.json --at-least 90
-  ph-control compare shaker.csv fitted.json --inputs u1,u2 --outputs y1,y2,y3
+  ph-control compare machine.csv machine.json --inputs u1,u2 --outputs y1,y2
   cat fresh.csv | ph-control compare - fitted.json --label fitted
 """
 

@@ -54,11 +54,11 @@ def add_options(parser: Parser) -> None:
 def run(options: Namespace) -> int:
     """Read, convert, write."""
     sources, target = source_and_target(options, "the file to write")
-    kind = options.format or _format_of(target)
+    kind = options.format or format_of(target)
     (model,) = read_models(sources, options)
     form = options.to or ("tf" if kind in ("txt", "csv") else None)
     made = _converted(model, form, options.name)
-    deliver(_encoded(made, form, kind), target, options.overwrite)
+    deliver(encoded(made, form, kind), target, options.overwrite)
     if options.json:
         answer = {"command": "convert", "source": model.source, "form": options.to or _form_of(made), "format": kind}
         emit_json({**answer, "written": [target]})
@@ -67,7 +67,8 @@ def run(options: Namespace) -> int:
     return DONE
 
 
-def _format_of(target: str) -> str:
+def format_of(target: str) -> str:
+    """Format of a file, told by its suffix."""
     if target == "-":
         return "json"
     suffix = Path(target).suffix.lstrip(".").lower()
@@ -106,7 +107,7 @@ def _converted(model: Model, form: str | None, name: str | None) -> Any:
     return made if name is None else made.copy(name)
 
 
-def _encoded(made: Any, form: str | None, kind: str) -> str | bytes:
+def encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     """Content of the file."""
     from ...io.codecs import document_of
     from ...io.matlab import matlab_of

@@ -1,0 +1,66 @@
+"""Reduce a model to fewer states, port-Hamiltonian again, and write it: .json, .mat, .txt or .csv, told by the suffix.
+
+Of a fit the model. Exit status 1 if the model is not passive.
+
+Examples
+--------
+  ph-control reduce fitted.json small.json --order 2
+  ph-control reduce plant.mat band.mat --band 0,1.5
+  ph-control reduce --num 2,4,3 --den 1,3,4,2 --tolerance 0.1 --method balanced -
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+import numpy as np
+
+import ph_control as phc
+
+from ..inputs import read_models, source_and_target
+from ..options import Parser, add_model, add_written, pair
+from ..outcome import DONE, emit
+from ..outputs import deliver, emit_json
+from .convert import FORMATS, encoded, format_of
+
+USAGE = "MODEL FILE [options]"
+
+
+def add_options(parser: Parser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "files", nargs="+", metavar="FILE", help="the model and the file to write; - for standard input and output"
+    )
+    add_model(parser)
+    parser.add_argument("--order", type=int, metavar="N", help="number of states, at most")
+    parser.add_argument(
+        "--tolerance", type=float, metavar="X", help="the fewest states with an error of this part of the largest gain"
+    )
+    parser.add_argument(
+        "--band", type=pair, metavar="LOW,HIGH", help="keep the natural frequencies between these, rad per unit time"
+    )
+    parser.add_argument(
+        "--method", choices=("modal", "balanced", "h2"), default="modal", help="what to keep (default: modal)"
+    )
+    parser.add_argument("--format", choices=FORMATS, help="format of the file (default: told by its suffix)")
+    add_written(parser)
+
+
+def run(options: Namespace) -> int:
+    """Read, reduce, write."""
+    sources, target = source_and_target(options, "the file to write")
+    kind = options.format or format_of(target)
+    (model,) = read_models(sources, options)
+    given = phc.ph(model.port_hamiltonian())
+    small = phc.reduce(
+        given, options.order, tolerance=options.tolerance, band=options.band, method=options.method
+    )  # fmt: skip
+    deliver(encoded(small, "tf" if kind in ("txt", "csv") else None, kind), target, options.overwrite)
+    bound = small.error_bound if small.error_bound is not None and np.isfinite(small.error_bound) else None
+    if options.json:
+        answer = {"command": "reduce", "source": model.source, "method": options.method, "states": small.nstates}
+        emit_json({**answer, "error_bound": bound, "written": [target]})
+    elif target != "-":
+        error = "unbounded" if bound is None else f"{bound:.4g}"
+        emit(f"{given.nstates} states reduced to {small.nstates}, largest difference {error}\nWritten: {target}\n")
+    return DONE
