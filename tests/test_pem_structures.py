@@ -209,6 +209,10 @@ def test_noise_alone_is_nothing_to_model():
     found = phc.pem((rng.standard_normal((2, 300)), rng.standard_normal((2, 300))), dt=1.0)
     assert found.order == 0 and found.outcome.name == "NOTHING" and found.residues.shape == (0, 2, 2)
     assert "Nothing to model" in found.summary()
+    response = ct.frd(rng.standard_normal((2, 2, 80)) + 1j * rng.standard_normal((2, 2, 80)), np.linspace(1, 2, 80))
+    for quantity in ("displacement", "velocity", "acceleration"):
+        found = phc.pem(response, quantity=quantity, ports=[(0, 0), (1, 1)])
+        assert found.order == 0 and found.summary() and found.confidence_interval()["damping_ratios"].shape == (0, 2)
 
 
 # --- the command line ------------------------------------------------------------------------------------------------
