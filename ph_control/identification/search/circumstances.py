@@ -331,8 +331,8 @@ def _left(rows: FreeRows, predicted: NDArray[Any] | None) -> FreeRecord | FreeRe
     assert isinstance(rows, FreeRecord)
     start = int(np.argmax(rows.observed))
     part = slice(start, start + _LONG_ENOUGH)
-    y = rows.y if predicted is None else np.where(rows.observed, rows.y - predicted, 0.0)
-    return replace(rows, u=rows.u[:, part], y=y[:, part], observed=rows.observed[part], moving=True)
+    y = rows.measured if predicted is None else np.where(rows.observed, rows.measured - predicted, 0.0)
+    return replace(rows, u=rows.u[:, part], y=y[:, part], scale=None, observed=rows.observed[part], moving=True)
 
 
 # --- in words --------------------------------------------------------------------------------------------------------
