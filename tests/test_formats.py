@@ -25,14 +25,27 @@ RNG = np.random.default_rng(5)
 # --- universal files -------------------------------------------------------------------------------------------------
 
 
-def function(x, data, response, reference=(0, 0), *, in_time=False, force=False, binary=0, kind=None, component=""):
+def function(
+    x,
+    data,
+    response,
+    reference=(0, 0),
+    *,
+    in_time=False,
+    force=False,
+    binary=0,
+    kind=None,
+    component="",
+    measured=12,
+    applied=13,
+):
     """Data set 58 as pyuff writes it; `response` and `reference` are node and direction."""
     return pyuff.prepare_58(
         binary=binary, id1="", id2="", id3="", id4="", id5="", func_type=kind or (1 if in_time else 4), ver_num=0,
         load_case_id=0, rsp_ent_name=component, rsp_node=response[0], rsp_dir=response[1], ref_ent_name="",
         ref_node=reference[0], ref_dir=reference[1], abscissa_spacing=1, abscissa_min=x[0], abscissa_inc=x[1] - x[0],
-        abscissa_spec_data_type=17 if in_time else 18, ordinate_spec_data_type=13 if force else 12,
-        orddenom_spec_data_type=0 if in_time else 13, data=np.asarray(data), x=np.asarray(x), num_pts=len(x),
+        abscissa_spec_data_type=17 if in_time else 18, ordinate_spec_data_type=13 if force else measured,
+        orddenom_spec_data_type=0 if in_time else applied, data=np.asarray(data), x=np.asarray(x), num_pts=len(x),
     )  # fmt: skip
 
 
@@ -141,9 +154,63 @@ def test_a_fit_takes_what_was_read(tmp_path):
     f = np.linspace(0.1, 1.0, 60)
     plant = phc.modes([1.5, 4.0], [1.0, 0.5])
     response = plant.freqresp(2 * np.pi * f).reshape(-1)
-    path = written(tmp_path, function(f, response, (1, 3), (1, 3), binary=1))
+    path = written(tmp_path, function(f, response, (1, 3), (1, 3), binary=1, measured=11))
     result = phc.pem(phc.read_uff(path)[0], 2)
     assert np.allclose(result.d, [1.5, 4.0], rtol=1e-5)
+
+
+def test_the_quantity_of_an_output_is_that_of_the_file_where_it_responds_to_forces(tmp_path):
+    f, H = np.arange(1.0, 6.0), 1j * np.ones(5)
+    codes = {1: (8, 13), 2: (11, 13), 3: (12, 13), 4: (12, 12), 5: (0, 13), 6: (3, 13), 7: (13, 13), 8: (12, 0)}
+    responses = [function(f, H, (k, 3), (1, 3), measured=code, applied=by) for k, (code, by) in codes.items()]
+    doubtful = [function(f, H, (9, 3), (hit, 3), measured=code) for hit, code in ((1, 8), (2, 12))]
+    (data,) = phc.read_uff(written(tmp_path, *responses, *doubtful))
+    assert data.quantity == {"1+Z": "displacement", "2+Z": "velocity", "3+Z": "acceleration"}
+    path = written(tmp_path, *hammer_runs()[1], name="hits.uff")
+    assert phc.read_uff(path)[0].quantity == {"deck:1+Z": "acceleration", "deck:2-X": "acceleration"}
+    # an acceleration in the place of the force
+    assert phc.read_uff(path, input="deck:2-X", output="deck:1+Z")[0].quantity == {}
+    decay = function(f, np.ones(5), (3, 1), in_time=True, measured=8)
+    assert phc.read_uff(written(tmp_path, decay, name="decay.uff"))[0].quantity == {"3+X": "displacement"}
+
+
+QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}
+
+
+@pytest.mark.parametrize("code", QUANTITIES)
+def test_a_fit_takes_the_quantity_of_the_file_and_says_so(tmp_path, code):
+    f = np.linspace(0.1, 1.0, 60)
+    mobility = phc.modes([1.5, 4.0], [1.0, 0.5]).freqresp(2 * np.pi * f).reshape(-1)
+    measured = mobility * (2j * np.pi * f) ** {8: -1, 11: 0, 12: 1}[code]
+    (data,) = phc.read_uff(written(tmp_path, function(f, measured, (1, 3), (1, 3), binary=1, measured=code)))
+    result = phc.pem(data, 2)
+    assert result.quantity == QUANTITIES[code] and result.structure == "lossless"
+    assert np.allclose(result.modes.r, [1.0, 0.5], rtol=1e-4)
+    assert (f"{QUANTITIES[code]} of the port" in result.summary()) == (code != 11)
+    assert phc.pem(data, 2, quantity="free").quantities == ("free",)
+    found = json.loads(run("fit", str(tmp_path / "test.uff"), "--order", "2", "--json").out)
+    assert found["quantity"] == QUANTITIES[code]
+
+
+def test_quantities_of_several_outputs_go_by_their_labels(tmp_path):
+    f = np.arange(0.5, 20.0, 0.25)
+    shapes, omega = np.array([[1.0, 0.5, -0.7], [0.4, -1.0, 0.8]]), 2 * np.pi * f
+    poles = np.array([-0.5 + 30j, -0.8 + 70j])
+    response = phc.modes(poles, shapes, shapes[:, :1] / (2j * poles.imag[:, None])).freqresp(omega)
+    codes = (12, 8, 0)
+    raised = np.array([1j * omega] * 3) ** np.array([[2], [0], [1]])
+    path = written(tmp_path, *(
+        function(f, response.reshape(3, -1)[k] * raised[k], (k + 1, 3), (1, 3), measured=codes[k], binary=1)
+        for k in range(3)
+    ))  # fmt: skip
+    (data,) = phc.read_uff(path)
+    result = phc.pem(data, 2, structure="free", ports=[("1+Z", "1+Z")])
+    assert result.quantities == ("acceleration", "displacement", "velocity")
+    assert np.allclose(result.shapes, shapes, rtol=1e-3, atol=1e-4)
+    again = phc.read_uff(path)[0]
+    again.quantity = {"1+Z": "velocity"}
+    with pytest.raises(phc.StructureError, match=r"'1\+Z' is acceleration in one experiment and velocity"):
+        phc.pem([data, again], 2)
 
 
 @pytest.mark.parametrize("absent", [(1, 0), (2, 1)])
@@ -411,8 +478,11 @@ def test_commands_read_every_format(folder):
     f = np.linspace(0.1, 1.0, 60)
     response = phc.modes([1.0, 4.0], [1.0, 0.5]).freqresp(2 * np.pi * f).reshape(-1)
     scipy.io.savemat("a.mat", {"t": t, "u": u, "y": y, "f": f, "H": response})
-    written(folder, *(function(t, x, (1, 3), in_time=True, force=force) for x, force in ((u, True), (y, False))))
-    written(folder, function(f, response, (1, 3), (1, 3)), name="shaker.unv")
+    written(
+        folder,
+        *(function(t, x, (1, 3), in_time=True, force=force, measured=11) for x, force in ((u, True), (y, False))),
+    )
+    written(folder, function(f, response, (1, 3), (1, 3), measured=11), name="shaker.unv")
     np.savetxt("a.csv", np.column_stack([t, u, -u, y]), delimiter=",", header="t,u,v,y", comments="")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

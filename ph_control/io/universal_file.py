@@ -25,6 +25,7 @@ SUFFIXES = (".uff", ".unv", ".uf", ".bunv", ".bun", ".uf58")
 
 _TIME, _FREQUENCY = 17, 18  # specific data types of the abscissa
 _FORCE = 13  # of the ordinate: excitation force
+_QUANTITIES = {8: "displacement", 11: "velocity", 12: "acceleration"}
 _GENERAL, _TIME_RESPONSE, _FREQUENCY_RESPONSE = 0, 1, 4  # function types
 _COMPLEX = (5, 6)  # ordinate data types
 _DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
@@ -39,6 +40,8 @@ class _Function:
 
     in_time: bool
     is_force: bool
+    by_force: bool
+    quantity: str | None
     response: str
     reference: str
     load_case: int
@@ -68,7 +71,9 @@ def read_uff(
     Returns
     -------
     list of control.FrequencyResponseData and control.TimeResponseData
-        In the order of the file, with labels, and `time_unit` 's'; frequencies in rad/s.
+        In the order of the file, with labels, and `time_unit` 's'; frequencies in rad/s.  `quantity` is a mapping from
+        labels of outputs to 'displacement', 'velocity' or 'acceleration', of those that the file calls so and that
+        respond to forces; `pem` takes it.
 
         Frequency response functions on the same frequencies form one matrix, shape (p, m, K): a row for each place of
         response, a column for each reference, NaN where a pair was not measured.  A pair that comes again opens the
@@ -114,6 +119,8 @@ def read_uff(
     ...     (data,) = phc.read_uff(pathlib.Path(folder, "beam.uff"))
     >>> data.output_labels, data.input_labels, data.frdata.shape
     (['1+Z', '2+Z'], ['1+Z'], (2, 1, 4))
+    >>> data.quantity
+    {'1+Z': 'displacement', '2+Z': 'displacement'}
     """
     name = source_name(path)
     wanted = _labels("input", input), _labels("output", output)
@@ -206,7 +213,8 @@ def _function(fields: dict[str, Any], place: str) -> _Function | None:
             _place_label(fields[f"{of}_ent_name"], int(fields[f"{of}_node"]), int(fields[f"{of}_dir"]))
             for of in ("rsp", "ref")
         )
-        case, force = int(fields["load_case_id"]), int(fields["ordinate_spec_data_type"]) == _FORCE
+        case, measured = int(fields["load_case_id"]), int(fields["ordinate_spec_data_type"])
+        by_force = int(fields["orddenom_spec_data_type"]) == _FORCE
     except FileFormatError:
         raise
     except Exception as error:
@@ -220,7 +228,8 @@ def _function(fields: dict[str, Any], place: str) -> _Function | None:
     infinite = np.isinf(values)
     if infinite.any():
         raise FileFormatError(f"{place}: value {int(np.argmax(infinite)) + 1} is infinite; export it anew")
-    return _Function(in_time, force, response, reference, case, abscissa, values)
+    quantity = _QUANTITIES.get(measured)
+    return _Function(in_time, measured == _FORCE, by_force, quantity, response, reference, case, abscissa, values)
 
 
 def _place_label(component: Any, node: int, direction: int) -> str:
@@ -260,7 +269,7 @@ def _matrices(
     functions: list[_Function], name: str, inputs: list[str] | None, outputs: list[str] | None
 ) -> Iterator[tuple[int, FrequencyResponseData]]:
     """Frequency responses, as matrices, each with the place of its first function."""
-    groups: list[tuple[int, Array, dict[tuple[str, str], Any]]] = []
+    groups: list[tuple[int, Array, dict[tuple[str, str], _Function]]] = []
     for place, one in enumerate(functions):
         if one.in_time or not _asked(outputs, one.response) or not _asked(inputs, one.reference):
             continue
@@ -268,13 +277,14 @@ def _matrices(
         group = next((g for g in groups if _same_axis(g[1], one.abscissa) and pair not in g[2]), None)
         if group is None:
             groups.append(group := (place, one.abscissa, {}))
-        group[2][pair] = one.values
+        group[2][pair] = one
     for place, hertz, entries in groups:
         rows, columns = (_ordered(wanted, [pair[k] for pair in entries]) for k, wanted in ((0, outputs), (1, inputs)))
         matrix = np.full((len(rows), len(columns), len(hertz)), np.nan, complex)
-        for (response, reference), values in entries.items():
-            matrix[rows.index(response), columns.index(reference)] = values
-        yield place, response_matrix(2 * np.pi * hertz, matrix, columns, rows, name)
+        for (response, reference), one in entries.items():
+            matrix[rows.index(response), columns.index(reference)] = one.values
+        data = response_matrix(2 * np.pi * hertz, matrix, columns, rows, name)
+        yield place, _with_quantity(data, [(one.response, one.quantity, one.by_force) for one in entries.values()])
 
 
 def _recordings(
@@ -308,7 +318,18 @@ def _recordings(
         u, y = (np.array([one.values for one in side.values()], float) for side in (driving, moving))
         if np.isnan(u).any():
             raise FileFormatError(f"{name}: an input has missing values, and only outputs may; cut the recording there")
-        yield place, recording(_uniform(channels[0].abscissa, name), u, y, list(driving), list(moving), name, "s")
+        data = recording(_uniform(channels[0].abscissa, name), u, y, list(driving), list(moving), name, "s")
+        forced = all(one.is_force for one in driving.values())
+        yield place, _with_quantity(data, [(label, one.quantity, forced) for label, one in moving.items()])
+
+
+def _with_quantity(data: Any, functions: list[tuple[str, str | None, bool]]) -> Any:
+    """The same data, told what each output is where all its functions say the same, and are responses to forces."""
+    found: dict[str, set[str | None]] = {}
+    for label, quantity, forced in functions:
+        found.setdefault(label, set()).add(quantity if forced else None)
+    data.quantity = {label: one for label, (one, *others) in found.items() if one and not others}
+    return data
 
 
 def _uniform(instants: Array, name: str) -> Array:

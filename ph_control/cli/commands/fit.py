@@ -81,8 +81,9 @@ def add_fitted(parser: Parser) -> None:
         "--ports", type=ports, metavar="LIST", help="driving points, such as y1:u1,y2:u2: labels of output and input"
     )
     model.add_argument(
-        "--quantity", type=quantities, default="velocity", metavar="LIST",
-        help="velocity (default), displacement, acceleration or free: of all outputs, or of each",
+        "--quantity", type=quantities, metavar="LIST",
+        help="velocity, displacement, acceleration or free: of all outputs, or of each (default: what a universal file "
+        "tells, else velocity)",
     )  # fmt: skip
     add_meeting(model, ("estimate", "zero"), ("auto", *INTERSAMPLE))
     model.add_argument(

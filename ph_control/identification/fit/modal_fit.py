@@ -176,6 +176,21 @@ def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> A
     return Asked(structure, pairs, quantities, assumed)
 
 
+def quantity_of(data: Any) -> Any:
+    """Quantities by label of the output, of data that tell them; else that of a port."""
+    found: dict[str, str] = {}
+    for one in data if isinstance(data, list | tuple) else [data]:
+        told = getattr(one, "quantity", None)
+        # a data frame may have a column of that name
+        for label, quantity in told.items() if isinstance(told, dict) else ():
+            if found.setdefault(label, quantity) != quantity:
+                raise StructureError(
+                    f"output {label!r} is {found[label]} in one experiment and {quantity} in another; pass quantity, "
+                    "or give the outputs different labels"
+                )
+    return found or "velocity"
+
+
 def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
     """One quantity for each output, of one for all, a sequence, or a mapping by label."""
     if isinstance(quantity, str):

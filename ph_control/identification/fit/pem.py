@@ -29,7 +29,15 @@ from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Conclusion, Fit, conclude
-from .modal_fit import asked_of, begin_at_rest, checked_quantities, fit_channels, starting_poles, under_either_hold
+from .modal_fit import (
+    asked_of,
+    begin_at_rest,
+    checked_quantities,
+    fit_channels,
+    quantity_of,
+    starting_poles,
+    under_either_hold,
+)
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 
 
@@ -43,7 +51,7 @@ def pem(
     intersample: str = "auto",
     initial_state: str = "estimate",
     offset: bool | str = "auto",
-    quantity: Any = "velocity",
+    quantity: Any = None,
     representation: str = "observable",
     initial_guess: Any = None,
     weights: Any = None,
@@ -82,8 +90,9 @@ def pem(
     offset : bool or 'auto'
         Whether a constant is added to the output of each record, and estimated; 'auto' adds one, or one that drifts,
         where that explains more than a slow mode does.
-    quantity : {'velocity', 'displacement', 'acceleration', 'free'}, or sequence or dict of these
-        What was measured: of all outputs, of each, or by label; 'free' is any other sensor.
+    quantity : {'velocity', 'displacement', 'acceleration', 'free'}, or sequence or dict of these, optional
+        What was measured: of all outputs, of each, or by label; 'free' is any other sensor.  Default: what the data
+        tell by an attribute `quantity`, a dict as `read_uff` gives it, and 'velocity' of all other outputs.
     representation : {'observable', 'controllable'}
         Whether a mode without weight may still move at the output, as in the observable form, or not, as in every state
         of the controllable one; of lossless models of one input and output.
@@ -163,6 +172,7 @@ def pem(
     """
     _checks.choice("criterion", criterion, CRITERIA)
     _checks.choice("structure", structure, ("auto", *STRUCTURES))
+    quantity = quantity_of(data) if quantity is None else quantity
     several = structure not in ("auto", "lossless") or has_several_channels(data)
     if not several and not isinstance(quantity, str):
         (quantity,) = checked_quantities(quantity, as_channels(data, dt, weights=weights)[0].output_labels)
