@@ -64,15 +64,6 @@ class Modal:
             y = y + 2 * np.real(residue @ states(pole, u, h))
         return np.asarray(y)
 
-    def motions(self, count: int, h: float) -> Array:
-        """Outputs (states, p, T) of unit initial states: a pole has as many pairs of them as its residue has ranks."""
-        z = np.exp(np.outer(self.poles, h * np.arange(count)))
-        shapes, sizes, _ = np.linalg.svd(self.residues, full_matrices=False)
-        found = [
-            shapes[l, :, k, None] * z[l] for l in range(len(z)) for k in np.flatnonzero(sizes[l] > 1e-6 * sizes[l, 0])
-        ]
-        return np.concatenate([np.real(found), np.imag(found)])
-
     def response(self, omega: Array) -> Any:
         """Frequency response (p, m, K)."""
         s = 1j * omega
@@ -100,14 +91,6 @@ class Discrete:
                 y[:, k] = self.C @ x + self.D @ now
                 x = self.A @ x + self.B @ now
         return y
-
-    def motions(self, count: int, h: float) -> Array:
-        """Outputs (states, p, T) of unit initial states."""
-        found, x = np.empty((len(self.A), len(self.C), count)), np.eye(len(self.A))
-        for k in range(count):
-            found[:, :, k] = (self.C @ x).T
-            x = self.A @ x
-        return found
 
 
 @dataclass(frozen=True)

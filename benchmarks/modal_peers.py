@@ -1,11 +1,11 @@
 """Identification of damped modes side by side: the same data, one run.
 
-    python -m benchmarks.modal_peers [time] [frf] [measured] [--seeds N] [--method TEXT ...] [--json FILE]
+    python -m benchmarks.modal_peers [time] [frf] [--seeds N] [--method TEXT ...] [--json FILE]
 
 `time` has records of random plants under white inputs, one input and output and two by four; `frf` the response of a
-chain of three masses and of a random plant with two inputs and three outputs; `measured` real data, with the
-prediction of their second half.  Every method knows the order, and is given the best of its settings by the truth, of
-every data set anew; the picking of stable poles is told the true frequencies.
+chain of three masses and of a random plant with two inputs and three outputs.  Every method knows the order, and is
+given the best of its settings by the truth, of every data set anew; the picking of stable poles is told the true
+frequencies.
 """
 
 from __future__ import annotations
@@ -24,15 +24,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.signal import lfilter
 
-import ph_control as phc
-
 from .modal_methods import Discrete, Estimate, Method, Modal, Record, Responses, methods, states
 from .montecarlo import environment
 from .recordings import BAND, spaced_frequencies
 
 Array = NDArray[np.float64]
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured"
 AHEAD = 2000  # samples of the new input
 BINS = 3.0  # smallest distance of two frequencies
 NEAR = 0.3  # of the distance to the next mode: how far off a frequency may be and still be found
@@ -280,7 +277,7 @@ def study(case: Case, seeds: int, wanted: Sequence[str] | None) -> tuple[list[st
     kind = Record if case.kind == "record" else Responses
     rows: dict[str, list[dict[str, Any]] | str] = {}
     for method in methods(lambda: truths["near"]):
-        if kind not in method.of or not _chosen(method, wanted):
+        if kind not in method.of or not chosen(method, wanted):
             continue
         rows[method.name] = method.missing or trials(method, case, seeds, truths)
     limits = [bound(*data_of(case, seed)) for seed in range(seeds)]
@@ -288,146 +285,29 @@ def study(case: Case, seeds: int, wanted: Sequence[str] | None) -> tuple[list[st
     return list(table(case, rows, (limit[0], limit[1]))), {"case": str(case), "bound": limit, "trials": rows}
 
 
-def _chosen(method: Method, wanted: Sequence[str] | None) -> bool:
+def chosen(method: Method, wanted: Sequence[str] | None) -> bool:
     return wanted is None or method.package == "ph_control" or any(text in method.name for text in wanted)
-
-
-# --- measured data ---------------------------------------------------------------------------------------------------
-
-
-def predicted(model: Modal | Discrete, u: Array, y: Array, h: float) -> Array:
-    """Fit percent of each output when only the initial state is fitted."""
-    with np.errstate(all="ignore"):
-        rest = y - model.simulate(u, h)
-        motions = model.motions(u.shape[1], h)
-        if not (np.isfinite(rest).all() and np.isfinite(motions).all()):
-            return np.full(len(y), -np.inf)
-        flat = motions.reshape(len(motions), -1)
-        rest = rest - (np.linalg.lstsq(flat.T, rest.ravel(), rcond=None)[0] @ flat).reshape(rest.shape)
-    return 100 * (1 - np.linalg.norm(rest, axis=1) / np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1))
-
-
-def measured_records() -> Iterator[tuple[str, Record, int, tuple[int, ...]]]:
-    """Name, record, samples that are fitted, and orders."""
-    arm = np.loadtxt(DATA / "robot_arm.dat")
-    yield "robot_arm.dat (torque to acceleration)", _centred(arm[:, :1].T, arm[:, 1:].T, 512), 512, (2, 3)
-    player = phc.read_mat(
-        DATA / "CD_player_arm_dat.mat", dt=1.0, input=["CD_player_arm_dat[0]", "CD_player_arm_dat[1]"],
-        output=["CD_player_arm_dat[2]", "CD_player_arm_dat[3]"],
-    )  # fmt: skip
-    yield "CD_player_arm_dat.mat (2 x 2)", _centred(player.inputs, player.outputs, 1024), 1024, (4, 8, 10)
-
-
-def _centred(u: Any, y: Any, fitted: int) -> Record:
-    """Record whose means over the part that is fitted are taken away."""
-    u, y = (np.asarray(x, float) - np.mean(x[:, :fitted], axis=1, keepdims=True) for x in (u, y))
-    return Record(u, y, 1.0, "free")
-
-
-def measured(wanted: Sequence[str] | None) -> Iterator[str]:
-    """Lines of the prediction of the second half by state-space methods, and of modes of measured responses."""
-    if not DATA.is_dir():
-        yield f"\nmeasured data: skipped, there is no folder {DATA}"
-        return
-    for name, record, count, orders in measured_records():
-        first = Record(record.u[:, :count], record.y[:, :count], record.h, record.quantity)
-        yield f"\n{name}: first {count} samples fitted; fit of the rest [%], best horizon by it"
-        for n in orders:
-            for method in methods(lambda: np.zeros(0)):
-                if Record not in method.of or method.package in ("sdypy", "pyoma2") or not _chosen(method, wanted):
-                    continue
-                yield f"  {n:3d} modes  {method.name:40s} {_second_half(method, first, record, count, n)}"
-    yield from _measured_responses(wanted)
-
-
-def _second_half(method: Method, first: Record, record: Record, count: int, n: int) -> str:
-    if method.missing:
-        return method.missing
-    best, failure, seconds, size = np.full(len(record.y), -np.inf), "no model", 0.0, 0
-    for setting in method.settings:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            start = perf_counter()
-            try:
-                model = method.identify(first, n, setting).model
-            except (Exception, SystemExit) as reason:
-                failure = f"{type(reason).__name__}: {str(reason)[:80]}"
-                continue
-            spent = perf_counter() - start
-            if model is not None:
-                found = predicted(model, record.u[:, count:], record.y[:, count:], record.h)
-                if found.mean() > best.mean() or not np.isfinite(best).any():
-                    best, seconds, size = found, spent, len(model.motions(1, record.h))
-    said = f"{' / '.join(f'{one:6.1f}' for one in best)}   {size} states, {seconds:.2f} s"
-    return said if np.isfinite(best).all() else failure
-
-
-def _measured_responses(wanted: Sequence[str] | None) -> Iterator[str]:
-    """Damping ratios of measured responses by all methods for these."""
-    beam = np.array([complex(line) for line in (DATA / "meas_point_1.txt").read_text().split()])
-    hertz = np.arange(float(len(beam)))
-    keep = slice(20, None)
-    three = phc.read_frequency_mat(DATA / "mckiddat.mat", frequency="Freq", response="Recep", frequency_unit="Hz")
-    accelerance = Responses(2 * np.pi * hertz[keep], beam[None, None, keep], "acceleration")
-    cases = (
-        ("meas_point_1.txt (accelerance of a beam)", accelerance, (51.5, 142.0, 278.5, 460.5, 688.0, 958.5)),
-        ("mckiddat.mat", Responses(three.omega[1:], three.frdata[..., 1:], "displacement"), (0.1029, 0.1962, 0.3247)),
-    )
-    for name, data, near in cases:
-        yield f"\n{name}: natural frequencies [Hz] and damping ratios [%]"
-        guess = 2 * np.pi * np.array(near)
-        for method in methods(lambda of=guess: of):
-            if Responses not in method.of or not _chosen(method, wanted):
-                continue
-            yield f"  {method.name:30s} {method.missing or _modes_text(method, data, len(near))}"
-
-
-def _modes_text(method: Method, data: Responses, n: int) -> str:
-    """Modes of the setting with the smallest residual."""
-    best, text, seconds = np.inf, "no model", 0.0
-    for setting in method.settings:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            start = perf_counter()
-            try:
-                found = method.identify(data, n, setting)
-            except (Exception, SystemExit) as reason:
-                text = f"{type(reason).__name__}: {str(reason)[:80]}" if not np.isfinite(best) else text
-                continue
-            seconds = perf_counter() - start
-            if not isinstance(found.model, Modal):
-                continue
-            loss = float(np.linalg.norm(found.model.response(data.omega) - data.H) / np.linalg.norm(data.H))
-        if loss < best:
-            best, order = loss, np.argsort(np.abs(found.poles))
-            poles = found.poles[order]
-            pairs = [f"{abs(p) / 2 / np.pi:.4g}: {-100 * p.real / abs(p):.3g}" for p in poles]
-            text = f"{', '.join(pairs)}   residual {100 * loss:.1f} %, {seconds:.2f} s"
-    return text
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the studies and print a table of each."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.modal_peers", description=__doc__.splitlines()[0])
-    parser.add_argument("studies", nargs="*", metavar="STUDY", help="time, frf, measured (default: all)")
+    parser.add_argument("studies", nargs="*", metavar="STUDY", help="time, frf (default: both)")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--method", nargs="+", metavar="TEXT", help="only the methods with one of these in their names")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args(arguments)
-    chosen = options.studies or ["time", "frf", "measured"]
-    unknown = [one for one in chosen if one not in (*CASES, "measured")]
+    names = options.studies or list(CASES)
+    unknown = [one for one in names if one not in CASES]
     if unknown:
-        parser.error(f"{unknown[0]} is no study; they are time, frf and measured")
+        parser.error(f"{unknown[0]} is no study; they are time and frf")
     print(f"modal_peers: {environment(1)}", flush=True)
     document = []
-    for name in chosen:
-        for case in CASES.get(name, ()):
+    for name in names:
+        for case in CASES[name]:
             lines, found = study(case, options.seeds, options.method)
             print("\n".join(lines), flush=True)
             document.append(found)
-        if name == "measured":
-            for line in measured(options.method):
-                print(line, flush=True)
     if options.json:
         options.json.write_text(json.dumps(document, indent=1), encoding="utf-8")
 

@@ -19,7 +19,20 @@ import ph_control as phc
 
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
 
-from benchmarks import cold, digits, methods, modal_peers, montecarlo, page, passive_peers, peers, report, tasks, trials
+from benchmarks import (
+    cold,
+    digits,
+    measured,
+    methods,
+    modal_peers,
+    montecarlo,
+    page,
+    passive_peers,
+    peers,
+    report,
+    tasks,
+    trials,
+)
 from benchmarks.bound import fit_from_truth, output_and_jacobian, standard_errors
 from benchmarks.recordings import BAND, POWER_RATIO, Configuration, simulate, spaced_frequencies
 
@@ -553,3 +566,31 @@ def test_a_method_without_its_package_is_listed(monkeypatch):
     monkeypatch.setattr(modal_peers.Method, "missing", property(lambda method: "not installed"))
     lines, _ = modal_peers.study(modal_peers.CASES["time"][0], 1, None)
     assert sum("not installed" in line for line in lines) == 12
+
+
+def told(file):
+    (case,) = [one for one in measured.CASES if one.file == file]
+    if not (measured.DATA / file).exists():
+        pytest.skip(f"{file} is not in {measured.DATA}")
+    return list(measured.study(case, ["none"]))
+
+
+def test_modes_of_measured_receptances_stand_beside_those_of_peers():
+    lines = told("mckiddat.mat")
+    assert "pem: 3 modes, passive" in lines[1]
+    frequencies = [float(line.split()[0]) for line in lines[3:6]]
+    assert np.allclose(frequencies, [0.1029, 0.1962, 0.3247], rtol=1e-3)
+    assert "residual 0.0 %" in lines[-1]
+
+
+def test_the_second_half_of_the_robot_arm_is_predicted_as_the_first_was_fitted():
+    lines = told("robot_arm.dat")
+    (share,) = [line for line in lines if "fit over that of" in line]
+    assert float(share.split("chosen ")[1].split()[0]) >= 95
+    rows = [line for line in lines if "states" in line]
+    assert len(rows) == 4 and all(float(row.split()[-3]) > 95 for row in rows)
+
+
+def test_measured_data_that_are_not_there_are_skipped(monkeypatch, tmp_path):
+    monkeypatch.setattr(measured, "DATA", tmp_path)
+    assert all("skipped" in list(measured.study(case, None))[-1] for case in measured.CASES)
