@@ -90,39 +90,44 @@ def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]
     Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.
     """
     try:
-        found = structured(free, asked, findings)
+        first = _structure_of(free, asked)
     except KeyboardInterrupt:
         return structured(replace(free, interrupted=True), asked, findings)
+    findings = (*findings, *free.findings)
     settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
-    if free.rival is None or found.structure in settled:
-        return found
+    if free.rival is None or first[0].structure in settled:
+        return _result(free, *first, asked, findings)
     try:
-        other = structured(free.rival, asked, findings)
+        second = _structure_of(free.rival, asked)
     except KeyboardInterrupt:
-        return cut_short(found)
+        return cut_short(_result(free, *first, asked, findings))
     if asked.structure == "auto":
-        return min(found, other, key=lambda one: STRUCTURES.index(one.structure))
+        simpler = STRUCTURES.index(second[0].structure) < STRUCTURES.index(first[0].structure)
+        return _result(*((free.rival, *second) if simpler else (free, *first)), asked, findings)
+    found, other = _result(free, *first, asked, findings), _result(free.rival, *second, asked, findings)
     return other if other.loglik > found.loglik + TUNING.sure else found
 
 
 def structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:
-    """The structure that is asked for, or the simplest that is not rejected."""
+    """The same with the inputs held as they are."""
+    return _result(free, *_structure_of(free, asked), asked, (*findings, *free.findings))
+
+
+def _structure_of(free: FreeFit, asked: Asked) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
+    """The structure that is asked for, or the simplest that is not rejected, and the tests of all."""
     first = free.channels[0]
     layout = ChannelLayout(
         len(first.output_labels), len(first.input_labels), free.scales, asked.quantities, asked.ports,
         per_entry=free.per_entry,
     )  # fmt: skip
-    tests: tuple[HypothesisTest, ...] = ()
     if not free.order:
-        fit = _without_modes(free)
-    elif asked.structure == "auto" and free.interrupted:
-        fit = constrained(free.projection, layout, "free", free.region)
-    elif asked.structure == "auto":
+        return _without_modes(free), ()
+    if asked.structure == "auto" and free.interrupted:
+        return constrained(free.projection, layout, "free", free.region), ()
+    if asked.structure == "auto":
         found = structure_tests(free.projection, layout, free.region)
-        tests, fit = found.tests, choose(found)
-    else:
-        fit = constrained(free.projection, layout, asked.structure, free.region, 1 if free.interrupted else None)
-    return _result(free, fit, tests, asked, (*findings, *free.findings))
+        return choose(found), found.tests
+    return constrained(free.projection, layout, asked.structure, free.region, 1 if free.interrupted else None), ()
 
 
 def _refuse_still(channels: Channels) -> None:
@@ -313,9 +318,9 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     seen = split(at.shown.astype(float))
     lost = np.concatenate([np.zeros(2 * n), *((part == 0).ravel() for part in (seen[0][rank], seen[1][rank], seen[2]))])
     given = fit.covariance if n else at.covariance(fit.variance)
-    J = np.eye(len(given))
-    J[: 2 * n, : 2 * n] = natural_jacobian(fit.p)
-    inner = J @ given @ J.T
+    J, inner = natural_jacobian(fit.p), given.copy()
+    inner[: 2 * n] = J @ inner[: 2 * n]
+    inner[:, : 2 * n] = inner[:, : 2 * n] @ J.T
     inner = 0.5 * (inner + inner.T)  # but for rounding
     size = np.concatenate(unit)
     if not inner.size:

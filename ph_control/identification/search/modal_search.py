@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from ..._checks import EPS
 from ..._frozen import Frozen
@@ -314,11 +315,16 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
     if not found.projection.inputs:
         return found
     p, some = found.projection.p, [_first(one, _DELAYS_FROM) for one in found.channels]
+
+    def late(delay: int) -> FreeProjection:
+        rows = _records([_delayed(one, delay) for one in some], found.intersample, terms, True)
+        return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
+
+    if not _leaves_traces(late(0)):
+        return found
     gains = {}
     for delay in (0, *TUNING.delays):
-        late = [_delayed(one, delay) for one in some]
-        rows = _records(late, found.intersample, terms, True)
-        at = FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
+        at = late(delay)
         if at.rows > 2 * at.unknowns or not delay:
             gains[delay] = -0.5 * found.projection.rows * float(np.log(at.loss / at.rows))
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
@@ -334,6 +340,22 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
             finding = Finding(Cause.DELAY, (float(delay),), now)
             best, gain = replace(again, findings=(*found.findings, finding)), now
     return best
+
+
+def _leaves_traces(at: FreeProjection) -> bool:
+    """Whether what is left of outputs is no white noise, or goes with an input some samples before or after."""
+    most, found = max(map(abs, TUNING.delays)), []
+    for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+        if not isinstance(rows, FreeRecord):
+            continue
+        left = np.where(rows.observed, rows.y - predicted, 0.0)
+        found += [ljung_box([one[rows.observed]], TUNING.lags) for one in left]
+        size = 2 * rows.length
+        U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(left, size)
+        products = np.fft.irfft(E[:, None] * U.conj(), size)[..., np.r_[-most : most + 1]]
+        power = np.sum(left**2, axis=1)[:, None] * np.sum(rows.u[: rows.inputs] ** 2, axis=1) / rows.samples
+        found += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
+    return bool(found) and min(found) * len(found) < TUNING.white
 
 
 def _first(one: Recording, samples: int) -> Recording:
