@@ -238,7 +238,7 @@ class DampingWatch:
     def _damped(self) -> DampedModes | None:
         """Damped modes from nothing, if any has a decay rate that stands out of the noise."""
         found = self._search.grown(np.zeros(0, complex), min(self._search.carried, _MOST), True)
-        decays = np.any(np.abs(found.at.sigma) > _ERRORS * self._search.decay_errors(found))
+        decays = np.any(np.abs(found.at.sigma) > _ERRORS * self._search.decay_errors(found.at))
         return self._modes(found) if decays else None
 
     def _modes(self, found: FreeModel) -> DampedModes:

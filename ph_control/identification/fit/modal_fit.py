@@ -36,6 +36,7 @@ from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
 QUANTITIES = tuple(POWERS)
+_CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
 
@@ -257,6 +258,8 @@ def _result(
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
     lag = real_pole(free.projection) if whiteness < WHITE else None
     findings = (*findings, *([lag] if lag else []))
+    spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
+    growing = np.flatnonzero(poles.real > _CERTAIN * spread * np.abs(poles))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown = tuple(_squeezed(one) for one in experiments) if single else experiments
     outcome = _outcome(free, fitted, whiteness, spare)
@@ -290,7 +293,7 @@ def _result(
         findings=findings,
         success=fit.converged and not free.interrupted,
         outcome=outcome,
-        message=_message(free, poles, tests, findings, shapes, whiteness, outcome),
+        message=_message(free, growing, tests, findings, shapes, whiteness, outcome),
         intersample="zoh" if free.per_entry else free.intersample,
     )  # fmt: skip
 
@@ -478,7 +481,7 @@ def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int) -> Outc
 
 
 def _message(
-    free: FreeFit, poles: ComplexArray, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
+    free: FreeFit, growing: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
     shapes: ModeShapes, whiteness: float, outcome: Outcome,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
@@ -489,9 +492,9 @@ def _message(
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:
         parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")
-    growing = np.flatnonzero(poles.real > 0) + 1
     if len(growing):
-        parts.append(f"{counted(len(growing), 'mode')} grow: {', '.join(map(str, growing))}.")
+        grow = "grows" if len(growing) == 1 else "grow"
+        parts.append(f"{counted(len(growing), 'mode')} {grow}: {', '.join(map(str, growing + 1))}.")
     if shapes.shapes.shape[1] > 1:
         parts.append(
             "Mode shapes are those of unit modal mass."

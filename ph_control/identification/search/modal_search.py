@@ -227,7 +227,7 @@ def free_fit(
         def anew(channels: Experiments, terms: int, start: ComplexArray | None) -> FreeFit:
             path = posed(channels, terms, found.intersample if either is None else either)
             if start is not None:
-                return path.finished(path.model(start), channels)
+                return path.finished(path.model(start), channels, automatic)
             return path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
 
         either = None if intersample == "auto" else intersample
@@ -238,7 +238,8 @@ def free_fit(
 
     def again(channels: Experiments, start: ComplexArray | None) -> FreeFit:
         path = posed(channels)
-        return path.finished(path.chosen(begin, most, automatic) if start is None else path.model(start), channels)
+        model = path.chosen(begin, most, automatic) if start is None else path.model(start)
+        return path.finished(model, channels, automatic)
 
     try:
         return _reweighted(found, again)
@@ -737,11 +738,17 @@ class FreePath:
             model = self.model(np.delete(at.p, worst))
         return model
 
+    def growing(self, at: FreeProjection, evidence: Callable[[], Array]) -> Mask:
+        """Modes that grow and are broad, or no large part of any motion: they patch records that are not stationary."""
+        found = at.sigma < -_GROWING * self.decay_errors(at)
+        if found.any():
+            large = _LARGE * float(np.sum(self.power * self.sizes**2))
+            found &= (at.sigma < -TUNING.broadest * at.d) | (evidence() < large)
+        return found
+
     def grows(self, model: FreeModel) -> bool:
-        """Whether a mode grows that is no large part of any motion: it patches a record that is not stationary."""
-        growing = model.at.sigma < -_GROWING * self.decay_errors(model)
-        large = _LARGE * float(np.sum(self.power * self.sizes**2))
-        return bool(growing.any() and np.any(self.evidence(model)[growing] < large))
+        """Whether there are such modes."""
+        return bool(self.growing(model.at, lambda: self.evidence(model)).any())
 
     def is_white(self, model: FreeModel) -> bool:
         """Whether what is left of each output may be white noise."""
@@ -779,11 +786,11 @@ class FreePath:
     def vagueness(self, model: FreeModel) -> Array:
         """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
         allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
-        return np.asarray(self.decay_errors(model) / allowed)
+        return np.asarray(self.decay_errors(model.at) / allowed)
 
-    def decay_errors(self, model: FreeModel) -> Array:
+    def decay_errors(self, at: FreeProjection) -> Array:
         """Standard errors of the decay rates."""
-        at, n = model.at, len(model.p)
+        n = len(at.p)
         inner = at.covariance(at.loss / max(1, at.rows - self.search.unknowns(n)))
         return np.sqrt(np.diag(inner)[n : 2 * n])
 
@@ -810,12 +817,13 @@ class FreePath:
         found: FreeFit | None = None
         try:
             self.best = self.best or self.chosen(start, most, automatic)
-            found = self.finished(self.best, channels)
+            found = self.finished(self.best, channels, automatic)
             if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
-            rival = FreePath(other, self.felt, self.criterion, self.reports, self.best).finished(self.best, channels)
+            kept = replace(self.best, at=found.projection)
+            rival = FreePath(other, self.felt, self.criterion, self.reports, kept).finished(kept, channels)
         except KeyboardInterrupt:
             if found is not None:
                 return replace(found, interrupted=True)
@@ -827,13 +835,18 @@ class FreePath:
             found, rival = rival, found
         return replace(found, rival=rival)
 
-    def finished(self, model: FreeModel, channels: Sequence[Any], interrupted: bool = False) -> FreeFit:
+    def finished(
+        self, model: FreeModel, channels: Sequence[Any], automatic: bool = False, interrupted: bool = False
+    ) -> FreeFit:
         """The last minimum; what is fed through only where it stands out, or has to be.
 
-        Who interrupts wants an end: then the poles stay as they are.
+        Of an `automatic` order without modes that only the bins about them asked for.  Who interrupts wants an end:
+        then the poles stay as they are.
         """
         self.weigh(model.losses)
         at, losses = self.settled(model.p, None, interrupted)
+        while automatic and (needless := self.needless(at)) is not None:
+            at, losses = self.settled(np.delete(at.p, needless), None, False)
         fed: Mask | None = None
         if at.has_feedthrough and not self.felt.all():
             fed = self.felt | self.stands_out(at)
@@ -865,6 +878,21 @@ class FreePath:
                 break
             before = now
         return at, losses
+
+    def needless(self, at: FreeProjection) -> int | None:
+        """A mode that is none of the plant, or without which the criterion is better, of a minimum over all data."""
+        n = len(at.p)
+        if not n:
+            return None
+        if self.growing(at, lambda: at.evidence).any():
+            return int(np.argmin(at.sigma))
+        weakest = int(np.argmin(at.evidence))
+        lost = 0.5 * at.rows * float(np.log1p(at.evidence[weakest] / at.loss))
+        with_it, without = (
+            self.criteria(loglik, self.search.unknowns(size)).by_name(self.criterion)
+            for loglik, size in ((0.0, n), (-lost, n - 1))
+        )
+        return weakest if without <= with_it else None
 
     def refined(self, p: ComplexArray, rtol: float, fed: Mask | None) -> FreeProjection:
         """Modes refined over all data."""
