@@ -59,7 +59,7 @@ ANSWERS = (
     "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "DampedResult", "EnergyBalance", "Excitation",
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition", "LosslessResult",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
-    "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict",
+    "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so

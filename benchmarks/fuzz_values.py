@@ -328,6 +328,7 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "netlist.kind": _choice("admittance", "impedance"),
     "parameter": _choice("Z", "Y", "S"), "read_mat.input": _choice(None, "u", False, ["u"]),
     "read_mat.output": _choice(None, "y", ["y"]), "read_mat.time": _choice(None, "t", False),
+    "write_uff.result": lambda draw: pick(draw.rng, pool("PEMResult")), "places": _choice(["1+Z"], "4-Y"),
     "read_uff.input": _choice(None, "1+Z"), "read_uff.output": _choice(None, ["1+Z"]),
     "obj": lambda draw: pick(draw.rng, pool("system") + pool("modes") + pool("PEMResult")),
     "path": lambda draw: pick(draw.rng, [f"out{draw.rng.integers(100)}.json", Path(f"{draw.rng.integers(100)}.json")]),

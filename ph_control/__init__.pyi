@@ -89,6 +89,8 @@ from .io.matlab_tables import read_mat as read_mat
 from .io.time_csv import read_csv as read_csv
 from .io.touchstone import read_touchstone as read_touchstone
 from .io.universal_file import read_uff as read_uff
+from .io.universal_modes import UniversalModes as UniversalModes
+from .io.universal_modes import write_uff as write_uff
 from .modal.modal_form import ModalForm as ModalForm
 from .numerics.polynomials import ScaledCoefficients as ScaledCoefficients
 from .plotting.bode_plot import bode_plot as bode_plot

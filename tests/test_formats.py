@@ -268,6 +268,166 @@ def test_damaged_universal_files_are_refused_with_an_error_of_the_package(tmp_pa
         phc.read_uff(tmp_path / "absent.uff")
 
 
+# --- mode shapes of universal files ----------------------------------------------------------------------------------
+
+POLES = np.array([-0.5 + 30j, -0.8 + 70j])
+PLACES = ["deck:7-Y", "2+Z", "7+X"]
+ON_PLACES = np.array([[1.0, 0.5j, -0.7], [0.4, -1.0, 0.8 + 0.1j]])
+
+
+def receptances(drive=0):
+    """Of three outputs, with shapes of unit modal mass."""
+    f = np.arange(0.5, 20.0, 0.25)
+    plant = phc.modes(POLES, ON_PLACES, ON_PLACES[:, drive : drive + 1] / (2j * POLES.imag[:, None]))
+    return 2 * np.pi * f, plant.freqresp(2 * np.pi * f)
+
+
+def fit_of_shapes(time_unit=None, scaled=True):
+    omega, H = receptances()
+    seconds = {"ms": 1e-3, "s": 1.0, None: 1.0}[time_unit]
+    data = ct.FrequencyResponseData(H, omega * seconds, outputs=PLACES, inputs=["f"])
+    if time_unit:
+        data.time_unit = time_unit
+    return phc.pem(data, 2, structure="free", quantity="displacement", ports=[(0, 0)] if scaled else None)
+
+
+@pytest.mark.parametrize("time_unit", [None, "s", "ms"])
+def test_shapes_come_back_from_a_universal_file(tmp_path, time_unit):
+    result = fit_of_shapes(time_unit)
+    assert result.shapes_scaled
+    phc.write_uff(result, tmp_path / "modes.uff")
+    (found,) = phc.read_uff(tmp_path / "modes.uff")
+    assert isinstance(found, phc.UniversalModes) and found.time_unit == "s" and found.shapes_scaled
+    # by node and axis; the direction turned
+    assert found.output_labels == ("2+Z", "7+X", "7+Y")
+    assert np.allclose(found.poles, POLES, rtol=1e-5) and np.allclose(found.hertz, result.hertz, rtol=5e-6)
+    assert np.allclose(found.damping_ratios, result.damping_ratios, rtol=1e-5)
+    expected = result.shapes[:, [1, 2, 0]] * [1, 1, -1]
+    assert np.allclose(found.shapes, expected, rtol=0, atol=5e-6 * np.abs(expected).max())
+    assert np.allclose(result.mac(found.shapes[:, [2, 0, 1]] * [-1, 1, 1]), result.mac(result), atol=1e-4)
+    # the whole model from a force at each place
+    omega, H = receptances()
+    receptance = found.modes.freqresp(omega)[:, 2]
+    size = np.abs(H).max()
+    assert np.allclose(receptance, -H[[1, 2, 0], 0] * np.array([[1], [1], [-1]]), rtol=0, atol=1e-3 * size)
+    # what was read is written the same, but for the last digit of modal B
+    phc.write_uff(found, tmp_path / "again.uff")
+    (again,) = phc.read_uff(tmp_path / "again.uff")
+    assert again.output_labels == found.output_labels
+    for name in ("poles", "shapes", "modal_a"):
+        assert np.array_equal(getattr(again, name), getattr(found, name))
+
+
+def test_another_reader_finds_one_data_set_for_each_mode(tmp_path):
+    result = fit_of_shapes()
+    path = tmp_path / "modes.unv"
+    phc.write_uff(result, path, places={"deck:7-Y": "3+Y", "7+X": "40-X"})
+    with pytest.raises(phc.OutputExistsError):
+        phc.write_uff(result, path)
+    assert all(len(line) <= 80 for line in path.read_text().splitlines())
+    sets = pyuff.UFF(str(path)).read_sets()
+    assert [(one["type"], one["analysis_type"], one["spec_data_type"], one["mode_n"]) for one in sets] == [
+        (55, 3, 8, 1), (55, 3, 8, 2),
+    ]  # fmt: skip
+    for one, pole, shape in zip(sets, result.poles, result.shapes, strict=True):
+        assert np.isclose(one["eig"], pole, rtol=1e-5) and np.isclose(one["modal_a"], 2j * pole.imag, rtol=1e-5)
+        assert np.isclose(one["modal_b"], -pole * one["modal_a"], rtol=1e-5)
+        assert one["node_nums"].tolist() == [2, 3, 40]
+        table = np.array([[0, 0, -shape[2]], [0, shape[0], 0], [shape[1], 0, 0]])
+        assert np.allclose([one["r1"], one["r2"], one["r3"]], table, atol=1e-5)
+
+
+def test_shapes_without_a_driving_point_have_no_scale(tmp_path):
+    result = fit_of_shapes(scaled=False)
+    assert not result.shapes_scaled
+    phc.write_uff(result, tmp_path / "modes.uff", places=["1+X", "2+X", "3+X"])
+    (found,) = phc.read_uff(tmp_path / "modes.uff")
+    assert not found.shapes_scaled and not found.modal_a.any()
+    assert np.allclose(found.shapes, result.shapes, atol=1e-5)
+    with pytest.raises(phc.StructureError, match="no modal mass"):
+        _ = found.modes
+
+
+def test_a_lossless_fit_is_written_as_well(tmp_path):
+    omega = np.linspace(0.5, 6.0, 60)
+    data = ct.FrequencyResponseData(phc.modes([1.5, 4.0], [1.0, 0.5]).freqresp(omega), omega)
+    result = phc.pem(data, 2, structure="lossless")
+    phc.write_uff(result, tmp_path / "modes.uff", places="1-Z")
+    (found,) = phc.read_uff(tmp_path / "modes.uff")
+    assert np.allclose(found.poles, [1.5j, 4j], rtol=1e-5)
+    assert np.allclose(1j * omega * found.modes.freqresp(omega).ravel(), data.frdata.ravel(), rtol=1e-3, atol=1e-3)
+
+
+def shape_set(kind, nodes, values, mode=1, **fields):
+    """Data set 55 as pyuff writes it; a column of values for each direction."""
+    return {
+        "type": 55, "analysis_type": kind, "data_ch": 3 if len(values) == 6 else 2, "spec_data_type": 8, "load_case": 1,
+        "mode_n": mode, "node_nums": np.array(nodes), **{f"r{k + 1}": np.array(v) for k, v in enumerate(values)},
+    } | fields  # fmt: skip
+
+
+def test_normal_modes_of_other_programs_are_read(tmp_path):
+    none = [0.0, 0.0]
+    first = shape_set(
+        2, [4, 9], [[1.0, -2.0], none, none, none, none, [0.0, 0.25]], freq=2.0, modal_m=3.0, modal_damp_vis=0.02
+    )
+    second = shape_set(
+        2, [9, 12], [[0.5, 0.5], [0.1, 0.0], none, none, none, none], 2, freq=5.0, modal_m=1.0, modal_damp_his=0.02
+    )
+    (found,) = phc.read_uff(written(tmp_path, first, second))
+    assert found.output_labels == ("4+X", "9+X", "9+Y", "9+RZ", "12+X")
+    assert np.allclose(found.shapes, [[1, -2, 0, 0.25, 0], [0, 0.5, 0.1, 0, 0.5]])
+    assert np.allclose(found.hertz, [2.0, 5.0]) and np.allclose(found.damping_ratios, [0.02, 0.01])
+    # the receptance of the first mode at rest is shape shape^T / (m d^2), damping aside
+    at_rest = found.modes.freqresp(0.0).reshape(5, 5)[0, 0]
+    assert np.isclose(at_rest, 1 / (3.0 * (4 * np.pi) ** 2), rtol=1e-5)
+
+
+def test_complex_modes_of_other_programs_are_read(tmp_path):
+    shape = [np.array([1 + 1j, 2.0]), np.zeros(2) + 0j, np.zeros(2) + 0j]
+    conjugate = [column.conj() for column in shape]
+    sets = [
+        shape_set(3, [1, 2], shape, eig=-1 + 5j, modal_a=2 + 10j),
+        shape_set(3, [1, 2], conjugate, 2, eig=-1 - 5j, modal_a=2 - 10j),
+        shape_set(7, [1, 2], shape, 3, eig=-1 + 9j, modal_a=18j, spec_data_type=12),
+        shape_set(5, [1, 2], shape, 4, freq=3.0, freq_step_n=1),
+    ]
+    (found,) = phc.read_uff(written(tmp_path, *sets))
+    assert np.allclose(found.poles, [-1 + 5j, -1 + 9j]) and np.allclose(found.shapes, [[1 + 1j, 2]] * 2)
+    # the scale of accelerations is not agreed
+    assert np.allclose(found.modal_a, [2 + 10j, 0])
+    path = written(tmp_path, function(np.arange(1.0, 6.0), np.ones(5) * 1j, (1, 1), (1, 1)), *sets, name="both.uff")
+    assert [type(one) for one in phc.read_uff(path)] == [ct.FrequencyResponseData]
+
+
+def test_what_is_no_mode_is_refused_with_its_reason(tmp_path):
+    result = fit_of_shapes()
+    path = tmp_path / "modes.uff"
+    for places, reason in (
+        (["1+Z", "2+Z"], "2 entries for 3 outputs"), (["1+Z", "2+Z", "1-Z"], "'1-Z'; give them different nodes"),
+        (["1+Z", "2+Z", "3+RX"], "no node and direction"), (["1+Z", "2+Z", 3], "no node and direction"),
+        ({"deck": "1+Z"}, "places names 'deck'"), (3, "1 entries"), ({"2+Z": "acc 2"}, "no node and direction"),
+    ):  # fmt: skip
+        with pytest.raises(phc.StructureError, match=reason):
+            phc.write_uff(result, path, places=places)
+    for other in (phc.modes([1.0], [1.0]), 3, ct.ss(-1, 1, 1, 0)):
+        with pytest.raises(phc.StructureError, match="pass the result of a fit"):
+            phc.write_uff(other, path)
+    assert not path.exists()
+    phc.write_uff(result, path)
+    with pytest.raises(phc.StructureError, match="leave out input and output"):
+        phc.read_uff(path, output="2+Z")
+    content, rng = path.read_bytes(), np.random.default_rng(3)
+    assert not refused_or_read(phc.read_uff, content, "a.uff")
+    assert sum(refused_or_read(phc.read_uff, damaged(rng, content), "a.uff") for _ in range(120)) > 20
+    silent = shape_set(2, [1], [[0.0]] * 3, freq=1.0, modal_m=1.0)
+    with pytest.raises(phc.FileFormatError, match="all 0"):
+        phc.read_uff(written(tmp_path, silent, name="silent.uff"))
+    static = shape_set(5, [1], [[1.0]] * 3, freq=1.0, freq_step_n=1)
+    with pytest.raises(phc.FileFormatError, match="no modes"):
+        phc.read_uff(written(tmp_path, static, name="static.uff"))
+
+
 # --- Touchstone ------------------------------------------------------------------------------------------------------
 
 

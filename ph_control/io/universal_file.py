@@ -1,4 +1,4 @@
-"""Universal files of vibration tests (UFF, UNV): recordings and frequency responses of data set 58."""
+"""Universal files of vibration tests (UFF, UNV): recordings and frequency responses, of data set 58, or modes."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from ..exceptions import FileFormatError, MissingPackageError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
 from .time_csv import recording
+from .universal_modes import UniversalModes, modes_in
 
 SUFFIXES = (".uff", ".unv", ".uf", ".bunv", ".bun", ".uf58")
 
@@ -54,8 +55,8 @@ def read_uff(
     *,
     input: str | Sequence[str] | None = None,
     output: str | Sequence[str] | None = None,
-) -> list[TimeResponseData | FrequencyResponseData]:
-    r"""Read the recordings and frequency responses of a universal file (UFF, UNV: data set 58, text or binary).
+) -> list[TimeResponseData | FrequencyResponseData | UniversalModes]:
+    r"""Read the recordings and frequency responses of a universal file (UFF, UNV: data set 58), or its mode shapes.
 
     Functions of one test become one matrix of responses, or one recording of several channels.
 
@@ -70,7 +71,7 @@ def read_uff(
 
     Returns
     -------
-    list of control.FrequencyResponseData and control.TimeResponseData
+    list of control.FrequencyResponseData and control.TimeResponseData, or of one UniversalModes
         In the order of the file, with labels, and `time_unit` 's'; frequencies in rad/s.  `quantity` is a mapping from
         labels of outputs to 'displacement', 'velocity' or 'acceleration', of those that the file calls so and that
         respond to forces; `pem` takes it.
@@ -80,10 +81,12 @@ def read_uff(
         next matrix.  Channels in time on the same grid and of one load case form one recording; a channel that
         comes again opens the next one.  A file without excitation forces gives recordings without input.
 
+        A file with neither, but with normal or complex modes (data set 55), gives these, and takes no labels.
+
     Raises
     ------
     FileFormatError
-        If the file is damaged, cut short, of another kind, or holds neither recordings nor frequency responses.
+        If the file is damaged, cut short, of another kind, or holds no recordings, frequency responses or modes.
     StructureError
         If a label is not in the file.
     MissingPackageError
@@ -94,10 +97,13 @@ def read_uff(
     See Also
     --------
     read_csv, read_mat : recordings in other formats.
+    write_uff : writes mode shapes.
 
     Notes
     -----
-    Spectra, coherences, mode shapes and geometry are passed over.  Amplitudes stay in the units of the file, and signs
+    Spectra, coherences and geometry are passed over, and modes beside measurements.  Of modes, directions in which all
+    nodes rest are those that were not measured, one of two conjugate poles is kept, and a loss factor counts as half a
+    damping ratio.  Amplitudes stay in the units of the file, and signs
     in the directions measured.  Step and first value of an axis are printed with six digits in such files; they are
     taken for the shortest decimal number, or rate, that is printed so: 1/2048 s for 4.88281e-04.  Within these digits
     times and frequencies are exact.  O(size of the file).
@@ -124,7 +130,19 @@ def read_uff(
     """
     name = source_name(path)
     wanted = _labels("input", input), _labels("output", output)
-    functions = list(_functions(read_bytes(path), name))
+    content = read_bytes(path)
+    functions, others = _functions(_data_sets(content, name, 58), name)
+    if not functions:
+        modes = modes_in([fields for _, fields in _data_sets(content, name, 55)], name)
+        if modes is None:
+            held = f", but {' and '.join(sorted(others))}" if others else ""
+            raise FileFormatError(
+                f"{name} holds no recording, no frequency response (data set 58, function types 1 and 4) and no modes "
+                f"(data set 55){held}; export these from the measurement"
+            )
+        if input is not None or output is not None:
+            raise StructureError(f"{name} holds modes, which are read as a whole; leave out input and output")
+        return [modes]
     kinds = [_matrices(functions, name, *wanted), _recordings(functions, name, *wanted)]
     # in the order of the file, by the first function of each
     found = [data for _, data in sorted(((place, data) for kind in kinds for place, data in kind), key=lambda x: x[0])]
@@ -146,27 +164,20 @@ def _labels(role: str, given: Any) -> list[str] | None:
 # --- functions of a file ---------------------------------------------------------------------------------------------
 
 
-def _functions(content: bytes, name: str) -> Iterator[_Function]:
-    """Recorded functions of a file, all checked."""
-    others = set()
-    count = 0
-    for place, fields in _data_sets(content, name):
+def _functions(data_sets: list[tuple[int, dict[str, Any]]], name: str) -> tuple[list[_Function], set[str]]:
+    """Recorded functions of a file, all checked, and kinds of the others."""
+    found, others = [], set()
+    for place, fields in data_sets:
         function = _function(fields, f"{name}, data set {place + 1}")
         if function is None:
             others.add(_OTHERS.get(fields["func_type"], f"function type {fields['func_type']}"))
-            continue
-        count += 1
-        yield function
-    if not count:
-        held = f", but {' and '.join(sorted(others))}" if others else ""
-        raise FileFormatError(
-            f"{name} holds no recording and no frequency response (data set 58, function types 1 and 4){held}; export "
-            "these from the measurement"
-        )
+        else:
+            found.append(function)
+    return found, others
 
 
-def _data_sets(content: bytes, name: str) -> list[tuple[int, dict[str, Any]]]:
-    """Fields of all data sets 58, each with its place."""
+def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[str, Any]]]:
+    """Fields of all data sets of a number, each with its place."""
     try:
         import pyuff
     except ImportError:
@@ -181,7 +192,7 @@ def _data_sets(content: bytes, name: str) -> list[tuple[int, dict[str, Any]]]:
         copy.write_bytes(content)
         try:
             file = pyuff.UFF(str(copy))
-            places = [k for k, kind in enumerate(file.get_set_types()) if kind == 58]
+            places = [k for k, kind in enumerate(file.get_set_types()) if kind == number]
             found = [(k, file.read_sets(k)) for k in places]
         except Exception as error:
             # a damaged file ends in errors of every kind

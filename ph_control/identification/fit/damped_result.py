@@ -150,20 +150,6 @@ class DampedResult(DampedReport, PEMResult):
     # --- channels --------------------------------------------------------------------------------------------------
 
     @property
-    def input_labels(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        record = self.experiments[0].record
-        if isinstance(record, Recording | ResponseMatrix):
-            return record.input_labels
-        return (record.input_label,) if getattr(record, "driven", True) else ()
-
-    @property
-    def output_labels(self) -> tuple[str, ...]:
-        """Names of the outputs."""
-        record = self.experiments[0].record
-        return record.output_labels if isinstance(record, Recording | ResponseMatrix) else (record.output_label,)
-
-    @property
     def quantity(self) -> str:
         """What the outputs are, joined by commas where they differ."""
         return ", ".join(dict.fromkeys(self.quantities))

@@ -24,6 +24,7 @@ from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
+from ..data.channels import Recording, ResponseMatrix
 from ..diagnosis.verdict import CUT_SHORT, Outcome
 from ..regression.prediction import fit_percent
 from .stabilisation import Stabilisation, compared
@@ -132,6 +133,20 @@ class PEMResult(Report, Frozen):
     def time_unit(self) -> str | None:
         """Unit of time of the data, as 'ms', and so of frequencies in radians per unit; None where it is not known."""
         return common_unit([one.record for one in self.experiments])
+
+    @property
+    def input_labels(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        record = self.experiments[0].record
+        if isinstance(record, Recording | ResponseMatrix):
+            return record.input_labels
+        return (record.input_label,) if getattr(record, "driven", True) else ()
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        record = self.experiments[0].record
+        return record.output_labels if isinstance(record, Recording | ResponseMatrix) else (record.output_label,)
 
     @property
     def phase_collinearity(self) -> Array:
