@@ -450,7 +450,7 @@ GOOD = np.random.default_rng(0).standard_normal((2, 100))
         ((GOOD, GOOD), {"method": "midpoint"}, phc.StructureError, "method='midpoint' is for lossless models"),
         ((GOOD, GOOD), {"ports": [("y3", "u1")]}, phc.StructureError, "no output 'y3'.*'y1', 'y2'"),
         ((GOOD, GOOD), {"ports": [(0, 0), (0, 1)]}, phc.StructureError, "output 'y1' is at 2 ports"),
-        ((GOOD, GOOD), {"ports": "y1:u1"}, phc.StructureError, "pass a list of pairs"),
+        ((GOOD, GOOD), {"ports": "y1:u1"}, phc.StructureError, "no list of pairs"),
         ((GOOD, GOOD), {"quantity": ["velocity"]}, phc.StructureError, "1 entries for 2 outputs"),
         ((GOOD, GOOD), {"quantity": {"y3": "free"}}, phc.StructureError, "quantity names 'y3'"),
         ((GOOD, GOOD), {"structure": "damped"}, phc.StructureError, "structure is 'damped'"),
