@@ -73,6 +73,12 @@ def test_gain_at_chosen_ports_and_its_forms():
     np.testing.assert_allclose(closed.damping_ratios, [0.25])
 
 
+@pytest.mark.parametrize("size", [1e-12, 1e12])
+def test_a_loop_of_feedthroughs_is_judged_without_its_units(size):
+    plant, dashpot = phc.spring_chain([1.0], ground=1.0), phc.ph(np.zeros((0, 0)), np.zeros((0, 1)), S=[[size]])
+    np.testing.assert_array_equal(phc.damping_injection(plant, dashpot).A, phc.damping_injection(plant, size).A)
+
+
 @pytest.mark.parametrize(
     ("gain", "options", "message"),
     [

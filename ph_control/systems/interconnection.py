@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, matrix_balance
 
 from .. import _checks
 from .._checks import EPS
@@ -463,7 +463,8 @@ def _looped(whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, 
     part = whole.parts
     into, out, M = part["G"] - part["P"], (part["G"] + part["P"]).T, part["S"] + part["N"]
     loop = np.eye(len(F)) - F @ M
-    if len(loop) and not np.linalg.cond(loop) < 1 / np.sqrt(EPS):
+    # units of force and velocity have nothing to say about it
+    if len(loop) and not np.linalg.cond(matrix_balance(loop, permute=False)[0]) < 1 / np.sqrt(EPS):
         raise StructureError("the loop of feedthroughs is singular: I - F (S + N) cannot be inverted")
     L = np.linalg.inv(loop)
     forward, rows, through = into @ L, part["sensor_rows"], part["sensor_feedthrough"]
