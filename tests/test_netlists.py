@@ -1,7 +1,7 @@
 """Circuits of systems have their transfer functions, and systems of circuits theirs.
 
-The reference is a nodal analysis in mpmath that reads the text (`benchmarks/netlists.py`), and ngspice where it is
-installed.
+The reference is a nodal analysis in mpmath that reads the text (`benchmarks/netlists.py`), and where they are installed
+ngspice and the symbolic analysis of lcapy, which is not in the extra `test`: it brings twenty packages, even IPython.
 """
 
 import shutil
@@ -272,18 +272,18 @@ def test_a_circuit_without_a_port_hamiltonian_form_is_refused_by_name(lines, rea
         phc.read_netlist(f"title\n{lines}\n.end\n")
 
 
-@pytest.mark.parametrize(
-    ("lines", "states"),
-    [
-        ("V1 1 0\nR1 1 2 2\nC1 2 0 1\nC2 2 3 2\nC3 3 0 3\nL1 3 0 1", 3),  # a loop of capacitors
-        ("I1 0 1\nR1 1 0 2\nL1 1 2 1\nL2 2 0 2\nL3 2 3 3\nC1 3 0 1", 3),  # a cut set of inductors
-        ("V1 1 0\nL1 1 0 2\nL2 2 0 3\nK1 L1 L2 0.8\nR2 2 3 5\nC3 3 0 0.1", 3),  # coupled inductors
-        ("V1 1 0\nR1 1 2 1\nR2 2 0 1\nR3 2 3 1\nL3 3 0 1\nI1 0 2", 1),  # ports of both kinds, resistors between
-        ("V1 1 0\nR1 1 2 1\nV2 2 3\nL1 3 4 1\nR4 4 0 1\nC4 4 0 1\nI2 3 4", 2),
-        ("I1 0 1\nL1 1 2 1\nL2 1 3 2\nR1 1 0 1e3\nR2 2 0 1e-3\nR3 3 0 10\nK1 L1 L2 -0.99", 2),
-        ("I1 0 1\nR1 1 2 3\nVS a 0 0\nE1 a b 2 0 0.5\nF1 2 0 VS 0.5\nC1 b 0 1\nL1 2 0 1", 2),  # a transformer
-    ],
-)
+CIRCUITS = [
+    ("V1 1 0\nR1 1 2 2\nC1 2 0 1\nC2 2 3 2\nC3 3 0 3\nL1 3 0 1", 3),  # a loop of capacitors
+    ("I1 0 1\nR1 1 0 2\nL1 1 2 1\nL2 2 0 2\nL3 2 3 3\nC1 3 0 1", 3),  # a cut set of inductors
+    ("V1 1 0\nL1 1 0 2\nL2 2 0 3\nK1 L1 L2 0.8\nR2 2 3 5\nC3 3 0 0.1", 3),  # coupled inductors
+    ("V1 1 0\nR1 1 2 1\nR2 2 0 1\nR3 2 3 1\nL3 3 0 1\nI1 0 2", 1),  # ports of both kinds, resistors between
+    ("V1 1 0\nR1 1 2 1\nV2 2 3\nL1 3 4 1\nR4 4 0 1\nC4 4 0 1\nI2 3 4", 2),
+    ("I1 0 1\nL1 1 2 1\nL2 1 3 2\nR1 1 0 1e3\nR2 2 0 1e-3\nR3 3 0 10\nK1 L1 L2 -0.99", 2),
+    ("I1 0 1\nR1 1 2 3\nVS a 0 0\nE1 a b 2 0 0.5\nF1 2 0 VS 0.5\nC1 b 0 1\nL1 2 0 1", 2),  # a transformer
+]
+
+
+@pytest.mark.parametrize(("lines", "states"), CIRCUITS)
 def test_circuits_with_loops_cut_sets_couplings_and_several_ports(lines, states):
     text = f"title\n{lines}\n.end\n"
     sys = phc.read_netlist(text)
@@ -292,7 +292,7 @@ def test_circuits_with_loops_cut_sets_couplings_and_several_ports(lines, states)
         assert np.allclose(sys(1j * w).reshape(sys.noutputs, -1), nodal(text, w), rtol=1e-10, atol=1e-14)
 
 
-# --- files, SPICE ----------------------------------------------------------------------------------------------------
+# --- files, SPICE, lcapy ---------------------------------------------------------------------------------------------
 
 
 def test_a_file_is_not_replaced_unless_asked_for(tmp_path):
@@ -332,3 +332,63 @@ def test_ngspice_finds_the_response_of_the_system(kind, form, ports, tmp_path):
     assert len(found) == ports
     sign = -1 if kind == "admittance" else 1
     assert np.allclose(sign * found, phc.ph(modes)(1j * w).reshape(ports, ports).sum(axis=1), rtol=1e-6, atol=1e-6)
+
+
+def symbolic(text, points):
+    """Responses of the ports of a netlist by lcapy, in rational functions of s with exact coefficients."""
+    lcapy = pytest.importorskip("lcapy", reason="lcapy is not installed")
+    import sympy
+
+    listed = [line.split() for line in text.splitlines()[1:] if line[0] not in ".*"]
+    sensed = {one[3] for one in listed if one[0][0] == "F"}
+    ports = [one[:3] for one in listed if one[0][0] in "VI" and one[0] not in sensed]
+    elements = [one for one in listed if one[:3] not in ports]
+    found = np.zeros((len(points), len(ports), len(ports)), complex)
+    for column in range(len(ports)):
+        # the current of a source of lcapy leaves it at the first node, that of SPICE at the second
+        sources = [
+            [name, *((plus, minus) if name[0] == "V" else (minus, plus)), "s", str(int(k == column))]
+            for k, (name, plus, minus) in enumerate(ports)
+        ]
+        circuit = lcapy.Circuit("\n".join(map(" ".join, [*sources, *elements])))
+        for row, (name, plus, minus) in enumerate(ports):
+            s = lcapy.s
+            answer = -circuit[name].I(s) if name[0] == "V" else circuit[minus].V(s) - circuit[plus].V(s)
+            for k, point in enumerate(points):
+                exact = sympy.Rational(point.real) + sympy.I * sympy.Rational(point.imag)
+                found[k, row, column] = complex(answer.sympy.subs(s.sympy, exact).evalf(30))
+    return found
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize(("kind", "form"), EVERY)
+def test_lcapy_finds_the_response_of_lossless_one_ports(kind, form, n):
+    rng = np.random.default_rng(n)
+    modes = one_port(np.sort(10 ** rng.uniform(-1, 2, n)), 10 ** rng.uniform(-2, 2, n), kappa_0=1.5 * (n % 2))
+    points = [0.03j, 1j * np.sqrt(modes.d[0] * modes.d[-1]) * 1.01, 500j, 0.4 + 1.1j]
+    found = symbolic(phc.netlist(modes, form, kind=kind).spice(), points)
+    np.testing.assert_allclose(found[:, 0, 0], [phc.ph(modes)(point) for point in points], rtol=1e-13)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "sys",
+    [
+        phc.ph(phc.modes([1.0, 2.0], [1.0, 1.0], damping=[0.1, 3.0])),
+        phc.spring_chain([1.0, 2.0], 3.0, ground=1.0, c=0.3, ground_c=0.1, port=[0, 1]),
+    ],
+    ids=["overdamped", "two damped ports"],
+)
+def test_lcapy_finds_the_response_with_losses_and_two_ports(sys, kind):
+    points = [0.3j, 1.7j, 0.4 + 1.1j]
+    found = symbolic(phc.netlist(sys, kind=kind).spice(), points)
+    np.testing.assert_allclose(found, [np.reshape(sys(point), found.shape[1:]) for point in points], rtol=1e-12)
+
+
+@pytest.mark.parametrize("lines", [lines for lines, _ in CIRCUITS])
+def test_lcapy_finds_the_response_of_what_is_read(lines):
+    text, points = f"title\n{lines}\n.end\n", [0.3j, 2.1j, 0.4 + 1.1j]
+    system, found = phc.read_netlist(text), symbolic(text, points)
+    np.testing.assert_allclose(
+        found, [np.reshape(system(point), found.shape[1:]) for point in points], rtol=1e-10, atol=1e-14
+    )
