@@ -34,6 +34,9 @@ class Outcome(Enum):
         return self not in (Outcome.NOT_DESCRIBED, Outcome.NO_RESPONSE, Outcome.NOTHING)
 
 
+SOUND = (Outcome.CONSISTENT, Outcome.COLOURED, Outcome.UNJUDGED)  # nothing speaks against the model
+
+
 @dataclass(frozen=True)
 class HypothesisTest:
     """A hypothesis within a wider model, by the likelihood that it costs.

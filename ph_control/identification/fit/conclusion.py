@@ -19,7 +19,7 @@ from ..diagnosis.circumstance_tests import NOISE, circumstances_of
 from ..diagnosis.damping import REFUSED, beside, contradiction, is_crowded, lossless_test, sentence, standing_out
 from ..diagnosis.fitted_directions import Directions, of_record, of_response
 from ..diagnosis.outliers import outliers, without
-from ..diagnosis.verdict import WHITE, FitVerdict, HypothesisTest
+from ..diagnosis.verdict import SOUND, WHITE, FitVerdict, HypothesisTest
 from ..excitation.excitation import examine_fit
 from ..regression.prediction import FittedExperiment, joint_fit_percent, state_from_amplitudes
 from ..regression.time_rows import RecordRows
@@ -172,7 +172,9 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         tests=fit.tests,
         damped=fit.damped,
     )
-    return Conclusion(result, fit.free, verdict.blind)
+    # next to a crowded pair damped modes were looked for, too, and need not contradict it
+    sound = fit.free is not None and fit.free.order >= n and verdict.outcome in SOUND
+    return Conclusion(result, None if sound else fit.free, verdict.blind)
 
 
 def _examined(
