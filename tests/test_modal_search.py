@@ -163,9 +163,9 @@ def test_the_hold_that_needs_fewer_parameters_is_taken(intersample):
     assert fit.order == 4 and np.abs(scores(fit)).max() < 4.5
 
 
-def response(noise=0.01, seed=0):
+def response(noise=0.01, seed=0, omega=OMEGA):
     """Response matrix (3, 2, K), and its noise, that of each entry."""
-    rng, s = np.random.default_rng(seed), 1j * OMEGA
+    rng, s = np.random.default_rng(seed), 1j * omega
     G = sum(r[..., None] / (s - q) + r.conj()[..., None] / (s - q.conj()) for q, r in zip(P, residues(), strict=True))
     sizes = noise * np.abs(G).max(axis=2) * rng.uniform(0.1, 1, (3, 2))
     return G + sizes[..., None] * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)), sizes
@@ -180,6 +180,14 @@ def test_a_response_matrix_gives_the_same_modes_entry_by_entry(order):
     assert np.abs(scores(fit)).max() < 4.5
     assert np.allclose(fit.residues, residues(), atol=0.03 * np.abs(residues()).max())
     assert np.allclose(np.sqrt(fit.noise_variance), sizes, rtol=0.1)
+
+
+def test_many_lines_give_the_modes_of_all():
+    omega = np.linspace(0.05, 2.8, 9000)
+    G, sizes = response(0.1, omega=omega)
+    fit = fitted(ct.frd(G[:, :1], omega))
+    assert fit.order == len(P) and np.abs(scores(fit)).max() < 4.5
+    assert np.allclose(np.sqrt(fit.noise_variance), sizes[:, :1], rtol=0.05)
 
 
 def test_weights_say_where_a_response_is_sure():

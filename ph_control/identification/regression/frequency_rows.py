@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -14,6 +14,7 @@ from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.frequency_record import FrequencyRecord
 from .spectral_rows import Pair, real_rows, stacked
 from .time_rows import Evaluation
+from .tuning import TUNING
 
 
 def differentiated(omega: Array, quantity: str) -> ComplexArray:
@@ -225,14 +226,28 @@ class FreeResponse:
         # of an accelerometer the mass is what is fed through
         return factor[None] if self.through else np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
 
+    def thinned(self, p: ComplexArray) -> FreeResponse:
+        """The points about some modes as far as their peaks reach, and a few; of wide peaks a part, each for many."""
+        omega, reach = self.omega, TUNING.half_width * (self.bin + np.abs(p.real))
+        first, last = (np.searchsorted(omega, end) for end in (p.imag - reach, p.imag + reach))
+        place, steps = np.arange(len(omega)), np.zeros(len(omega), int)
+        for k in np.argsort(-reach):
+            steps[first[k] : last[k]] = max(1, (last[k] - first[k]) // (4 * TUNING.thinned))
+        apart = 1 + len(omega) // TUNING.everywhere
+        kept = ((steps > 0) | (place % apart == apart // 2)) & (place % np.maximum(steps, 1) == 0)
+        observed, scale = self.observed.copy(), self.scale.copy()
+        observed[self.observed] = kept
+        scale[observed] *= np.sqrt(np.maximum(steps[kept], 1))
+        return replace(self, observed=observed, scale=scale)
+
     def at(self, p: ComplexArray) -> FreeResponseEvaluation:
         """The rows for modes with these poles."""
         return FreeResponseEvaluation(self, p)
 
-    def columns(self, p: ComplexArray) -> ComplexArray:
+    def columns(self, p: ComplexArray, poles: Pair | None = None) -> ComplexArray:
         """Columns of all unknowns, in the scale of the weights."""
         through = np.ones((int(self.through), len(self.omega)))
-        columns = np.concatenate([self.background(len(p)), stacked(self.poles(p)), through])
+        columns = np.concatenate([self.background(len(p)), stacked(poles or self.poles(p)), through])
         return np.asarray(columns * self.weight)
 
     def poles(self, p: ComplexArray) -> Pair:
@@ -253,7 +268,7 @@ class FreeResponseEvaluation(Evaluation):
         """All rows in one block."""
         ahead, behind = self._rows.poles(self._p)
         slopes = self._rows.weight * stacked((ahead**2, behind**2))
-        yield real_rows([self._rows.columns(self._p), slopes, self._rows.target])
+        yield real_rows([self._rows.columns(self._p, (ahead, behind)), slopes, self._rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""

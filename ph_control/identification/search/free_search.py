@@ -25,7 +25,7 @@ from ..regression.tuning import TUNING
 from .screening import highest_peaks
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
-_EVERYWHERE = 1 << 12  # bins up to which all are centres of windows; above, those where most is left
+_EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
 _PEAKS = 200
 _COMPARED = 16
 
@@ -300,6 +300,15 @@ class Responses(FreeSearch):
     """Frequency responses."""
 
     data: Sequence[FreeResponse]
+
+    def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
+        """The points about the modes where there are many."""
+        return [one.thinned(p) if len(one.omega) > _EVERYWHERE else one for one in self.data]
+
+    def model(self, at: FreeProjection) -> FreeModel:
+        """Modes with what they leave; residues and backgrounds are those of all points."""
+        whole = sum(one.samples * len(one.outputs) for one in self.data) == at.rows
+        return super().model(at if whole else FreeProjection(self.data, at.p, at.fed))
 
     def scaled(self, sizes: Array) -> Responses:
         """The same with entries (q,) so many times as large."""

@@ -236,9 +236,11 @@ def free_fit(
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
 
-    def again(channels: Experiments, start: ComplexArray | None) -> FreeFit:
+    def again(channels: Experiments, start: ComplexArray, known: bool) -> FreeFit:
         path = posed(channels)
-        model = path.chosen(begin, most, automatic) if start is None else path.model(start)
+        model = path.model(start)
+        if not known:
+            model = path.chosen((path.cleaned(model) if automatic else model).p, most, automatic)
         return path.finished(model, channels, automatic)
 
     try:
@@ -375,16 +377,19 @@ def _delayed(one: Recording, samples: int) -> Recording:
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
 
 
-def _reweighted(first: FreeFit, again: Callable[[Experiments, ComplexArray | None], FreeFit]) -> FreeFit:
+def _reweighted(first: FreeFit, again: Callable[[Experiments, ComplexArray, bool], FreeFit]) -> FreeFit:
     """The fit repeated with the weights of the noise of its entries, until both agree; as it was, if that is constant.
 
-    `again` searches anew, or only from the poles that it is given.
+    `again` begins with poles, and looks for others unless these are known.
     """
+    laws, free = entry_laws(first.projection)
+    if free and not any(law.share for law, _ in laws):
+        return first
     # points of large gain, were they taken as equally sure, would draw the model through themselves
     weights = balanced([one.response for one in first.channels])
-    judged, before = again(_with_weights(first.channels, weights), first.projection.p), weights
+    judged, before = again(_with_weights(first.channels, weights), first.projection.p, True), weights
     for place in range(ROUNDS):
-        laws = entry_laws(judged.projection)
+        laws, _ = entry_laws(judged.projection)
         if not any(law.share for law, _ in laws):
             return first
         weights = _inverse_variances(judged, [law for law, _ in laws])
@@ -393,7 +398,7 @@ def _reweighted(first: FreeFit, again: Callable[[Experiments, ComplexArray | Non
             break
         before = weights
         finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
-        judged = again(_with_weights(first.channels, weights), judged.projection.p if place else None)
+        judged = again(_with_weights(first.channels, weights), judged.projection.p, place > 0)
         judged = replace(judged, findings=(finding,))
     # constant noise, at the points of large gain that balanced weights leave free, may seem to grow
     more = float(np.log(judged.projection.rows)) * sum(1 for law, _ in laws if law.share)

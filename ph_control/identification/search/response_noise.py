@@ -29,7 +29,11 @@ from .response_search import ResponseSearch
 
 ROUNDS = 8  # of fit and law in turn
 SETTLED = 1e-3  # relative change of the weights
-_RATIOS = 49  # of a to b that are tried first
+_RATIOS = 49  # of a to b that are tried first,
+_SOME = 4000  # over so many points, or twice as many
+_FREE = 0.5  # of the noise of a point that modes leave, where they do not follow it
+_TURNS = 30  # of a fixed point, at most
+_SAME = 1e-12  # relative change at which it is found
 
 
 class NoiseKind(str, Enum):
@@ -134,8 +138,11 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
     return law, gains, step.at.d
 
 
-def entry_laws(at: FreeProjection) -> list[tuple[NoiseLaw, float]]:
-    """Law of the noise of each entry of responses about damped modes, and how much likelier it is than a constant."""
+def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
+    """Law of the noise of each entry of responses about damped modes, and how much likelier it is than a constant.
+
+    Then whether no point draws the modes through itself, so that all tell of their noise.
+    """
     search = Responses([one for one in at.experiments if isinstance(one, FreeResponse)])
     parts: list[list[tuple[Array, Array, Array]]] = [[] for _ in range(at.shared.shape[1])]
     for rows, left in zip(search.data, search.left(at), strict=True):
@@ -148,7 +155,8 @@ def entry_laws(at: FreeProjection) -> list[tuple[NoiseLaw, float]]:
             gain = np.abs(target - each) / rows.weight
             parts[output].append((np.abs(each / rows.weight) ** 2, spare, gain))
     joined = [[np.concatenate(each) for each in zip(*one, strict=True)] for one in parts]
-    return [_likeliest(squares, spare, gain, len(parts)) for squares, spare, gain in joined]
+    free = all(spare.min(initial=1.0) > _FREE for _, spare, _ in joined)
+    return [_likeliest(squares, spare, gain, len(parts)) for squares, spare, gain in joined], free
 
 
 def _likeliest(squares: Array, spare: Array, gain: Array, entries: int = 1) -> tuple[NoiseLaw, float]:
@@ -171,28 +179,35 @@ def _spare(columns: Array) -> Array:
 
 def _law(squares: Array, spare: Array, power: Array, by_chance: float) -> tuple[float, float, float]:
     """Variances `a` and `b` of `a + b power`, and log-likelihood beyond a constant; `b` is 0 unless that is refused."""
-    kept = spare > 0.1
-    squares, spare, power = squares[kept] / spare[kept], spare[kept], power[kept]
+    kept = np.argsort(power, kind="stable")
+    kept = kept[spare[kept] > 0.1]
+    squares, every, power = squares[kept] / spare[kept], spare[kept], power[kept]
 
-    def fitted(shape: Array) -> tuple[float, float]:
-        """Half of -2 log-likelihood of variances in proportion to a shape, and the factor."""
-        size = squares / shape
+    def fitted(shape: Array, apart: int = 1) -> tuple[float, float]:
+        """Half of -2 log-likelihood of variances in proportion to a shape at some points, and the factor."""
+        size, shape, spare = squares[::apart] / shape[::apart], shape[::apart], every[::apart]
         factor = float(np.median(size))
         if not factor:
             return np.inf, 0.0
-        for _ in range(30):
-            factor = float(spare @ (size * (TUNING.tails + 2) / (TUNING.tails + size / factor)) / (2 * spare.sum()))
+        for _ in range(_TURNS):
+            before, heavy = factor, size * (TUNING.tails + 2) / (TUNING.tails + size / factor)
+            factor = float(spare @ heavy / (2 * spare.sum()))
+            if abs(factor - before) < _SAME * factor:
+                break
         tail = 0.5 * (TUNING.tails + 2) * np.log1p(size / (TUNING.tails * factor))
         return float(spare @ (np.log(factor * shape) + tail)), factor
 
-    def cost(log_ratio: float) -> float:
-        return fitted(np.exp(log_ratio) + power)[0]
+    def cost(log_ratio: float, apart: int = 1) -> float:
+        return fitted(np.exp(log_ratio) + power, apart)[0]
 
     constant, level = fitted(np.ones(len(power)))
     ends = np.log([1e-3 * max(power.min(), 1e-16 * power.max()), 1e3 * power.max()])
     tried = np.linspace(ends[0], ends[1], _RATIOS)
-    best = int(np.argmin([cost(one) for one in tried]))
-    bounds = tried[max(0, best - 1)], tried[min(_RATIOS - 1, best + 1)]
+    best, before = int(np.argmin([cost(one, 1 + len(power) // _SOME) for one in tried])), -1
+    while best != before:  # over all points
+        near = np.arange(max(0, best - 1), min(_RATIOS, best + 2))
+        before, best = best, int(near[np.argmin([cost(tried[k]) for k in near])])
+    bounds = tried[near[0]], tried[near[-1]]
     ratio = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
     varying, factor = fitted(np.exp(ratio) + power)
     # under the hypothesis the share lies on the border of what it may be, so that half the chances are on one side

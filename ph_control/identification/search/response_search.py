@@ -44,7 +44,7 @@ class ResponseSearch(Search):
     def damped(self, d: Array) -> FreeModel:
         """The best damped modes near some frequencies, from the poles that were found there before."""
         p = np.array([self._poles.get(one, complex(np.nan, one)) for one in d.tolist()], complex)
-        found = self.damped_search.model(refine_free(self.damped_search.rows, p, self.damped_search.region))
+        found = self.damped_search.model(refine_free(lambda _: self.damped_search.data, p, self.damped_search.region))
         self._poles.update(zip(found.at.d.tolist(), found.p.tolist(), strict=True))
         return found
 
