@@ -730,16 +730,18 @@ class FreePath:
     def is_sound(self, model: FreeModel) -> bool:
         """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen."""
         broad = np.any(np.abs(model.at.sigma) > TUNING.broadest * model.at.d)
-        return closest(model.at, self.search.region.bin)[0] >= 1 and not broad and not self.grows(model)
+        return not patching(model.at, self.search.region.bin) and not broad and not self.grows(model)
 
     def cleaned(self, model: FreeModel) -> FreeModel:
         """A model without its modes that are none of the plant."""
         while len(model.p) and not self.is_sound(model):
             at = model.at
-            distance, worst = closest(at, self.search.region.bin)
-            if distance >= 1:
+            # what several channels see of a pair changes as others go
+            alone = len(self.counts) * max(1, at.inputs) == 1
+            worst = patching(at, self.search.region.bin)[: None if alone else 1]
+            if not worst:
                 broad = np.abs(at.sigma) / at.d
-                worst = int(np.argmax(broad) if broad.max() > TUNING.broadest else np.argmin(at.sigma))
+                worst = [int(np.argmax(broad) if broad.max() > TUNING.broadest else np.argmin(at.sigma))]
             model = self.model(np.delete(at.p, worst))
         return model
 
@@ -912,21 +914,23 @@ class FreePath:
         return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
 
 
-def closest(at: FreeProjection, band: float) -> tuple[float, int]:
-    """How far, in units of what is demanded, the closest pair is apart, and the weaker mode of it.
+def patching(at: FreeProjection, band: float) -> list[int]:
+    """The weaker mode of each pair that is too close, the closest first, no mode in two of them.
 
     Two modes that all channels see in different proportions may be as close as they like.
     """
     d, half_width = at.d, np.abs(at.sigma)
-    if len(d) < 2:
-        return np.inf, 0
     apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
     apart[~_alike(at)] = np.inf
     np.fill_diagonal(apart, np.inf)
-    first, second = np.unravel_index(np.argmin(apart), apart.shape)
-    # of a pair that mends one peak the broader is the patch
-    weaker = first if half_width[first] > half_width[second] else second
-    return float(apart[first, second]), int(weaker)
+    found, taken = list[int](), set[int]()
+    for place in np.argsort(apart, axis=None, kind="stable")[: np.count_nonzero(apart < 1)].tolist():
+        pair = divmod(place, len(d))
+        if not taken & set(pair):
+            taken |= set(pair)
+            # of a pair that mends one peak the broader is the patch
+            found.append(max(reversed(pair), key=lambda k: half_width[k]))
+    return found
 
 
 def _alike(at: FreeProjection) -> Mask:
