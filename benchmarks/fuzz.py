@@ -59,7 +59,8 @@ ANSWERS = (
     "Bootstrap", "CanonicalMargins", "CasimirSplit", "Comparison", "DampedResult", "EnergyBalance", "Excitation",
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition", "LosslessResult",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
-    "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes",
+    "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
+    "OptimalDamping", "RecordingFitted", "Stabilisation",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so
@@ -75,11 +76,12 @@ COMMAND = 0.05
 
 # where infinity, or NaN, is an answer: at poles, for margins that no loop has, for samples that are missing
 INFINITE = re.compile(
-    r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd|passivity"
+    r"horner|evaluate|freqresp|__call__|margin|frequency_response|Symmetry|Verdict|is_even|is_odd|passivity|"
+    r"[Oo]ptimal.?[Dd]amping"
 )
 UNKNOWN = re.compile(
     r"margin|[Ee]xcitation|read_|load|FittedExperiment|Result|[Cc]ompar|[Rr]esidual.?[Aa]nalysis|"
-    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection"
+    r"pem|prediction_error_fit|gradient_descent|order_selection|OrderSelection|[Ss]tabilisation|fit_many|FitTable|ModeTracks"
 )
 
 REFUSALS = re.compile(
@@ -191,7 +193,8 @@ NAMES = ("name", "inputs", "outputs", "states")
 ALIASES = {"forced_response": ("T", "U", "X0"), "step_response": ("T", "X0"), "impulse_response": ("T",)}
 PICTURES = {
     "PEMResult.plot": "fit_plot", "Comparison.plot": "compare_plot", "ResidualAnalysis.plot": "residual_plot",
-    "EnergyBalance.plot": "energy_plot", "OrderSelection.plot": "order_plot",
+    "EnergyBalance.plot": "energy_plot", "OrderSelection.plot": "order_plot", "OptimalDamping.plot": "damping_plot",
+    "Stabilisation.plot": "stabilisation_plot",
 }  # fmt: skip
 
 

@@ -190,6 +190,10 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "N": lambda draw: np.zeros((draw.m, draw.m)),
     "ph.S": lambda draw: np.eye(draw.m), "DissipativePortHamiltonian.S": lambda draw: np.eye(draw.m),
     "sensors": lambda draw: draw.rng.standard_normal((1, 2 * draw.n)),
+    "damping_injection.gain": lambda draw: pick(draw.rng, [0.5, np.eye(draw.m), phc.lqg(pool("system")[0])]),
+    "damping_plot.controller": lambda draw: pick(draw.rng, [0.5, 2.0]),
+    "fit_many.recordings": lambda draw: [_record(1)[1:]] * int(draw.rng.integers(0, 3)),
+    "nearest_passive.sys_or_result": Draw.any_system,
     "interconnect.systems": lambda draw: [phc.ph(draw.hamiltonian(), draw.ports()) for _ in range(2)],
     "interconnect.F": lambda draw: np.kron([[0.0, -1.0], [1.0, 0.0]], np.eye(draw.m)),
     **{f"{join}.first": lambda draw: phc.ph(draw.hamiltonian(), draw.ports()) for join in _JOINS},
@@ -386,6 +390,11 @@ def pool(kind: str) -> list[Any]:
         return list(_POOLS[kind]())
 
 
+def _written_modes() -> list[Any]:
+    phc.write_uff(pool("DampedResult")[0], "modes.uff", places=["1+Z"], overwrite=True)
+    return list(phc.read_uff("modes.uff"))
+
+
 def _systems() -> list[Any]:
     rng = np.random.default_rng(7)
     M = rng.standard_normal((6, 6))
@@ -490,6 +499,12 @@ _POOLS |= {
     ],
     "ModalSamples": lambda: [one.sample(4, 0) for one in pool("DampedResult")],
     "Bootstrap": lambda: [pool("PEMResult")[0].bootstrap(3)],
+    "FitTable": lambda: [phc.fit_many([_record(1)[1:], (None, None)], dt=0.1)],
+    "ModeTracks": lambda: [pool("FitTable")[0].track()],
+    "OptimalDamping": lambda: [phc.optimal_damping(phc.spring_chain([1.0, 1.0], ground=1.0))],
+    "RecordingFitted": lambda: [phc.RecordingFitted(1, 0, 2, "first", "consistent with the record")],
+    "Stabilisation": lambda: [pool("DampedResult")[0].stabilisation(1)],
+    "UniversalModes": lambda: _written_modes(),
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],
     "GradientResult": lambda: [phc.gradient_descent(_record(1)[1:], 1, dt=0.1, epochs=2)],
     "OrderSelection": lambda: [phc.order_selection(_record(1)[1:], 2, dt=0.1)],

@@ -163,6 +163,11 @@ def _count(workers: int) -> int:
 def _pool_of(workers: Any) -> Any:
     if hasattr(workers, "get_executor"):
         return _Cluster(workers)
+    if not (_submits(workers) or isinstance(workers, int | np.integer)):
+        raise StructureError(
+            f"workers is {_checks.shown(workers)}; here it must be a number of processes, -1 for all, an executor of "
+            "concurrent.futures, or a Dask client, whose results come one by one"
+        )
     return _Given(workers) if _submits(workers) else _Processes(_count(workers))
 
 

@@ -84,17 +84,18 @@ class FittedExperiment(Report, Frozen):
         """The residuals, worked out where they are asked for."""
         return Difference(self.measured, self.predicted)
 
-    def pieces(self) -> Iterator[Piece]:
-        """Observed outputs, what is left of them, and their weights, block by block."""
-        for part in blocks(self.record.samples):
-            kept, measured = self.record.observed[part], np.asarray(self.measured[part])
-            weights = self.record.weights[part][kept] if isinstance(self.record, FrequencyRecord) else None
-            yield measured[kept], (measured - self.predicted[part])[kept], weights
+
+def _pieces(one: FittedExperiment) -> Iterator[Piece]:
+    """Observed outputs, what is left of them, and their weights, block by block."""
+    for part in blocks(one.record.samples):
+        kept, measured = one.record.observed[part], np.asarray(one.measured[part])
+        weights = one.record.weights[part][kept] if isinstance(one.record, FrequencyRecord) else None
+        yield measured[kept], (measured - one.predicted[part])[kept], weights
 
 
 def joint_fit_percent(experiments: Sequence[FittedExperiment]) -> float:
     """The percentage of all experiments together."""
-    return _percent(lambda: (piece for one in experiments for piece in one.pieces()))
+    return _percent(lambda: (piece for one in experiments for piece in _pieces(one)))
 
 
 def fit_percent(y: NDArray[Any], error: NDArray[Any], weights: Array | None = None) -> float:
