@@ -41,6 +41,8 @@ def _results():
         phc.residual_analysis((u, y), fits[0], dt=0.1), phc.order_selection((u, y), 2, dt=0.1),
         phc.excitation((u, None), 1, dt=0.1), many, many.track(shortest=1), fits[0].stabilisation(1),
         phc.RecordingFitted(1, 0, None, "name", "message"),
+        phc.optimal_damping(phc.spring_chain([1.0, 2.0], ground=1.0)),
+        phc.UniversalModes(_locked([-0.1 + 1j]), _locked([[1.0 + 0j]]), _locked([2j]), ("1+Z",)),
         phc.gradient_descent((u, y), 2, initial_guess=start, dt=0.1, epochs=3), phc.energy_balance(response, plant),
         phc.spectral_estimate(response), plant, plant.modes,
         phc.ph(np.eye(2), [0.0, 1.0], R=np.eye(2)), phc.passivity(ct.ss(-1.0, 1.0, 1.0, 0.0)),
@@ -59,6 +61,12 @@ def _results():
         phc.PHControlError("refused"), phc.IdentifiabilityWarning("told"), phc.ResolutionWarning("told"),
         phc.ConditioningWarning("told"),
     ]  # fmt: skip
+
+
+def _locked(values):
+    array = np.array(values)
+    array.setflags(write=False)
+    return array
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ Labels = tuple[str, ...]
 
 
 _ACTING = 0.01  # of its largest value: an input that acts
-_QUIET = 3  # samples before that, at least, that show what was before
+_QUIET = range(3, 17)  # samples before that: fewer show nothing, more tell the motion of eight modes by themselves
 _STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a system at rest
 
 
@@ -90,11 +90,11 @@ class Recording(CheckedData):
 
     @property
     def begins_at_rest(self) -> bool:
-        """Whether outputs are small, beside what follows, until an input acts."""
+        """Whether outputs are small, beside what follows, in the few samples before an input acts."""
         size = np.abs(self.u)
         largest: Array = size.max(axis=1, keepdims=True, initial=0.0)
         first = int(np.argmax((size > _ACTING * largest).any(axis=0)))
-        if first < _QUIET:
+        if first not in _QUIET:
             return False
         level = self.y - np.nanmedian(
             np.where(self.observed.any(axis=1, keepdims=True), self.y, 0.0), axis=1, keepdims=True
