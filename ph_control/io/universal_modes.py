@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._frozen import Frozen
 from .._types import Array, ComplexArray
 from .._units import SECONDS
 from ..exceptions import FileFormatError, StructureError
@@ -27,7 +28,7 @@ _PLACE = re.compile(r"(?:.*:)?(\d{1,10})([+-])([XYZ])")
 
 
 @dataclass(frozen=True, eq=False)
-class UniversalModes:
+class UniversalModes(Frozen):
     """Modes of a universal file; made by `read_uff`.
 
     Attributes
