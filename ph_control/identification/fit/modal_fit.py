@@ -236,6 +236,16 @@ def starting_poles(guess: Any) -> ComplexArray | None:
 def _result(
     free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], asked: Asked, findings: tuple[Finding, ...]
 ) -> DampedResult:
+    """The result of a fit, of one that is interrupted here without what is looked for beside the modes."""
+    try:
+        return _judged(free, fit, tests, asked, findings)
+    except KeyboardInterrupt:
+        return _judged(replace(free, interrupted=True), fit, tests, asked, findings)
+
+
+def _judged(
+    free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], asked: Asked, findings: tuple[Finding, ...]
+) -> DampedResult:
     """Parameters, experiments and judgement of a fit."""
     rank = np.argsort(np.abs(fit.p), kind="stable")
     poles, residues = fit.p[rank], fit.residues[rank]
@@ -256,7 +266,7 @@ def _result(
     fitted = joint_percent(unexplained(experiments))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
-    lag = real_pole(free.projection) if whiteness < WHITE else None
+    lag = real_pole(free.projection) if whiteness < WHITE and not free.interrupted else None
     findings = (*findings, *([lag] if lag else []))
     spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
     growing = np.flatnonzero(poles.real > _CERTAIN * spread * np.abs(poles))
