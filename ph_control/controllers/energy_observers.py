@@ -14,7 +14,7 @@ from ..exceptions import StructureError
 from ..systems.dissipative import parts_of
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .damping_injection import controller_of, plant, port_numbers
-from .optimal_damping import energy_coordinates, optimal_damping
+from .optimal_damping import energy_basis, energy_coordinates, optimal_damping, refuse_feedthrough
 
 _ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for rounding
 
@@ -70,7 +70,7 @@ def observer(
     """
     plant(sys)
     at = port_numbers(sys, ports)
-    energy_coordinates(sys, at)  # refuses feedthrough
+    refuse_feedthrough(sys, at)
     chosen = optimal_damping(sys, at, criterion="damping").gains if gain is None else gain
     if isinstance(chosen, PortHamiltonian):
         raise StructureError("the gain of an observer is a matrix; it is a system")
@@ -200,9 +200,8 @@ def _weight(sys: PortHamiltonian, weight: ArrayLike) -> Array:
     least, largest = (float(f(np.linalg.eigvalsh(W), initial=0.0)) for f in (np.min, np.max))
     if least < -_ROUNDING * n * _checks.EPS * largest:
         raise StructureError(f"the weight has the eigenvalue {least:.3g}; allowed are none below 0")
-    energies, vectors = np.linalg.eigh(parts_of(sys)["Q"])
-    kept = energies > _ROUNDING * n * _checks.EPS * energies.max(initial=0.0)
-    back = vectors[:, kept] / np.sqrt(energies[kept])
-    if np.abs(W @ vectors[:, ~kept]).max(initial=0.0) > 1e-9 * largest:
+    root, vectors, still = energy_basis(parts_of(sys)["Q"])
+    back = vectors / root
+    if np.abs(W @ still).max(initial=0.0) > 1e-9 * largest:
         raise StructureError("the weight sees a rigid displacement, which has no energy; leave it out")
     return back.T @ W @ back

@@ -254,14 +254,8 @@ class _Loop:
         return -float(zeta[l]), -theta * change
 
 
-def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:
-    """`A, B, C` of the ports and the rows of the sensors, for states `x` of the energy `|x|^2 / 2`.
-
-    Raises
-    ------
-    StructureError
-        If a port of `at` has feedthrough, beside which a gain is another one.
-    """
+def refuse_feedthrough(sys: PortHamiltonian, at: Sequence[int]) -> None:
+    """Refuse ports with feedthrough, beside which a gain is another one."""
     part = parts_of(sys)
     through = part["S"] + part["N"]
     for port in at:
@@ -270,12 +264,29 @@ def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, 
                 f"port {sys.input_labels[port]!r} has feedthrough; devices are chosen for ports without any, such as a "
                 "velocity at a mass"
             )
-    energies, vectors = eigh(part["Q"])
+
+
+def energy_basis(Q: Array) -> tuple[Array, Array, Array]:
+    """Roots of the energies that are not 0, their directions, and those of no energy, each column one."""
+    energies, vectors = eigh(Q)
     kept = energies > 64 * len(energies) * _checks.EPS * energies.max(initial=0.0)
-    root = np.sqrt(energies[kept])
-    T, back = root[:, None] * vectors[:, kept].T, vectors[:, kept] / root
+    return np.sqrt(energies[kept]), vectors[:, kept], vectors[:, ~kept]
+
+
+def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:
+    """`A, B, C` of the ports and the rows of the sensors, for states `x` of the energy `|x|^2 / 2`.
+
+    Raises
+    ------
+    StructureError
+        If a port of `at` has feedthrough, beside which a gain is another one.
+    """
+    refuse_feedthrough(sys, at)
+    part = parts_of(sys)
+    root, vectors, still = energy_basis(part["Q"])
+    T, back = root[:, None] * vectors.T, vectors / root
     rows, through = part["sensor_rows"], part["sensor_feedthrough"]
-    unseen = np.abs(rows @ vectors[:, ~kept]).max(axis=1, initial=0.0) > 1e-9 * np.abs(rows).max(axis=1, initial=1e-300)
+    unseen = np.abs(rows @ still).max(axis=1, initial=0.0) > 1e-9 * np.abs(rows).max(axis=1, initial=1e-300)
     seen = np.where(unseen[:, None], np.nan, rows @ back)
     C = (part["G"] + part["P"]).T @ T.T
     return T @ (part["J"] - part["R"]) @ T.T, T @ (part["G"] - part["P"]), C, (seen, through)
