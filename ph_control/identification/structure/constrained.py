@@ -6,7 +6,7 @@ poles: an iteration costs one pass over the data, whatever the structure.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -259,7 +259,7 @@ def constrained(
             variance, at, True, at,
         )  # fmt: skip
     if hypothesis == "passive":
-        return _passive(at, layout, region, variance)
+        return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
     near = refine(replace(problem, tangent=Tangent(at)), problem.inside(x), rtol=_EXACT, last=False)
@@ -273,13 +273,18 @@ def constrained(
     )  # fmt: skip
 
 
-def _passive(at: FreeProjection, layout: ChannelLayout, region: PoleRegion, variance: float) -> StructuredFit:
-    """Nearest passive model; that with classical damping where the way from the free one does not lead to any."""
-    point, unknowns = nearest_passive(at, layout, variance), coordinates_of(at, layout, "free").dof
+def nearest_passive_fit(
+    at: FreeProjection, layout: ChannelLayout, classical: Callable[[], StructuredFit], most: float = np.inf
+) -> StructuredFit:
+    """Nearest passive model; that with classical damping where the way from the free one does not lead to any.
+
+    Nor does it where the squared distance is beyond the `most`, in standard errors.
+    """
+    variance = at.loss / max(1, at.rows - at.unknowns)
+    point, unknowns = nearest_passive(at, layout, variance, most), coordinates_of(at, layout, "free").dof
     if point is None:
-        classical = constrained(at, layout, "classical", region, _ITERATIONS)
-        fewer = unknowns - classical.parameters
-        point = made_passive(at, layout, classical.projection, fewer, classical.covariance / variance)
+        near = classical()
+        point = made_passive(at, layout, near.projection, unknowns - near.parameters, near.covariance / variance)
     data, parameters = point.data, unknowns - point.active
     return StructuredFit(
         "passive", STRUCTURES["passive"], data.p, *layout.split(data.shared, len(data.p)), None, None, data.loss,

@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 from ..._checks import EPS
 from ..diagnosis.verdict import HypothesisTest
 from ..regression.free import FreeProjection, GivenResidues, PoleRegion
-from .constrained import StructuredFit, constrained
+from .constrained import StructuredFit, constrained, nearest_passive_fit
 from .layout import ChannelLayout
 
 SIMPLEST_FIRST = ("lossless", "classical")
@@ -70,11 +70,16 @@ def structure_tests(at: FreeProjection, layout: ChannelLayout, region: PoleRegio
     these, and has their probability where that is larger.
     """
     fits = {"free": constrained(at, layout, "free", region)}
+    parameters = fits["free"].parameters
     tests: list[HypothesisTest] = []
     for hypothesis in testable(layout):
-        test, fits[hypothesis] = _tested(at, layout, hypothesis, region, fits["free"].parameters)
         if hypothesis == "passive":
+            # the classical model is passive, and was found before
+            fit = nearest_passive_fit(at, layout, lambda: fits["classical"], _BEYOND * parameters)
+            test, fits[hypothesis] = likelihood_test(at, fit, parameters - fit.parameters), fit
             test = replace(test, p=max(one.p for one in [test, *tests]))
+        else:
+            test, fits[hypothesis] = _tested(at, layout, hypothesis, region, parameters)
         tests.append(test)
     return StructureTests(tuple(tests), fits)
 

@@ -24,6 +24,7 @@ from .layout import ChannelLayout
 _INSIDE = 1e-6  # standard errors of a constraint by which it is kept, so that rounding does not break it
 _STEADY = 1e-3  # those of a decay rate by which poles are kept from the axis
 _ROUNDS = 30  # of new worst frequencies
+_NEAR = 2  # rounds about the centre: one for stability, one for passivity
 _STEPS = 2  # of the metric and the loss evaluated anew
 _ROUNDING = 1e-13  # of the largest eigenvalue
 _NEARBY = 0.05  # of the distance of a frequency to the next pole: from there its curvature is taken
@@ -238,17 +239,19 @@ class _Ports:
         return np.asarray(G + G.conj().transpose(0, 2, 1))
 
 
-def nearest_passive(at: FreeProjection, layout: ChannelLayout, variance: float) -> PassivePoint | None:
+def nearest_passive(
+    at: FreeProjection, layout: ChannelLayout, variance: float, most: float = np.inf
+) -> PassivePoint | None:
     """The passive model of least loss, about the minimum of a free fit whose rows have this variance.
 
-    None if the constraints leave nothing.  Poles move with the residues; loss and metric are evaluated anew at the
-    first answer.
+    None if the constraints leave nothing, or nothing within the `most` of a squared distance in standard errors.  Poles
+    move with the residues; loss and metric are evaluated anew at the first answer.
     """
     ports, best = _Ports(at, layout), None
     centre, C = ports.theta(at), at.covariance(variance)
     theta = centre
     for _ in range(_STEPS):
-        found = _projected(ports, centre, C, theta)
+        found = _projected(ports, centre, C, theta, most)
         if found is None:
             break
         theta, data = found.theta, ports.data(found.theta)
@@ -293,7 +296,7 @@ def _gradient(data: GivenResidues) -> Array:
     return found
 
 
-def _projected(ports: _Ports, centre: Array, C: Array, theta: Array) -> _Held | None:
+def _projected(ports: _Ports, centre: Array, C: Array, theta: Array, most: float) -> _Held | None:
     """Passive model next to the centre; constraints are made linear anew at each answer, until it stays."""
     n, known, none = ports.n, list[tuple[float, ComplexArray]](), np.zeros((0, len(theta)))
     now: _Held | None = None
@@ -301,7 +304,7 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array) -> _Held | 
     forces = np.zeros(0)
     steady = -_decay(C, n, theta)
     stability = -np.eye(n, len(theta), n)
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
         stable = bool(np.all(theta[n : 2 * n] < 0))
         new = ports.violated(theta) if stable else []
         equal = [ports.linear(theta, one) for one in ports.symmetry(theta)]
@@ -334,6 +337,8 @@ def _projected(ports: _Ports, centre: Array, C: Array, theta: Array) -> _Held | 
         theta = centre + C @ (A.T @ solved)
         forces = solved[len(equal) : len(solved) - n] / size[len(equal) : len(solved) - n]
         now = _Held(theta, float(solved @ M @ solved), A[solved != 0], none, C)
+        if turn < _NEAR and now.distance > most:
+            break  # where constraints are nearly linear, those that are added only take more
     return best
 
 
