@@ -260,6 +260,24 @@ def test_what_has_no_picture_of_responses_is_refused(call, words):
         call()
 
 
+@pytest.mark.parametrize(
+    "options, label, size",
+    [
+        ({}, "1/time", 1.0), ({"time_unit": "s"}, "Hz", 1.0), ({"time_unit": "ms"}, "Hz", 1e3),
+        ({"time_unit": "T_0"}, "rad/T_0", 2 * np.pi), ({"Hz": True}, "Hz", 1.0), ({"Hz": False}, "rad/time", 2 * np.pi),
+    ],
+)  # fmt: skip
+def test_a_unit_of_frequency_that_nobody_told_is_not_shown(options, label, size):
+    fit = result(2)
+    fit = phc.modes(fit.poles, fit.shapes, np.ones((3, 1)))
+    for plot in (phc.frf_plot(fit, **options), phc.stabilisation_plot(path(), **options)):
+        assert plot.axes[-1, 0].get_xlabel().endswith(f"requency [{label}]")
+    assert phc.circle_plot(fit, **options).axes[0, 0].get_title(loc="left") == f"{20 * size:.4g} {label}, 1.00 %"
+    if "Hz" not in options:
+        assert phc.shape_plot(fit, **options).axes[0, 0].get_title(loc="left") == f"{20 * size:.4g} {label}, 1.00 %"
+        assert phc.mac_plot(fit, **options).axes[0, 0].get_xlabel() == f"Mode [{label}]"
+
+
 # --- circles ---------------------------------------------------------------------------------------------------------
 
 
@@ -364,7 +382,7 @@ def test_marks_in_the_plane_have_the_size_and_sign_of_the_entries(dimensions):
 def test_modal_forms_have_shapes_and_many_modes_are_shared_out():
     fit = result(3)
     form = phc.modes(fit.poles, fit.shapes, np.ones((3, 1)))
-    assert phc.shape_plot(form, modes=[2]).axes[0, 0].get_title(loc="left") == "80 Hz, 2.00 %"
+    assert phc.shape_plot(form, modes=[2], time_unit="s").axes[0, 0].get_title(loc="left") == "80 Hz, 2.00 %"
     plot = phc.shape_plot(np.eye(20))
     assert plot.axes.shape == (4, 3) and plot.figure.get_suptitle() == "Mode shapes (12 of 20)"
 
@@ -396,7 +414,7 @@ def test_what_has_no_picture_of_shapes_is_refused(call, words):
 def test_the_matrix_of_modal_assurance_has_its_numbers_in_the_cells():
     one = result(4)
     other = SimpleNamespace(shapes=one.shapes[:2] + 0.2, natural_frequencies=one.natural_frequencies[:2])
-    plot = phc.mac_plot(one, other, label=["test", "model"])
+    plot = phc.mac_plot(one, other, label=["test", "model"], time_unit="s")
     axis, image = plot.axes[0, 0], plot.lines[0, 0][0]
     c, b = one.shapes, other.shapes
     expected = np.abs(c.conj() @ b.T) ** 2 / np.outer(np.sum(np.abs(c) ** 2, 1), np.sum(np.abs(b) ** 2, 1))
@@ -428,7 +446,7 @@ def path(orders=8, sensors=4, seed=0):
 
 
 def test_true_modes_are_stable_from_the_second_order_that_has_them():
-    plot = phc.stabilisation_plot(path())
+    plot = phc.stabilisation_plot(path(), time_unit="s")
     new, _, _, shape = plot.lines[0, 0]
     for l, hertz in enumerate(HERTZ):
         x, order = shape.get_data()
@@ -574,7 +592,9 @@ def test_the_pictures_of_a_fit_show_its_data_names_and_errors(fitted):
     assert legend_texts(responses.legend) == ["fit (3 modes)", "95 % band", "measured"]
     shapes = fitted.plot(kind="shapes")
     for l, axis in enumerate(shapes.axes.flat):
-        assert axis.get_title(loc="left").startswith(f"{fitted.hertz[l]:.4g} Hz, {100 * fitted.damping_ratios[l]:.2f}")
+        assert axis.get_title(loc="left").startswith(
+            f"{fitted.hertz[l]:.4g} 1/time, {100 * fitted.damping_ratios[l]:.2f}"
+        )
         assert [text.get_text() for text in axis.get_xticklabels()] == ["a", "b", "c"]
     assert "95 % interval" in legend_texts(shapes.legend)
     with pytest.raises(StructureError, match="kind is 'all'; it must be one of 'fit', 'responses'"):

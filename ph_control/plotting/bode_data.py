@@ -89,15 +89,13 @@ class Curve:
         return np.degrees(angle)
 
     def phase_near(self, i: int, j: int, other: Curve) -> Array:
-        """Degrees from -180 to 180, in the turn of the phase of another curve where that has left this range."""
+        """Degrees within half a turn of the phase of another curve."""
         phase, beside = self.phase(i, j, unwrap=False), other.phase(i, j)
         known = np.isfinite(beside)
         if not known.any():
             return phase
         beside = np.interp(np.log(self.omega), np.log(other.omega[known]), beside[known])
-        turns = np.where(np.abs(beside) > 180.0, np.round((beside - phase) / 360.0), 0.0)
-        shifted: Array = phase + 360.0 * turns
-        return shifted
+        return np.asarray(phase + 360.0 * np.round((beside - phase) / 360.0))
 
     def visible(self, low: float, high: float) -> Mask:
         """Where the curve counts for the range of a picture: inside, and not on an infinite peak.

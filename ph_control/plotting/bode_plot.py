@@ -125,11 +125,10 @@ def bode_plot(
     Where poles and zeros are closer than the dots of a picture, their curve is pale, and its median over frequency is
     drawn and named in the legend; `omega_limits` take them apart.
 
-    The phase of systems is continuous; that of a measurement is between -180 and 180 degrees, or in the turn of the
-    first system where that is not.  Dots of a record are
-    pale where the coherence is below one half; those of a held input leave a continuous-time curve near the Nyquist
-    frequency even without noise, mostly upwards, because sampling folds the response.  Of measured responses the range
-    of the picture leaves out a lone point 40 dB beyond all others.
+    The phase of systems is continuous; that of a measurement is within half a turn of the first system.  Dots of a
+    record are pale where the coherence is below one half; those of a held input leave a continuous-time curve near the
+    Nyquist frequency even without noise, mostly upwards, because sampling folds the response.  Of measured responses
+    the range of the picture leaves out a lone point 40 dB beyond all others.
 
     Nyquist frequencies are marked: of a record, of discrete-time systems and of discrete-time frequency responses.
 

@@ -51,7 +51,7 @@ def frf_plot(
     outputs: Sequence[int | str] | None = None,
     inputs: Sequence[int | str] | None = None,
     omega_limits: ArrayLike | None = None,
-    Hz: bool = True,
+    Hz: bool | None = None,
     segments: int = 8,
     intersample: str | None = None,
     confidence: bool = False,
@@ -73,9 +73,10 @@ def frf_plot(
     outputs, inputs : sequence of int or str, optional
         Which to draw, by number or name.  By default all, at most the first nine outputs and three inputs.
     omega_limits : array_like, shape (2,), optional
-        Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
-    Hz : bool
-        Frequency axis in Hz instead of rad per unit time; where no unit of time is known, times are taken for seconds.
+        Ends of the frequency axis, in its unit.
+    Hz : bool, optional
+        Frequency axis in Hz, which takes unknown times for seconds, or in rad per unit time.  By default in Hz where
+        the unit of time is known, else in cycles per unit of time.
     segments : int
         Number of half-overlapping segments of each recording that the estimate averages.  An input that rests for nine
         tenths of it, as a hammer does, has one: the whole recording.
@@ -123,7 +124,7 @@ def frf_plot(
     --------
     >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> beam = phc.modes([-0.1 + 10j, -0.3 + 35j], [[1.0, 0.5], [1.0, -0.8]], [[0.2j], [0.1j]])
-    >>> plot = phc.frf_plot(beam, gain_unit="m/N")
+    >>> plot = phc.frf_plot(beam, gain_unit="m/N", time_unit="s")
     >>> plot.axes.shape, plot.axes[0, 0].get_ylabel(), plot.axes[1, 0].get_xlabel()
     ((2, 2), 'Magnitude [dB re 1 m/N]', 'Frequency [Hz]')
     >>> plt.close(plot.figure)
@@ -446,9 +447,9 @@ class FRFData:
 
 
 def frf_data(
-    model: Any, data: Any = None, *, outputs: Any = None, inputs: Any = None, omega_limits: Any = None, Hz: bool = True,
-    segments: int = 8, intersample: str | None = None, confidence: bool = False, level: float = 0.95,
-    time_unit: str | None = None,
+    model: Any, data: Any = None, *, outputs: Any = None, inputs: Any = None, omega_limits: Any = None,
+    Hz: bool | None = None, segments: int = 8, intersample: str | None = None, confidence: bool = False,
+    level: float = 0.95, time_unit: str | None = None,
 ) -> FRFData:  # fmt: skip
     """Compute what `frf_plot` draws, of its arguments."""
     _checks.flags(confidence=confidence)
@@ -478,10 +479,14 @@ def frf_data(
     parts = [
         text for text in (_share("outputs", rows, source.shape[0]), _share("inputs", columns, source.shape[1])) if text
     ]
-    title = "Frequency responses, magnitude above phase" if values.shape[:2] != (1, 1) else "Frequency response"
+    names = [source.input_labels[k] for k in columns], [source.output_labels[k] for k in rows]
+    title = (
+        "Frequency responses, magnitude above phase" if values.shape[:2] != (1, 1)
+        else f"Frequency response, {_named(names[0][0], names[1][0], False)}"
+    )  # fmt: skip
     return FRFData(
         grid, values, measured, [response(one.omega) for one in measured], rows,
-        [source.output_labels[k] for k in rows], [source.input_labels[k] for k in columns], low, high,
+        names[1], names[0], low, high,
         logarithmic, even, bounded, _phase_cut(values[:, :, even]), unit, unit_name, source.label,
         title + (f" ({', '.join(parts)})" if parts else ""),
         _bands(model, grid, level, rows, columns) if confidence else {}, f"{100 * level:g} % band",

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._types import Array, ComplexArray, Indices
-from .._units import SECONDS, hertz_size, rate, unit_for
+from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import aligned_shapes, mac, phase_collinearity
 from .frf_plot import (
@@ -104,7 +104,7 @@ def shape_plot(
     >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> x = np.linspace(0, 1, 6)
     >>> plot = phc.shape_plot([np.sin(np.pi * x), np.sin(2 * np.pi * x)], x, poles=[-0.1 + 10j, -0.8 + 40j],
-    ...                       position_label="Position", position_unit="m")
+    ...                       position_label="Position", position_unit="m", time_unit="s")
     >>> [axis.get_title(loc="left") for axis in plot.axes.flat], plot.axes[0, 0].get_xlabel()
     (['1.592 Hz, 1.00 %', '6.367 Hz, 2.00 %'], 'Position [m]')
     >>> plt.close(plot.figure)
@@ -222,7 +222,7 @@ def circle_plot(
     modes: Sequence[int] | None = None,
     output: int | str | None = None,
     input: int | str | None = None,
-    Hz: bool = True,
+    Hz: bool | None = None,
     segments: int = 8,
     intersample: str | None = None,
     time_unit: str | None = None,
@@ -269,7 +269,7 @@ def circle_plot(
     --------
     >>> import numpy as np, matplotlib.pyplot as plt, ph_control as phc
     >>> mode = phc.modes([-0.1 + 10j], [[1.0]], [[0.2j]])
-    >>> plot = phc.circle_plot(mode)
+    >>> plot = phc.circle_plot(mode, time_unit="s")
     >>> plot.axes[0, 0].get_title(loc="left")
     '1.592 Hz, 1.00 %'
     >>> plt.close(plot.figure)
@@ -340,7 +340,7 @@ def shape_table(
     numbers = [str(k + 1) for k in range(len(c))]
     titles, ticks, name = [f"Mode {one}" for one in numbers], numbers, None
     if d is not None:
-        size, name = _frequency_unit(unit)
+        size, name = frequency_axis(None, unit)
         ticks = [f"{one / size:.4g}" for one in d]
         ratios = [""] * len(c) if zeta is None else [f", {100 * one:.2f} %" for one in zeta]
         titles = [f"{tick} {name}{ratio}" for tick, ratio in zip(ticks, ratios, strict=True)]
@@ -361,13 +361,6 @@ def _checked_shapes(found: Any) -> ComplexArray:
         raise StructureError(f"shapes have shape {c.shape}; needed (modes, sensors), one of each at least")
     _checks.finite("shapes", c)
     return c
-
-
-def _frequency_unit(time_unit: str | None) -> tuple[float, str]:
-    """Hz, but for a unit of time that is not known."""
-    if time_unit is not None and time_unit not in SECONDS:
-        return 1.0, rate(time_unit)
-    return hertz_size(time_unit), "Hz"
 
 
 def _places(positions: Any, sensors: int) -> Array:

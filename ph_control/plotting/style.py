@@ -237,8 +237,16 @@ def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
     return labelled(quantity, f"dB re 1 {unit}" if unit else "dB")
 
 
-def frequency_axis(Hz: bool, time_unit: str | None) -> tuple[float, str]:
-    """Size of the unit of frequency in rad per unit time, and its name."""
+def frequency_axis(Hz: bool | None, time_unit: str | None) -> tuple[float, str]:
+    """Size of the unit of frequency in rad per unit time, and its name.
+
+    Without `Hz` it is Hz where the unit of time tells it, else cycles per unit of time; rad per one that is no known
+    unit.
+    """
+    if Hz is None:
+        if time_unit is None:
+            return 2 * np.pi, "1/time"
+        Hz = time_unit in SECONDS
     _checks.flags(Hz=Hz)
     if not Hz:
         return 1.0, rate(time_unit)

@@ -110,7 +110,7 @@ def channel_comparison_plot(
     names: Sequence[str],
     labels: Sequence[str],
     time_unit: str | None = None,
-    Hz: bool = True,
+    Hz: bool | None = None,
     detail: Any = "auto",
     heading: str,
     ax: Any = None,
@@ -217,11 +217,11 @@ class CorrelationPanel:
         axis.axhline(0.0, **ZERO)
         out = np.abs(self.values) > self.band
         lines: list[Any] = []
-        for mask, colour, name in ((~out, _INSIDE, "inside"), (out, _OUTSIDE, "outside")):
+        for mask, colour, marker, name in ((~out, _INSIDE, "o", "inside"), (out, _OUTSIDE, "D", "outside")):
             lags, values = self.lags[mask], self.values[mask]
             axis.vlines(lags, 0.0, values, color=colour, linewidth=1.2, zorder=2)
-            dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": colour, "zorder": 3}
-            lines += axis.plot(lags, values, label=name, **dots)
+            dots: dict[str, Any] = {"linestyle": "none", "markersize": 3.5, "color": colour, "zorder": 3}
+            lines += axis.plot(lags, values, label=name, marker=marker, **dots)
         reach = 1.25 * max(float(np.nanmax(np.abs(self.values), initial=0.0)), float(band.max()), 1e-3)
         axis.set(xlim=(edges[0], edges[-1]), ylim=(-reach, reach), xlabel=self.abscissa, ylabel="Correlation")
         axis.xaxis.set_major_locator(MaxNLocator(nbins=11, integer=True, steps=[1, 2, 5, 10]))
@@ -351,7 +351,7 @@ def stabilisation_plot(
     damping_tolerance: float = 0.05,
     least_mac: float = 0.95,
     omega_limits: ArrayLike | None = None,
-    Hz: bool = True,
+    Hz: bool | None = None,
     time_unit: str | None = None,
     ax: Any = None,
     **style: Unpack[FrameStyle],
@@ -375,9 +375,9 @@ def stabilisation_plot(
     least_mac : float
         Modal assurance criterion from which on a shape does.
     omega_limits : array_like, shape (2,), optional
-        Ends of the frequency axis, in Hz if `Hz` is true, otherwise in rad per unit time.
-    Hz : bool
-        Frequency axis in Hz instead of rad per unit time; where no unit of time is known, times are taken for seconds.
+        Ends of the frequency axis, in its unit.
+    Hz : bool, optional
+        As in `frf_plot`.
     time_unit : str, optional
         Unit of time, for the label; by default that of the result or the data.
     ax : matplotlib.axes.Axes, optional

@@ -18,7 +18,6 @@ from ..._units import common_unit, hertz_size, with_unit
 from ...exceptions import NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
-from ...plotting.bode_plot import bode_plot
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix, as_channels
 from ..diagnosis.verdict import HypothesisTest, Outcome
@@ -30,7 +29,7 @@ from ..structure.layout import POWERS
 from ..uncertainty.draws import draw, intervals
 from ..uncertainty.modal_draws import ModalSamples
 from .report import DampedReport, damped_lines
-from .result import OrderRow, PEMResult, kind_plot, output_plot
+from .result import OrderRow, PEMResult, kind_plot, output_plot, response_plot
 from .scaled_shapes import ModeShapes, Ports, in_velocity_units
 from .stabilisation import Orders
 
@@ -529,7 +528,8 @@ class DampedResult(DampedReport, PEMResult):
             source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
             data = as_frequency_response(one.record)[place, source]
             plant = self if self.residues.shape[1:] == (1, 1) else self.observed_system[place, source]
-            return bode_plot(plant, data=data, **kwargs)
+            names = self.input_labels[source], self.output_labels[place]
+            return response_plot(self, plant, data, names, **kwargs)
         y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
         return output_plot(self, one.record.time, y, predicted, self.output_labels[place], **kwargs)
 

@@ -16,7 +16,6 @@ from ..._units import common_unit, with_unit
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm, imaginary
-from ...plotting.bode_plot import bode_plot
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.experiments import as_record
 from ..data.frequency_record import FrequencyRecord
@@ -41,7 +40,7 @@ from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .damped_result import DampedModel
 from .report import FitReport, residue_errors
-from .result import OrderRow, PEMResult, kind_plot, output_plot
+from .result import OrderRow, PEMResult, kind_plot, output_plot, response_plot
 from .stabilisation import Orders
 
 
@@ -528,5 +527,6 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
             return kind_plot(self, kind, experiment, **kwargs)
         one = chosen_experiment(self.experiments, experiment)
         if isinstance(one.record, FrequencyRecord):
-            return bode_plot(self, data=one.record.as_response(), **kwargs)
+            names = one.record.input_label, one.record.output_label
+            return response_plot(self, self, one.record.as_response(), names, **kwargs)
         return output_plot(self, one.record.time, one.record.y, one.predicted, one.record.output_label, **kwargs)

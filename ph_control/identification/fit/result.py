@@ -14,12 +14,13 @@ from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
 from ..._types import Array, NDArray
-from ..._units import common_unit, hertz_size, unit_for
+from ..._units import SECONDS, common_unit, hertz_size, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
 from ...io.files import as_path, refuse_unwritable, write_atomically
 from ...modal.modal_form import ModalForm
 from ...numerics.mode_shapes import mac, phase_collinearity
+from ...plotting.bode_plot import bode_plot
 from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
@@ -404,3 +405,11 @@ def output_plot(result: PEMResult, time: Array, y: Array, predicted: Array, labe
     kept = ~np.isnan(y)
     fitted = fit_percent(y[kept], (y - predicted)[kept])
     return fit_plot(time, y, predicted, fit_percent=fitted, **kwargs)
+
+
+def response_plot(result: PEMResult, plant: Any, data: Any, names: tuple[str, str], **kwargs: Any) -> Any:
+    """Picture of a measured response and of that of the model, in Hz where the unit of time is known."""
+    source, sensor = (name.partition(" [")[0] for name in names)
+    kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), result) in SECONDS)
+    kwargs.setdefault("title", f"Frequency response, {source} to {sensor}")
+    return bode_plot(plant, data=data, **kwargs)

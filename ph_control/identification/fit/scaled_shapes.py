@@ -16,6 +16,8 @@ import numpy as np
 from ..._types import Array, ComplexArray, Indices, Mask
 from ..structure.layout import POWERS
 
+_ROUNDING = 32 * np.finfo(float).eps  # of the largest entry of a shape: what a singular value decomposition leaves
+
 Ports = Sequence[tuple[int, int]]  # (output, input) of each driving point
 
 
@@ -48,7 +50,7 @@ class ModeShapes:
         factors = in_velocity_units(poles, quantities)
         c, b = _leading(residues * factors[:, :, None])
         scale, scaled = _scales(c, b, ports)
-        return cls(c * scale[:, None], b / (scale * factors[:, 0])[:, None], scaled)
+        return cls(_without_rounding(c * scale[:, None]), b / (scale * factors[:, 0])[:, None], scaled)
 
 
 def _scales(c: ComplexArray, b: ComplexArray, ports: Ports) -> tuple[ComplexArray, Mask]:
@@ -65,6 +67,12 @@ def _scales(c: ComplexArray, b: ComplexArray, ports: Ports) -> tuple[ComplexArra
         scale = np.where((_largest(c[:, outputs])[1] * scale).real < 0, -scale, scale)
     peak = _largest(c)[1]
     return np.where(scaled, scale, 1.0 / np.where(peak == 0, 1.0, peak)), scaled
+
+
+def _without_rounding(shapes: ComplexArray) -> ComplexArray:
+    """Shapes (n, p) whose imaginary parts are 0 where they are rounding beside the largest entry."""
+    largest = np.abs(shapes).max(axis=1, keepdims=True, initial=0.0)
+    return np.where(np.abs(shapes.imag) <= _ROUNDING * largest, shapes.real, shapes)
 
 
 def _sides(ports: Ports) -> tuple[list[int], list[int]]:
