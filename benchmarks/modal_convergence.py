@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from ph_control.identification.data.channels import as_channels
+from ph_control.identification.data.experiments import as_channels
 from ph_control.identification.search.modal_search import FreeFit, free_fit
 
 Array = NDArray[np.float64]

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from ph_control.identification.data.channels import Recording, ResponseMatrix, as_channels
+from ph_control.identification.data.channels import Recording, ResponseMatrix
+from ph_control.identification.data.experiments import as_channels
 
 RNG = np.random.default_rng(0)
 U, Y, TIME = RNG.standard_normal((2, 30)), RNG.standard_normal((3, 30)), 0.1 * np.arange(30)

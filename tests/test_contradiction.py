@@ -12,7 +12,7 @@ import pytest
 from scipy.linalg import expm
 
 import ph_control as phc
-from ph_control.identification.data.frequency_record import record_of_frequency_response
+from ph_control.identification.data.experiments import as_experiments
 from ph_control.identification.diagnosis.damping import sentence
 from ph_control.identification.regression.free import FreeProjection
 from ph_control.identification.regression.frequency_rows import FreeResponse, FrequencyRows
@@ -273,7 +273,7 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind, method, inters
     if kind == "response":
         omega = np.linspace(0.1, 3.0, 60)
         data = ct.frd(rng.standard_normal(60) + 1j * rng.standard_normal(60), omega)
-        rows = FreeResponse.of(FrequencyRows(record_of_frequency_response(data)))
+        rows = FreeResponse.of(FrequencyRows(*as_experiments(data)))
     else:
         u, y = recording((0.01, 0.01, 0.01), POSITIVE)
         seen = rng.random(len(y)) < (1.0 if kind == "bins" else 0.9)

@@ -423,11 +423,11 @@ def test_a_frequency_record_made_by_hand_has_unit_weights_and_copies():
         (frf((1, complex(np.nan, np.inf)), (1, 2)), {}, "the response is infinite at point 1"),
         (frf((1e150, 1), (1, 2)), {}, "the response is of size 1e+150"),
         (frf((1, 2), (1e150, 1)), {}, "omega is of size 1e+150"),
-        (frf(np.ones((2, 1, 3))), {}, "1 inputs and 2 outputs, and a fit takes one of each"),
+        (frf(np.ones((2, 1, 3))), {}, "1 inputs and 2 outputs ('u[0]'; 'y[0]', 'y[1]'), and a fit takes one of each"),
         (frf(dt=0.5), {}, "that of a sampled system (dt = 0.5)"),
         (frf(dt=True), {}, "that of a sampled system (of unknown step)"),
         (frf(), {"dt": 0.5}, "dt is the step of a record in time, and a frequency response has none"),
-        (frf(), {"weights": [1, 2]}, "weights have shape (2,); with 3 frequencies they must be (3,)"),
+        (frf(), {"weights": [1, 2]}, "weights have shape (2,); with a response of shape (1, 1, 3) they must be (1"),
         (frf(), {"weights": 2.0}, "weights have shape ()"),
         (frf(), {"weights": [1, 2, 0]}, "weights are not positive: entry 2 is 0"),
         (frf(), {"weights": [1, 1e150, 1]}, "the largest weight is of size 1e+150"),
@@ -521,7 +521,7 @@ def test_two_lists_or_tuples_of_numbers_are_a_pair_of_signals():
         ([(response(), response())], {}, "experiment 1: this is a tuple of experiments; lists are not nested"),
         ([(U, Y), [(U, Y), (U, Y)]], {"dt": 1.0}, "experiment 2: this is a list of experiments"),
         (((response(), response()), (response(), response())), {}, "experiment 1: this is a tuple of experiments"),
-        ([[U, Y], [U, Y]], {"dt": 1.0}, "the input has shape (2, 6); needed one signal of shape (T,); several"),
+        ([[U, Y], [U, Y]], {"dt": 1.0}, "several experiments are a list of tuples, [(u1, y1)"),
         ([[U, Y], [U, Y], [U, Y]], {"dt": 1.0}, "experiment 1: this is a list; pass"),
         ((U, U, Y), {"dt": 1.0}, "experiment 1: this is a ndarray; pass"),
         ([1.0, 2.0, 3.0], {"dt": 1.0}, "experiment 1: this is a float"),
@@ -558,7 +558,7 @@ def test_what_is_no_experiment_is_refused_with_its_place_and_the_reason(data, op
 def test_responses_of_several_signals_say_what_to_select():
     two = ct.step_response(ct.ss(-np.eye(2), np.eye(2), np.ones((1, 2)), 0), np.arange(3.0))
     words = (
-        r"2 inputs, 1 outputs \('u\[0\]', 'u\[1\]'; 'y\[0\]'\).*pass the pair \(data\.u\[j\], data\.y\[i\]\) with dt"
+        r"2 inputs and 1 outputs \('u\[0\]', 'u\[1\]'; 'y\[0\]'\).*pass the pair \(data\.u\[j\], data\.y\[i\]\) with dt"
     )
     with pytest.raises(phc.StructureError, match=words):
         as_experiments(two)

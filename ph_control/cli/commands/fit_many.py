@@ -90,8 +90,7 @@ def _reading() -> set[str]:
 
 def recording_of(reading: Mapping[str, Any], path: Path) -> Any:
     """Data of a file, with weights where a column of them was named."""
-    from ...identification.data.channels import as_channels, has_several_channels
-    from ...identification.data.experiments import as_experiments
+    from ...identification.data.experiments import as_channels, as_experiments, has_several_channels
 
     found = measurements([str(path)], Namespace(**reading))
     if found.weights is None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,21 +14,17 @@ from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
 from ..._types import Array, ComplexArray, Mask
-from ..._units import checked_unit, common_unit
+from ..._units import checked_unit
 from ...exceptions import StructureError
-from .data_frames import is_data_frame, record_of_frame
-from .experiments import each_experiment, refuse_mixture
 from .frequency_record import FrequencyRecord, checked_points, checked_weights, title_of
 from .time_record import (
     CheckedData,
     Record,
-    checked_record,
     instants,
-    refuse_contradiction,
+    refuse_out_of_range,
     refuse_short,
     signal,
     stays_on_disk,
-    titles_of,
     uniform_time,
 )
 
@@ -156,149 +153,66 @@ def _shape(one: Recording | ResponseMatrix) -> str:
     return f"{outputs} output{'s' * (outputs != 1)} from {inputs} input{'s' * (inputs != 1)}"
 
 
-def as_channels(
-    data: Any, dt: Any = None, *, weights: Any = None
-) -> tuple[Recording, ...] | tuple[ResponseMatrix, ...]:
-    """Make checked experiments of several inputs and outputs, all in time or all in frequency.
-
-    Parameters
-    ----------
-    data : control.TimeResponseData, control.FrequencyResponseData, pair (u, y), data frame, or list of these
-        One experiment or several; a response of several traces gives one for each.  Signals of a pair have shape (T,),
-        or (m, T) and (p, T), one row for each channel; `(None, y)` is a free motion.  Missing outputs are NaN.
-    dt : float, or sequence of float or None, one for each experiment, optional
-        Time between samples.  Needed with arrays; where the data have a time of their own, the two must agree.
-    weights : array_like of float, shape (K,) or (p, m, K), or list of these (or None), optional
-        What the squared error at each frequency counts; positive.  For frequency responses only.
-
-    Returns
-    -------
-    tuple of Recording, or tuple of ResponseMatrix
-        All with the same inputs and outputs: those of all experiments, matched by their labels where all have labels,
-        by position otherwise.  An input that an experiment does not have is 0, what it does not measure NaN.
-
-    Raises
-    ------
-    StructureError
-        If the data are of another kind, or not finite, or do not fit together.
-    IdentificationError
-        If a record has fewer than 2 samples, or a frequency response no frequencies.
-
-    Notes
-    -----
-    Nothing is modified.  O((m + p) T) time and memory.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ph_control.identification.data.channels import as_channels
-    >>> (one,) = as_channels((np.ones((2, 5)), np.ones((3, 5))), dt=0.1)
-    >>> one
-    <Recording: 5 samples, step 0.1, 3 outputs from 2 inputs>
-    """
-    return _matched(each_experiment(data, dt, weights, _channels))
-
-
-def has_several_channels(data: Any) -> bool:
-    """Whether data have more than one input or output in any experiment, right or wrong."""
-    if isinstance(data, TimeResponseData | FrequencyResponseData):
-        return bool(max(data.ninputs, data.noutputs) > 1)
-    if isinstance(data, Recording | ResponseMatrix):
-        return max(len(data.input_labels), len(data.output_labels)) > 1
-    if isinstance(data, tuple) and len(data) == 2 and not any(map(_is_experiment, data)):
-        return any(len(shape) == 2 and min(shape) > 1 for shape in map(_shape_of, data))
-    if isinstance(data, list | tuple):
-        return any(map(has_several_channels, data)) or _differ(list(map(_named, data)))
-    return False
-
-
-def _differ(names: list[tuple[Any, Any] | None]) -> bool:
-    """Whether experiments, all named, have inputs or outputs of different names; a free motion has no input."""
-    if not all(names):
-        return False
-    inputs, outputs = ({name for one in names if one for name in one[k]} for k in (0, 1))
-    return max(len(inputs), len(outputs)) > 1
-
-
-def _is_experiment(data: Any) -> bool:
-    kinds = TimeResponseData | FrequencyResponseData | Recording | ResponseMatrix | Record | FrequencyRecord
-    return isinstance(data, kinds | tuple) or is_data_frame(data)
-
-
-def _named(data: Any) -> tuple[Any, Any] | None:
-    """Names of the input and the output of an experiment that has one of each, and names."""
-    if isinstance(data, TimeResponseData | FrequencyResponseData):
-        return (tuple(data.input_labels or ()), tuple(data.output_labels or ())) if data.output_labels else None
-    if isinstance(data, Record):
-        return (data.input_label,) * data.driven, (data.output_label,)
-    return ((data.input_label,), (data.output_label,)) if isinstance(data, FrequencyRecord) else None
-
-
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Part:
-    """An experiment, and whether its channels have names of their own."""
-
-    one: Recording | ResponseMatrix
-    named: bool
-
-    @property
-    def time_unit(self) -> str | None:
-        """Unit of its time."""
-        return self.one.time_unit
-
-
-def _is_spectral(data: Any) -> bool:
-    return isinstance(data, FrequencyResponseData | FrequencyRecord | ResponseMatrix)
-
-
-def _channels(data: Any, dt: Any, weights: Any, first: Any) -> tuple[_Part, ...]:
-    refuse_mixture(data, dt, weights, first, _is_spectral)
-    if isinstance(data, FrequencyResponseData):
-        return (_Part(_of_frequency_response(data, weights), True),)
-    if isinstance(data, FrequencyRecord):
-        found = ResponseMatrix(
-            data.omega, data.response[None, None], data.weights[None, None], (data.input_label,), (data.output_label,),
-            data.title, data.time_unit,
+def single(one: CheckedData) -> Record | FrequencyRecord:
+    """The record of data of one output, and of one input or, of a free motion, none."""
+    if not isinstance(one, Recording | ResponseMatrix):
+        return one  # type: ignore[return-value]
+    m, p = len(one.input_labels), len(one.output_labels)
+    if p != 1 or m > 1:
+        spectral = isinstance(one, ResponseMatrix)
+        raise StructureError(
+            f"the {'frequency response' if spectral else 'record'} has {m} inputs and {p} outputs "
+            f"({_listed(one.input_labels)}; {_listed(one.output_labels)}), and a fit takes one of each: "
+            + ("select them by data[output, input]" if spectral else "pass the pair (data.u[j], data.y[i]) with dt")
+        )
+    if isinstance(one, ResponseMatrix):
+        return FrequencyRecord(
+            one.omega, one.response[0, 0], one.weights[0, 0], one.input_labels[0], one.output_labels[0], one.title,
+            one.time_unit,
         )  # fmt: skip
-        return (_Part(_weighted(found, weights), True),)
-    if isinstance(data, ResponseMatrix):
-        return (_Part(_weighted(data, weights), True),)
-    if isinstance(data, Recording):
-        refuse_contradiction(dt, data.dt, "the time of the recording")
-        return (_Part(data, True),)
-    if isinstance(data, Record):
-        refuse_contradiction(dt, data.dt, "the time of the record")
-        return (_Part(_of_record(data), True),)
-    if is_data_frame(data):
-        return (_Part(_of_record(record_of_frame(data, dt)), True),)
-    if isinstance(data, TimeResponseData):
-        named = bool(data.output_labels) and bool(data.input_labels or not data.ninputs)
-        return tuple(_Part(one, named) for one in _of_response(data, dt))
-    u, y = data
-    return (_Part(_of_pair(u, y, dt), False),)
+    u, label = (one.u[0], one.input_labels[0]) if m else (np.zeros(one.samples), "u")
+    return Record(
+        one.time, one.dt, u, one.y[0], label, one.output_labels[0], bool(m), title=one.title, time_unit=one.time_unit
+    )
 
 
-def _of_record(one: Record) -> Recording:
+def _listed(labels: Labels) -> str:
+    return ", ".join(map(repr, labels[:8])) + ", ..." * (len(labels) > 8) or "no names"
+
+
+def several(one: Any) -> Recording | ResponseMatrix:
+    """The same data with lists of channels."""
+    if isinstance(one, FrequencyRecord):
+        return ResponseMatrix(
+            one.omega, one.response[None, None], one.weights[None, None], (one.input_label,), (one.output_label,),
+            one.title, one.time_unit,
+        )  # fmt: skip
+    if not isinstance(one, Record):
+        return one
     inputs = (one.input_label,) if one.driven else ()
     u = one.u[None] if one.driven else np.zeros((0, one.samples))
     return Recording(one.time, one.dt, u, one.y[None], inputs, (one.output_label,), one.title, one.time_unit)
 
 
-def _of_pair(u: Any, y: Any, dt: Any) -> Recording:
-    if y is None:
+def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:
+    """Recording of signals (T,) or (channels, T); of a free motion without `u`, of no known output without `y`."""
+    if u is None and y is None:
+        raise StructureError("the record has neither input nor output; pass (u, y), or (None, y) if nothing drove it")
+    if y is None and output_needed:
         raise StructureError("the record has no output; pass (u, y), missing samples of y as NaN")
     if dt is None:
         raise StructureError("dt is missing: with arrays (u, y) give dt, the time between samples")
     step = _checks.sampling_step(dt)
-    outputs = _signals("output", y, missing=True)
     inputs = [] if u is None else _signals("input", u)
-    return _recording(None, step, inputs, outputs, _numbered("u", len(inputs)), _numbered("y", len(outputs)))
+    outputs = [np.full(len(inputs[0]), np.nan)] if y is None else _signals("output", y, missing=True)
+    return recording(None, step, inputs, outputs, _numbered("u", len(inputs)), _numbered("y", len(outputs)))
 
 
-def _of_response(data: TimeResponseData, dt: Any) -> list[Recording]:
+def recordings_of_response(data: TimeResponseData, dt: Any) -> tuple[Recording, ...]:
+    """One recording for each trace."""
     refuse_short(len(data.time))
     time, step = uniform_time("the time of the record", data.time, dt)
     unit, runs = checked_unit(getattr(data, "time_unit", None)), max(1, data.ntraces)
@@ -307,19 +221,20 @@ def _of_response(data: TimeResponseData, dt: Any) -> list[Recording]:
     outputs = np.reshape(data.y, shape)
     names = tuple(data.input_labels or _numbered("u", len(inputs)))[: len(inputs)]
     seen, found = tuple(data.output_labels or _numbered("y", len(outputs))), []
-    for k, title in enumerate(titles_of(data, runs)):
+    titles = list(data.trace_labels) if runs > 1 and data.trace_labels else runs * [data.title or ""]
+    for k, title in enumerate(titles):
         try:
             u, y = _signals("input", inputs[:, k]), _signals("output", outputs[:, k], missing=True)
-            found.append(_recording(time, step, u, y, names, seen, title, unit))
+            found.append(recording(time, step, u, y, names, seen, title, unit))
         except StructureError as error:
             raise StructureError(f"trace {k + 1}: {error}" if runs > 1 else str(error)) from None
-    return found
+    return tuple(found)
 
 
 def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | Array:
     """Signals of one channel (T,), or of several (channels, T)."""
-    shape = _shape_of(value)
-    if len(shape) != 2 or shape[1] == 1:
+    shape = shape_of(value)
+    if len(shape) != 2 or 1 in shape:
         return [signal(f"the {role}", value, missing=missing)]
     if shape[0] > shape[1]:
         raise StructureError(
@@ -333,7 +248,7 @@ def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | 
     return np.asarray(value) if stays_on_disk(value) else found
 
 
-def _shape_of(value: Any) -> tuple[int, ...]:
+def shape_of(value: Any) -> tuple[int, ...]:
     """Shape of an array_like; (0,) of what is none, which is refused where it is read."""
     try:
         return tuple(np.shape(value))
@@ -345,23 +260,25 @@ def _numbered(letter: str, count: int) -> Labels:
     return (letter,) if count == 1 else tuple(f"{letter}{k}" for k in range(1, count + 1))
 
 
-def _recording(
+def recording(
     time: Array | None, dt: float, inputs: Sequence[Array] | Array, outputs: Sequence[Array] | Array,
     names: Labels, seen: Labels, title: str = "", time_unit: str | None = None,
 ) -> Recording:  # fmt: skip
-    """Put checked signals together, of one length each."""
+    """Put checked signals together, of one length each; without `time` they begin at 0."""
     if not len(outputs):
         raise StructureError("the record has no outputs; needed at least one, missing samples as NaN")
     time = instants(len(outputs[0]), dt) if time is None else time
-    records = [checked_record(time, dt, None, y) for y in outputs]
-    records += [checked_record(time, dt, u, outputs[0]) for u in inputs]
+    parts = [("input", one) for one in inputs] + [("output", one) for one in outputs] + [("time", time)]
+    for (one, here), (other, there) in pairwise((name, len(values)) for name, values in parts):
+        if here != there:
+            raise StructureError(f"the {one} has {here} samples and the {other} {there}; they must be of one length")
+    refuse_short(len(time))
+    for name, values in parts[:-1]:
+        refuse_out_of_range(f"the {name}", values)
     _refuse_repeated("input", names)
     _refuse_repeated("output", seen)
-    lengths = {one.samples for one in records}
-    if len(lengths) > 1:
-        raise StructureError(f"the outputs have {' and '.join(map(str, sorted(lengths)))} samples; needed one length")
-    u, y = _stacked(inputs, records[0].samples), _stacked(outputs, records[0].samples)
-    return Recording(records[0].time, dt, u, y, names, seen, title, time_unit)
+    u, y = _stacked(inputs, len(time)), _stacked(outputs, len(time))
+    return Recording(time, dt, u, y, names, seen, title, time_unit)
 
 
 def _stacked(signals: Sequence[Array] | Array, samples: int) -> Array:
@@ -379,24 +296,25 @@ def _refuse_repeated(role: str, labels: Labels) -> None:
         raise StructureError(f"{labels.count(repeated[0])} {role}s are called {repeated[0]!r}; give each its own label")
 
 
-def _of_frequency_response(data: FrequencyResponseData, weights: Any) -> ResponseMatrix:
+def response_matrix(data: FrequencyResponseData, weights: Any) -> ResponseMatrix:
+    """Check a frequency response, and sort it by frequency."""
     omega, response = checked_points(data)
     names, seen = tuple(data.input_labels), tuple(data.output_labels)
     _refuse_repeated("input", names)
     _refuse_repeated("output", seen)
     order, unit = np.argsort(omega, kind="stable"), checked_unit(getattr(data, "time_unit", None))
     found = ResponseMatrix(omega, response, np.ones(response.shape), names, seen, title_of(data), unit)
-    found = _weighted(found, weights)
+    found = weighted(found, weights)
     arrays = (found.omega[order], found.response[..., order], found.weights[..., order])
     return ResponseMatrix(*arrays, names, seen, found.title, unit)
 
 
-def _weighted(one: ResponseMatrix, weights: Any) -> ResponseMatrix:
+def weighted(one: ResponseMatrix, weights: Any) -> ResponseMatrix:
     """The same with weights of every frequency, or of every entry at every frequency."""
     if weights is None:
         return one
     shape = one.response.shape
-    given = _shape_of(weights)
+    given = shape_of(weights)
     if given not in (shape, (shape[2],)):
         raise StructureError(
             f"weights have shape {given}; with a response of shape {shape} they must be {shape} or ({shape[2]},)"
@@ -408,13 +326,11 @@ def _weighted(one: ResponseMatrix, weights: Any) -> ResponseMatrix:
 # --- one list of channels --------------------------------------------------------------------------------------------
 
 
-def _matched(parts: Sequence[_Part]) -> tuple[Any, ...]:
-    """Experiments of the same inputs and outputs."""
-    common_unit(list(parts))
-    by_label = all(part.named for part in parts)
-    inputs = _union([part.one.input_labels for part in parts], by_label)
-    outputs = _union([part.one.output_labels for part in parts], by_label)
-    found = tuple(_with_channels(part.one, inputs, outputs, by_label) for part in parts)
+def matched(parts: Sequence[Recording | ResponseMatrix], by_label: bool) -> tuple[Any, ...]:
+    """Experiments of the same inputs and outputs, matched by their labels or by their places."""
+    inputs = _union([one.input_labels for one in parts], by_label)
+    outputs = _union([one.output_labels for one in parts], by_label)
+    found = tuple(_with_channels(one, inputs, outputs, by_label) for one in parts)
     if isinstance(found[0], Recording):
         seen = np.any([one.observed.any(axis=-1) for one in found], axis=0)
         if not seen.all():

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ... import _checks
 from ...exceptions import StructureError
 from ...io.text_table import is_time_label, unit_of_time
-from .time_record import Record, checked_record, instants, refuse_short, signal, uniform_time
+from .channels import Recording, recording
+from .time_record import instants, refuse_short, signal, uniform_time
 
 _SHOWN = 30  # labels of columns listed in a message
 
@@ -17,8 +20,8 @@ def is_data_frame(data: Any) -> bool:
     return hasattr(data, "columns") and hasattr(type(data), "__getitem__")
 
 
-def record_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -> Record:
-    """Record of a data frame whose columns are the time (or none, with `dt`), the input and the output, in that order.
+def recording_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -> Recording:
+    """Recording of a data frame with columns of the time (or none, with `dt`), the input and the output, in that order.
 
     The time is recognised by its label, as `phc.read_csv` does; of the two that remain the first is the input.
     """
@@ -36,17 +39,17 @@ def record_of_frame(frame: Any, dt: Any = None, *, output_needed: bool = True) -
         )
     names = [f"the {role} (column {labels[k]!r})" for role, k in zip(("input", "output"), rest, strict=False)]
     u = signal(names[0], _column(frame, columns[rest[0]]))
-    y = signal(names[1], _column(frame, columns[rest[1]]), missing=True) if len(rest) == 2 else None
-    shown = dict(zip(("input_label", "output_label"), (labels[k] for k in rest), strict=False))
+    y = signal(names[1], _column(frame, columns[rest[1]]), missing=True) if len(rest) == 2 else np.full(len(u), np.nan)
+    inputs, outputs = (labels[rest[0]],), (labels[rest[1]] if len(rest) == 2 else "y",)
     if clock is None:
-        return checked_record(None, _checks.sampling_step(dt), u, y, **shown)
+        return recording(None, _checks.sampling_step(dt), [u], [y], inputs, outputs)
     name = f"the time (column {labels[clock]!r})"
     recorded = signal(name, _column(frame, columns[clock]))
     refuse_short(len(recorded))
     time, step = uniform_time(name, recorded, dt)
     # the grid that instants in print stand for, as in a recording that was read from a file
-    unit = unit_of_time(labels[clock])
-    return checked_record(instants(len(time), step, float(time[0])), step, u, y, time_unit=unit, **shown)
+    grid = instants(len(time), step, float(time[0]))
+    return recording(grid, step, [u], [y], inputs, outputs, time_unit=unit_of_time(labels[clock]))
 
 
 def _time_column(labels: list[str], dt: Any) -> int | None:

@@ -12,9 +12,21 @@ from control import FrequencyResponseData, TimeResponseData
 
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
-from .data_frames import is_data_frame, record_of_frame
-from .frequency_record import FrequencyRecord, checked_weights, record_of_frequency_response
-from .time_record import CheckedData, Record, record_of_pair, records_of_response, refuse_contradiction
+from .channels import (
+    Recording,
+    ResponseMatrix,
+    matched,
+    recording_of_pair,
+    recordings_of_response,
+    response_matrix,
+    several,
+    shape_of,
+    single,
+    weighted,
+)
+from .data_frames import is_data_frame, recording_of_frame
+from .frequency_record import FrequencyRecord, checked_weights
+from .time_record import CheckedData, Record, refuse_contradiction
 
 _KINDS = (
     "a control.TimeResponseData, a control.FrequencyResponseData, a data frame with columns t, u and y, or a tuple "
@@ -70,10 +82,90 @@ def as_experiments(
     >>> first.dt, second.dt, second.driven, second.observed.tolist()
     (0.1, 0.2, False, [True, False, True, True])
     """
-    return each_experiment(data, dt, weights, partial(_experiment, output_needed=output_needed))
+    take = partial(_experiment, output_needed=output_needed)
+    return _each_experiment(data, dt, weights, lambda *one: tuple(map(single, take(*one))))
 
 
-def each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., tuple[Any, ...]]) -> tuple[Any, ...]:
+def as_channels(
+    data: Any, dt: Any = None, *, weights: Any = None
+) -> tuple[Recording, ...] | tuple[ResponseMatrix, ...]:
+    """Make checked experiments of several inputs and outputs, all in time or all in frequency.
+
+    Parameters
+    ----------
+    data : control.TimeResponseData, control.FrequencyResponseData, pair (u, y), data frame, or list of these
+        One experiment or several; a response of several traces gives one for each.  Signals of a pair have shape (T,),
+        or (m, T) and (p, T), one row for each channel; `(None, y)` is a free motion.  Missing outputs are NaN.
+    dt : float, or sequence of float or None, one for each experiment, optional
+        Time between samples.  Needed with arrays; where the data have a time of their own, the two must agree.
+    weights : array_like of float, shape (K,) or (p, m, K), or list of these (or None), optional
+        What the squared error at each frequency counts; positive.  For frequency responses only.
+
+    Returns
+    -------
+    tuple of Recording, or tuple of ResponseMatrix
+        All with the same inputs and outputs: those of all experiments, matched by their labels where all have labels,
+        by position otherwise.  An input that an experiment does not have is 0, what it does not measure NaN.
+
+    Raises
+    ------
+    StructureError
+        If the data are of another kind, or not finite, or do not fit together.
+    IdentificationError
+        If a record has fewer than 2 samples, or a frequency response no frequencies.
+
+    Notes
+    -----
+    Nothing is modified.  O((m + p) T) time and memory.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ph_control.identification.data.experiments import as_channels
+    >>> (one,) = as_channels((np.ones((2, 5)), np.ones((3, 5))), dt=0.1)
+    >>> one
+    <Recording: 5 samples, step 0.1, 3 outputs from 2 inputs>
+    """
+    found = _each_experiment(data, dt, weights, lambda *one: tuple(map(several, _experiment(*one))))
+    return matched(found, all(map(_has_labels, data if _are_several(data) else [data])))
+
+
+def has_several_channels(data: Any) -> bool:
+    """Whether data have more than one input or output in any experiment, right or wrong."""
+    if isinstance(data, TimeResponseData | FrequencyResponseData):
+        return bool(max(data.ninputs, data.noutputs) > 1)
+    if isinstance(data, Recording | ResponseMatrix):
+        return max(len(data.input_labels), len(data.output_labels)) > 1
+    if isinstance(data, tuple) and len(data) == 2 and not any(map(_is_experiment, data)):
+        return any(len(shape) == 2 and min(shape) > 1 for shape in map(shape_of, data))
+    if isinstance(data, list | tuple):
+        return any(map(has_several_channels, data)) or _differ(list(map(_named, data)))
+    return False
+
+
+def _differ(names: list[tuple[Any, Any] | None]) -> bool:
+    """Whether experiments, all named, have inputs or outputs of different names; a free motion has no input."""
+    if not all(names):
+        return False
+    inputs, outputs = ({name for one in names if one for name in one[k]} for k in (0, 1))
+    return max(len(inputs), len(outputs)) > 1
+
+
+def _is_experiment(data: Any) -> bool:
+    kinds = TimeResponseData | FrequencyResponseData | Recording | ResponseMatrix | Record | FrequencyRecord
+    return isinstance(data, kinds | tuple) or is_data_frame(data)
+
+
+def _named(data: Any) -> tuple[Any, Any] | None:
+    """Names of the input and the output of an experiment that has one of each, and names."""
+    if isinstance(data, TimeResponseData | FrequencyResponseData):
+        return (tuple(data.input_labels or ()), tuple(data.output_labels or ())) if data.output_labels else None
+    if isinstance(data, Record):
+        return (data.input_label,) * data.driven, (data.output_label,)
+    return ((data.input_label,), (data.output_label,)) if isinstance(data, FrequencyRecord) else None
+
+
+def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., tuple[Any, ...]]) -> tuple[Any, ...]:
     """What `take(data, dt, weights, first)` makes of one experiment, or of each in a list, of which `first` is one."""
     if not _are_several(data):
         return take(data, dt, weights, None)
@@ -150,42 +242,54 @@ def _refuse_unknown(data: Any, listed: bool) -> None:
 # --- one experiment --------------------------------------------------------------------------------------------------
 
 
-def refuse_mixture(data: Any, dt: Any, weights: Any, first: Any, spectral: Callable[[Any], bool]) -> None:
+def _is_spectral(data: Any) -> bool:
+    return isinstance(data, FrequencyResponseData | FrequencyRecord | ResponseMatrix)
+
+
+def _has_labels(data: Any) -> bool:
+    """Whether the channels of an experiment have names of their own."""
+    if isinstance(data, TimeResponseData):
+        return bool(data.output_labels) and bool(data.input_labels or not data.ninputs)
+    return not isinstance(data, list | tuple)
+
+
+def _refuse_mixture(data: Any, dt: Any, weights: Any, first: Any) -> None:
     """Refuse what is no experiment, what is of another kind than the `first` of a list, and options of other kinds."""
     _refuse_unknown(data, listed=first is not None)
-    if first is not None and spectral(data) != spectral(first):
-        kinds = ["a frequency response", "a record in time"][:: 1 if spectral(data) else -1]
+    spectral = _is_spectral(data)
+    if first is not None and spectral != _is_spectral(first):
+        kinds = ["a frequency response", "a record in time"][:: 1 if spectral else -1]
         raise StructureError(f"this is {kinds[0]}, the first is {kinds[1]}; fit the two kinds one by one")
-    if spectral(data) and dt is not None:
+    if spectral and dt is not None:
         raise StructureError("dt is the step of a record in time, and a frequency response has none; leave dt out")
-    if not spectral(data) and weights is not None:
+    if not spectral and weights is not None:
         raise StructureError(
             "weights belong to frequency responses, and this is a record in time; mark samples to leave out with NaN"
         )
 
 
-def _is_spectral(data: Any) -> bool:
-    return isinstance(data, FrequencyResponseData | FrequencyRecord)
-
-
-def _experiment(data: Any, dt: Any, weights: Any, first: Any, output_needed: bool) -> tuple[Any, ...]:
-    """Records of one experiment; in a list it is of the kind of the `first`."""
-    refuse_mixture(data, dt, weights, first, _is_spectral)
-    if _is_spectral(data):
-        if isinstance(data, FrequencyResponseData):
-            return (record_of_frequency_response(data, weights),)
+def _experiment(data: Any, dt: Any, weights: Any, first: Any, output_needed: bool = True) -> tuple[Any, ...]:
+    """Checked data of one experiment, of one or of several channels; in a list of the kind of the `first`."""
+    _refuse_mixture(data, dt, weights, first)
+    if isinstance(data, FrequencyResponseData):
+        return (response_matrix(data, weights),)
+    if isinstance(data, FrequencyRecord):
         return (data if weights is None else replace(data, weights=checked_weights(weights, data.samples)),)
-    if isinstance(data, Record):
+    if isinstance(data, ResponseMatrix):
+        return (weighted(data, weights),)
+    if isinstance(data, Record | Recording):
         refuse_contradiction(dt, data.dt, "the time of the record")
         return (data,)
     if isinstance(data, TimeResponseData):
-        return records_of_response(data, dt)
+        return recordings_of_response(data, dt)
     if is_data_frame(data):
-        return (record_of_frame(data, dt, output_needed=output_needed),)
-    if isinstance(data, CheckedData):
-        raise StructureError(f"this is a {type(data).__name__} of several channels; needed one input and one output")
+        return (recording_of_frame(data, dt, output_needed=output_needed),)
     u, y = data
-    return (record_of_pair(u, y, dt, output_needed=output_needed),)
+    if isinstance(data, list) and any(len(shape) == 2 and min(shape) > 1 for shape in map(shape_of, data)):
+        raise StructureError(
+            "this is a list of lists of signals; several experiments are a list of tuples, [(u1, y1), ..]"
+        )
+    return (recording_of_pair(u, y, dt, output_needed),)
 
 
 def _one_for_each(name: str, value: Any, count: int) -> Sequence[Any]:

@@ -11,7 +11,7 @@ from control import FrequencyResponseData
 
 from ... import _checks
 from ..._types import Array, ComplexArray, Mask
-from ..._units import checked_unit, with_unit
+from ..._units import with_unit
 from ...exceptions import IdentificationError, StructureError
 from .time_record import CheckedData, refuse_out_of_range
 
@@ -70,26 +70,6 @@ class FrequencyRecord(CheckedData):
             outputs=[self.output_label.replace(".", "_")], title=self.title or None,
         )  # fmt: skip
         return with_unit(found, self.time_unit)
-
-
-def record_of_frequency_response(data: FrequencyResponseData, weights: Any = None) -> FrequencyRecord:
-    """Check a frequency response of one input and one output, and sort it by frequency."""
-    if (data.ninputs, data.noutputs) != (1, 1):
-        raise StructureError(
-            f"the frequency response has {data.ninputs} inputs and {data.noutputs} outputs, and a fit takes one of "
-            "each: select them by data[output, input]"
-        )
-    omega, response = checked_points(data)
-    order = np.argsort(omega, kind="stable")
-    return FrequencyRecord(
-        omega[order],
-        response[0, 0, order],
-        checked_weights(weights, len(omega))[order],
-        data.input_labels[0],
-        data.output_labels[0],
-        title_of(data),
-        checked_unit(getattr(data, "time_unit", None)),
-    )
 
 
 def checked_points(data: FrequencyResponseData) -> tuple[Array, ComplexArray]:

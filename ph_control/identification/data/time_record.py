@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from ... import _checks
 from ..._display import counted
 from ..._frozen import Frozen
 from ..._types import Array, Mask, NDArray
-from ..._units import checked_unit, with_unit
+from ..._units import with_unit
 from ...analysis.time_grid import printed_step
 from ...exceptions import IdentificationError, StructureError
 
@@ -92,56 +91,6 @@ class Record(CheckedData):
         return with_unit(found, self.time_unit)
 
 
-def record_of_pair(u: Any, y: Any, dt: Any, *, output_needed: bool = True) -> Record:
-    """Record of two signals; without `u` an autonomous one, without `y` one of which no output is known."""
-    if u is None and y is None:
-        raise StructureError("the record has neither input nor output; pass (u, y), or (None, y) if nothing drove it")
-    if y is None and output_needed:
-        raise StructureError("the record has no output; pass (u, y), missing samples of y as NaN")
-    if dt is None:
-        raise StructureError("dt is missing: with arrays (u, y) give dt, the time between samples")
-    step = _checks.sampling_step(dt)
-    given = None if u is None else signal("the input", u)
-    measured = None if y is None else signal("the output", y, missing=True)
-    return checked_record(None, step, given, measured)
-
-
-def records_of_response(data: TimeResponseData, dt: Any = None) -> tuple[Record, ...]:
-    """One record for each trace of a response with at most one input and one output."""
-    if data.ninputs > 1 or data.noutputs != 1:
-        raise StructureError(
-            f"the record has {data.ninputs} inputs, {data.noutputs} outputs ({_listed(data.input_labels)}; "
-            f"{_listed(data.output_labels)}), and a fit takes one of each: pass the pair (data.u[j], data.y[i]) with dt"
-        )
-    refuse_short(len(data.time))
-    time, step = uniform_time("the time of the record", data.time, dt)
-    unit = checked_unit(getattr(data, "time_unit", None))
-    runs = max(1, data.ntraces)
-    inputs = runs * [None] if data.ninputs == 0 else np.reshape(data.u, (runs, len(time)))
-    outputs = np.reshape(data.y, (runs, len(time)))
-    titles = titles_of(data, runs)
-    names = {"input_label": data.input_labels, "output_label": data.output_labels}
-    labels = {name: given[0] for name, given in names.items() if given}
-    found = []
-    for k, (u, y, title) in enumerate(zip(inputs, outputs, titles, strict=True), start=1):
-        try:
-            given = None if u is None else signal("the input", u)
-            measured = signal("the output", y, missing=True)
-            found.append(checked_record(time, step, given, measured, title=title, time_unit=unit, **labels))
-        except StructureError as error:
-            raise StructureError(f"trace {k}: {error}" if runs > 1 else str(error)) from None
-    return tuple(found)
-
-
-def titles_of(data: TimeResponseData, runs: int) -> list[str]:
-    """Title of each trace."""
-    return list(data.trace_labels) if runs > 1 and data.trace_labels else runs * [data.title or ""]
-
-
-def _listed(labels: list[str] | None) -> str:
-    return ", ".join(map(repr, labels[:8])) + (", ..." if len(labels) > 8 else "") if labels else "no names"
-
-
 def uniform_time(name: str, recorded: Any, dt: Any = None) -> tuple[Array, float]:
     """Instants on a uniform grid, and their step, which does not depend on where the time begins.
 
@@ -168,31 +117,6 @@ def instants(samples: int, dt: float, start: float = 0.0) -> Array:
     time *= dt
     time += start
     return time
-
-
-def checked_record(
-    time: Array | None, dt: float, u: Array | None, y: Array | None, *, title: str = "", time_unit: str | None = None,
-    **labels: str,
-) -> Record:  # fmt: skip
-    """Put checked signals together and lock them; without `u` the record is autonomous, without `time` it begins at 0.
-
-    Of the two signals there is at least one.
-    """
-    if time is None:
-        time = instants(len(y if u is None else u), dt)  # type: ignore[arg-type]
-    lengths = [(name, len(x)) for name, x in (("input", u), ("output", y), ("time", time)) if x is not None]
-    for (one, here), (other, there) in pairwise(lengths):
-        if here != there:
-            raise StructureError(f"the {one} has {here} samples and the {other} {there}; they must be of one length")
-    refuse_short(len(time))
-    driven = u is not None
-    u = np.zeros(len(time)) if u is None else u
-    y = np.full(len(time), np.nan) if y is None else y
-    for name, values in (("input", u), ("output", y)):
-        refuse_out_of_range(f"the {name}", values)
-    for array in (time, u, y):
-        _checks.readonly(array)
-    return Record(time, dt, u, y, driven=driven, title=title, time_unit=time_unit, **labels)
 
 
 def refuse_short(samples: int) -> None:

@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 from scipy.stats import norm
 
 from ..._types import Array, Mask
-from ..data.channels import as_channels
+from ..data.experiments import as_channels
 from ..data.time_record import LONG
 from ..regression.free import first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows

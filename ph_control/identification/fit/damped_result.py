@@ -19,7 +19,8 @@ from ...exceptions import NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
 from ...systems.port_hamiltonian import ph
-from ..data.channels import Recording, ResponseMatrix, as_channels
+from ..data.channels import Recording, ResponseMatrix
+from ..data.experiments import as_channels
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
 from ..regression.prediction import FittedExperiment, chosen_experiment

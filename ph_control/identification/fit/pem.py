@@ -15,7 +15,8 @@ from ..._types import Array
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ...modal.discretization import METHODS
-from ..data.channels import ResponseMatrix, as_channels, has_several_channels
+from ..data.channels import ResponseMatrix
+from ..data.experiments import as_channels, has_several_channels
 from ..data.parts import GLANCE, is_long, stages
 from ..data.time_record import LONG
 from ..diagnosis.circumstance_tests import NOISE

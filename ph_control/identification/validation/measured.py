@@ -17,9 +17,9 @@ from ..._frozen import Frozen
 from ..._types import Array
 from ..._units import common_unit
 from ...exceptions import StructureError
-from ..data.channels import Recording, ResponseMatrix, as_channels, has_several_channels
+from ..data.channels import Recording, ResponseMatrix
 from ..data.data_frames import is_data_frame
-from ..data.experiments import as_experiments
+from ..data.experiments import as_channels, as_experiments, has_several_channels
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..fit.result import PEMResult
