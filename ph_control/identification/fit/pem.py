@@ -207,12 +207,13 @@ def pem(
     # the noise may grow with the gain of damped modes, too; before a hammer hits, a motion is hardly seen
     responses = isinstance(channels[0], ResponseMatrix)
     anew = not whole or (weights is None if responses else initial_state == "estimate" and begin_at_rest(channels))
+    known = free is not None and (order != "auto" if responses else not whole)
     try:
         if free is None or (anew and not free.interrupted):
             damped = fit_channels(
                 channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
                 criterion=criterion, callback=callback,
-                start=free.projection.p if responses and free is not None and order != "auto" else None,
+                start=free.projection.p if free is not None and known else None,
                 findings=result.findings, moving=initial_state == "estimate", weighted=weights is not None,
             )  # fmt: skip
         else:
