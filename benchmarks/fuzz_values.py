@@ -337,6 +337,9 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "obj": lambda draw: pick(draw.rng, pool("system") + pool("modes") + pool("PEMResult")),
     "path": lambda draw: pick(draw.rng, [f"out{draw.rng.integers(100)}.json", Path(f"{draw.rng.integers(100)}.json")]),
     "overwrite": _choice(False, True), "input": _choice(None, "u", 1, False), "output": _choice(None, "y", -1, 2),
+    "recording.frame": lambda draw: dict(zip("tuy", [np.arange(40.0), *draw.rng.random((2, 40))], strict=True)),
+    "recording.input": _choice(None, "u", False), "recording.output": _choice(None, "y", ["y"]),
+    "recording.time": _choice(None, "t"), "fs": _choice(None, 10),
     "read_csv.time": _choice(None, "t", 0, False), "header": _choice(None, True, False),
     "delimiter": _choice(None, ",", ";"), "decimal": _choice(None, ".", ","),
     **{name: _choice(None, 0, 1, 2, name) for name in ("frequency", "magnitude", "phase", "real", "imag")},
@@ -508,7 +511,9 @@ _POOLS |= {
     "Excitation": lambda: [phc.excitation((u, None), 2, dt=0.1) for u in (np.sin(np.arange(80.0)), _record(1)[1])],
     "GradientResult": lambda: [phc.gradient_descent(_record(1)[1:], 1, dt=0.1, epochs=2)],
     "OrderSelection": lambda: [phc.order_selection(_record(1)[1:], 2, dt=0.1)],
-    "FittedExperiment": lambda: [one for result in pool("PEMResult") for one in result.experiments],
+    "FittedExperiment": lambda: [
+        one for result in pool("PEMResult") for one in result.experiments if isinstance(one, phc.FittedExperiment)
+    ],
     "ModeSamples": lambda: [pool("PEMResult")[0].sample(4, 0)],
     "ResidualAnalysis": lambda: [
         phc.residual_analysis(_record(5)[1:], pool("PEMResult")[0], dt=0.1),

@@ -331,9 +331,9 @@ def test_a_data_frame_without_time_needs_the_step():
     [
         ({}, None, "no column of the data frame is called time or t"),
         ({}, 1.0, "0 columns are left beside the time"),
-        ({"u": U, "y": Y}, None, "reset_index() makes it one), or give the time between samples with dt (the columns"),
+        ({"u": U, "y": Y}, None, "or give the time between samples with dt (the columns"),
         ({"T": U, "u": U, "y": Y}, None, "the columns are 'T', 'u', 'y'"),
-        ({"t": U, "y": Y}, None, "1 columns are left beside the time; keep one of each"),
+        ({"t": U, "y": Y}, None, "1 columns are left beside the time; choose with phc.recording"),
         ({"t": U, "y": Y}, None, "of a free motion (None, y), with dt (the columns are 't', 'y')"),
         ({"t": U, "u": U, "y": Y, "z": Y}, None, "which column is the input and which the output? 3 columns are left"),
         ({"t": U, "time": U, "u": U, "y": Y}, None, "'t' and 'time' of the data frame may both be the time"),
@@ -361,7 +361,7 @@ def test_columns_that_cannot_be_told_apart_or_read_are_refused():
         def __getitem__(self, label):
             raise TypeError("not evaluated")
 
-    with pytest.raises(phc.StructureError, match="column 'u' of the Lazy cannot be read: not evaluated"):
+    with pytest.raises(phc.StructureError, match="column 't' of the Lazy cannot be read: not evaluated"):
         as_experiments(Lazy(t=U, u=U, y=Y))
 
 

@@ -93,7 +93,7 @@ def controller_of(gain: Any, k: int) -> PortHamiltonian | Array:
         raise StructureError(f"the gain has shape {K.shape}; it must be a number, or of shape ({k},) or ({k}, {k})")
     _checks.finite("the gain", K)
     least = float(np.linalg.eigvalsh(0.5 * (K + K.T)).min(initial=0.0))
-    if least < -_ROUNDING * k * _checks.EPS * float(np.linalg.norm(K)):
+    if least < -_ROUNDING * k * _checks.EPS * float(np.abs(K).max()):
         raise StructureError(
             f"the gain gives energy: (K + K^T) / 2 has the eigenvalue {least:.3g}; allowed are none below 0"
         )

@@ -82,8 +82,8 @@ def add_fitted(parser: Parser) -> None:
     )
     model.add_argument(
         "--quantity", type=quantities, metavar="LIST",
-        help="velocity, displacement, acceleration or free: of all outputs, or of each (default: what a universal file "
-        "tells, else velocity)",
+        help="velocity, displacement, acceleration or free: of all outputs, or of each (default: what the file tells, "
+        "by its labels and units too, else velocity)",
     )  # fmt: skip
     add_meeting(model, ("estimate", "zero"), ("auto", *INTERSAMPLE))
     model.add_argument(

@@ -18,6 +18,7 @@ from ...modal.modal_form import ModalForm
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
+from ..data.quantities import checked_quantities
 from ..data.time_record import Record
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
 from ..regression.free import FreeProjection
@@ -29,13 +30,12 @@ from ..search.formulation import Callback, reporter
 from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
-from ..structure.layout import POWERS, ChannelLayout
+from ..structure.layout import ChannelLayout
 from ..uncertainty.residual_tests import ljung_box
 from .damped_result import DampedResult
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
-QUANTITIES = tuple(POWERS)
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
@@ -180,39 +180,6 @@ def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> A
     if structure == "passive" and not pairs:
         raise StructureError("a passive structure needs driving points: name them, ports=[(output, input), ..]")
     return Asked(structure, pairs, quantities, assumed)
-
-
-def quantity_of(data: Any) -> Any:
-    """Quantities by label of the output, of data that tell them; else that of a port."""
-    found: dict[str, str] = {}
-    for one in data if isinstance(data, list | tuple) else [data]:
-        told = getattr(one, "quantity", None)
-        # a data frame may have a column of that name
-        for label, quantity in told.items() if isinstance(told, dict) else ():
-            if found.setdefault(label, quantity) != quantity:
-                raise StructureError(
-                    f"output {label!r} is {found[label]} in one experiment and {quantity} in another; pass quantity, "
-                    "or give the outputs different labels"
-                )
-    return found or "velocity"
-
-
-def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
-    """One quantity for each output, of one for all, a sequence, or a mapping by label."""
-    if isinstance(quantity, str):
-        each: Any = [quantity] * len(labels)
-    elif isinstance(quantity, dict):
-        unknown = [name for name in quantity if name not in labels]
-        if unknown:
-            raise StructureError(f"quantity names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
-        each = [quantity.get(name, "velocity") for name in labels]
-    else:
-        each = list(quantity) if isinstance(quantity, tuple | list | np.ndarray) else [quantity]
-    if len(each) != len(labels):
-        raise StructureError(
-            f"quantity has {len(each)} entries for {counted(len(labels), 'output')}; give one for each, or one"
-        )
-    return tuple(_checks.choice("quantity", one, QUANTITIES) for one in each)
 
 
 def starting_poles(guess: Any) -> ComplexArray | None:

@@ -18,6 +18,7 @@ from ...modal.discretization import METHODS
 from ..data.channels import ResponseMatrix
 from ..data.experiments import as_channels, has_several_channels
 from ..data.parts import GLANCE, is_long, stages
+from ..data.quantities import checked_quantities, quantity_of
 from ..data.time_record import LONG
 from ..diagnosis.circumstance_tests import NOISE
 from ..diagnosis.damping import REFUSED, DampingWatch, beside, lossless_test
@@ -33,9 +34,7 @@ from .conclusion import Conclusion, Fit, conclude
 from .modal_fit import (
     asked_of,
     begin_at_rest,
-    checked_quantities,
     fit_channels,
-    quantity_of,
     starting_poles,
     under_either_hold,
 )
@@ -93,7 +92,8 @@ def pem(
         where that explains more than a slow mode does.
     quantity : {'velocity', 'displacement', 'acceleration', 'free'}, or sequence or dict of these, optional
         What was measured: of all outputs, of each, or by label; 'free' is any other sensor.  Default: what the data
-        tell by an attribute `quantity`, a dict as `read_uff` gives it, and 'velocity' of all other outputs.
+        tell by an attribute `quantity`, a dict as `read_uff` gives it, or by labels and units such as `Accel (g)`;
+        'velocity' where no output tells.
     representation : {'observable', 'controllable'}
         Whether a mode without weight may still move at the output, as in the observable form, or not, as in every state
         of the controllable one; of lossless models of one input and output.

@@ -11,6 +11,7 @@ from ..._display import Report, aligned, counted, html_heading, html_report, htm
 from ..._types import Array
 from ..._units import hertz_size, rate, step_of
 from ...exceptions import shortened
+from ..data.quantities import measured_by
 from ..data.time_record import Record
 
 _SHOWN = 6  # experiments listed one by one
@@ -218,7 +219,7 @@ def _channel_lines(result: Any) -> list[str]:
     tail = f", {missing} values missing" * bool(missing)
     samples = sum(record.samples for record in records)
     several = f"{len(records)} experiments, " * (len(records) > 1)
-    measured = [f"  measured        {result.quantity}"]
+    measured = [f"  measured        {measured_by(result.quantities, result.output_labels)}"]
     if not hasattr(records[0], "dt"):
         return [f"  response        {several}{samples} frequencies{tail}", *measured]
     held = {"zoh": "held", "foh": "linear"}[result.intersample]

@@ -1,0 +1,119 @@
+"""What outputs measure: told by the data, by their labels and units, or by the caller."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ... import _checks
+from ..._display import counted
+from ...exceptions import StructureError
+from ...io.text_table import is_time_label, without_unit
+
+QUANTITIES = ("displacement", "free", "velocity", "acceleration")
+_WORDS = {
+    "acceleration": ("acceleration", "accelerations", "accel", "acc", "accelerometer", "accelerance", "inertance"),
+    "velocity": ("velocity", "velocities", "vel", "speed", "mobility"),
+    "displacement": ("displacement", "displacements", "disp", "displ", "position", "deflection", "receptance"),
+    "free": ("strain", "microstrain"),
+}
+_QUANTITY_OF_WORD = {word: quantity for quantity, words in _WORDS.items() for word in words}
+_LENGTH = r"(?:[nuµμmck]?m|in|inch|ft|mil|met(?:er|re)s?|rad|deg|°)"
+_UNITS = (
+    (re.compile(rf"(?:{_LENGTH}/s(?:ec)?(?:\^|\*\*)?[2²]|{_LENGTH}/s/s|m?g_?n?)"), "acceleration"),
+    (re.compile(rf"(?:{_LENGTH}/s(?:ec)?|rpm)"), "velocity"),
+    (re.compile(r"(?:[uµμ][εe]|[uµμ]?strain|[uµμm]?m/m)"), "free"),
+    (re.compile(_LENGTH), "displacement"),
+)
+_BY_FORCE = re.compile(r"/\(?(?:[kM]?N(?:\*?m)?|lbf)\)?$")
+
+
+def quantity_of_label(label: str) -> str | None:
+    """Quantity that the words of a label and its unit tell, or None; one that they contradict each other in is refused.
+
+    `Accel (g)`, `x_vel [mm/s]`, `(m/s^2)/N` tell; `ch 3`, `y[0]`, `out (V)` do not.
+    """
+    bare = without_unit(label)
+    unit = label.strip()[len(bare) :].strip(" []()/") if bare else ""
+    words = re.findall(r"[^\W\d_]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", bare))
+    named = {_QUANTITY_OF_WORD[word.casefold()] for word in words if word.casefold() in _QUANTITY_OF_WORD}
+    simple = _BY_FORCE.sub("", unit.replace(" ", "").replace("·", "*")).strip("()")
+    measured = next((quantity for pattern, quantity in _UNITS if pattern.fullmatch(simple)), None)
+    named |= set() if measured is None else {measured}
+    if len(named) > 1:
+        raise StructureError(
+            f"the label {label!r} tells of {' and '.join(sorted(named))}; pass quantity, or rename the output"
+        )
+    return named.pop() if named else None
+
+
+def quantity_of(data: Any) -> Any:
+    """Quantities by label of the output, of data that tell them; else that of a port."""
+    found: dict[str, str] = {}
+    silent: list[str] = []
+    for one in data if isinstance(data, list | tuple) else [data]:
+        told = getattr(one, "quantity", None)
+        if not isinstance(told, dict):  # a data frame may have a column of that name
+            by_label = {label: quantity_of_label(label) for label in _output_labels(one)}
+            told = {label: quantity for label, quantity in by_label.items() if quantity is not None}
+            silent += [label for label in by_label if label not in told]
+        for label, quantity in told.items():
+            if found.setdefault(label, quantity) != quantity:
+                raise StructureError(
+                    f"output {label!r} is {found[label]} in one experiment and {quantity} in another; pass quantity, "
+                    "or give the outputs different labels"
+                )
+    asked = [label for label in silent if label not in found]
+    if found and asked:
+        label, quantity = next(iter(found.items()))
+        raise StructureError(
+            f"what is measured by {asked[0]!r}? {label!r} is {quantity}, but that label does not tell; pass "
+            f"quantity={{{asked[0]!r}: ...}} with one of {', '.join(map(repr, QUANTITIES))}"
+        )
+    return found or "velocity"
+
+
+def _output_labels(data: Any) -> list[str]:
+    labels = getattr(data, "output_labels", None)
+    if isinstance(labels, list | tuple):
+        return [label for label in labels if isinstance(label, str)]
+    label = getattr(data, "output_label", None)
+    if isinstance(label, str):
+        return [label]
+    columns = [str(column) for column in getattr(data, "columns", ())]
+    return [column for column in columns if not is_time_label(column)][1:]
+
+
+def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
+    """One quantity for each output, of one for all, a sequence, or a mapping by label, which the labels complete."""
+    if isinstance(quantity, str):
+        each: Any = [quantity] * len(labels)
+    elif isinstance(quantity, dict):
+        unknown = [name for name in quantity if name not in labels]
+        if unknown:
+            raise StructureError(f"quantity names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
+        each = [quantity.get(name) or quantity_of_label(name) or "velocity" for name in labels]
+    else:
+        each = list(quantity) if isinstance(quantity, tuple | list | np.ndarray) else [quantity]
+    if len(each) != len(labels):
+        raise StructureError(
+            f"quantity has {len(each)} entries for {counted(len(labels), 'output')}; give one for each, or one"
+        )
+    return tuple(_checks.choice("quantity", one, QUANTITIES) for one in each)
+
+
+def measured_by(quantities: Sequence[str], labels: Sequence[str]) -> str:
+    """What each output was taken to measure, in words; a velocity that no label tells is assumed."""
+    if set(quantities) == {"velocity"}:
+        return "velocity" if all(map(quantity_of_label, labels)) else "velocity, as no label tells another"
+    if len(set(quantities)) == 1:
+        return quantities[0]
+    outputs = {one: [label for label, q in zip(labels, quantities, strict=True) if q == one] for one in QUANTITIES}
+    return "; ".join(
+        f"{one} of {', '.join(map(repr, names[:6]))}" + f" and {len(names) - 6} more" * (len(names) > 6)
+        for one, names in outputs.items()
+        if names
+    )
