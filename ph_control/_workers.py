@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
-from functools import partial
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,9 @@ from .exceptions import IdentifiabilityWarning, PHControlError, StructureError
 
 _AHEAD = 2  # calls for each process: one that it works on, and one that waits for it
 _DEATHS = 3  # of processes that a call was alone in, after which it is given up
-_CHUNKS = 4  # for each process, of items that are there from the start
+_SECONDS = 0.2  # that calls compute that travel together, a hundred times and more what it takes to send them
+_WAITING = 5  # times as long such calls may wait, for a file or for a processor
+_LEAST = 4  # threads that a cluster is taken to have
 _BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 Ended = Generator[tuple[int, Any, "BaseException | None"], None, None]
@@ -57,20 +58,12 @@ def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, k
         return map(function, items)
     if not _submits(workers):
         workers = min(_count(workers), len(items))
-    # the function may be large, and travels with each call
-    calls = _CHUNKS * (_count(-1) if _submits(workers) else workers)
-    size = -(-len(items) // calls)
-    chunks = [items[k : k + size] for k in range(0, len(items), size)]
-    results: list[list[Any]] = [[]] * len(chunks)
-    for place, result, failure in completed(partial(_each, function), chunks, workers):
+    results: list[Any] = [None] * len(items)
+    for place, result, failure in completed(function, items, workers):
         if failure is not None:
             raise failure
         results[place] = result
-    return [one for chunk in results for one in chunk]
-
-
-def _each(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-    return [function(item) for item in items]
+    return results
 
 
 def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
@@ -94,8 +87,9 @@ def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
 def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any) -> Ended:
     """Place, result and error of each call as it ends; items are taken as there is room, so there may be any number.
 
-    Where a process of our own dies, all calls under way are lost.  Each is made again, alone: one of them may have
-    killed it, and is given up when it has done so a few times.
+    Short calls travel together, and each is made again, alone, where one of them fails.  So it is where a process of
+    our own dies and all calls under way are lost: one of them may have killed it, and is given up when it has done so
+    a few times.
     """
     source = enumerate(items)
     if _is_one(workers):
@@ -103,26 +97,35 @@ def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any
             yield place, *_called(function, item)
         return
     pool = _pool_of(workers)
-    under_way: dict[Future[Any], tuple[int, Any]] = {}
+    under_way: dict[Future[Any], list[tuple[int, Any]]] = {}
     suspects: list[tuple[int, Any]] = []
     deaths: Counter[int] = Counter()
+    size = 1
     try:
         while True:
-            for place, item in [suspects.pop(0)] if suspects else islice(source, pool.room(len(under_way))):
-                under_way[pool.submit(function, item)] = place, item
+            for _ in range(1 if suspects else pool.room(len(under_way))):
+                calls = [suspects.pop(0)] if suspects else _taken(source, size)
+                if not calls:
+                    break
+                under_way[pool.submit(_together, function, [item for _, item in calls])] = calls
             if not under_way:
                 return
             done = wait(under_way, return_when=FIRST_COMPLETED).done
             if any(map(_is_lost, done)):
                 done = wait(under_way).done
-            lost = []
+            lost, again = [], []
             for future in done:
-                place, item = under_way.pop(future)
+                calls = under_way.pop(future)
                 if _is_lost(future):
-                    lost.append((place, item))
+                    lost += calls
+                elif (error := future.exception()) is None:
+                    results, seconds = future.result()
+                    size = max(1, min(2 * size, int(_SECONDS * len(calls) / max(seconds, _SECONDS / 1000))))
+                    yield from ((place, result, None) for (place, _), result in zip(calls, results, strict=True))
+                elif len(calls) == 1:
+                    yield calls[0][0], None, error
                 else:
-                    error = future.exception()
-                    yield place, None if error else future.result(), error
+                    again += calls
             if lost:
                 pool.renew()
             if len(lost) == 1:
@@ -132,9 +135,27 @@ def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any
                     lost = []
                     said = f"each of {_DEATHS} processes that worked on it died, as by a lack of memory"
                     yield place, None, PHControlError(said)
-            suspects = sorted(lost, key=lambda one: one[0]) + suspects
+            suspects = sorted(lost + again, key=lambda one: one[0]) + suspects
     finally:
         pool.stop(list(under_way))
+
+
+def _taken(source: Iterator[tuple[int, Any]], size: int) -> list[tuple[int, Any]]:
+    """The next items, fewer than asked for where they come slowly."""
+    found = []
+    end = time.perf_counter() + _SECONDS
+    for one in source:
+        found.append(one)
+        if len(found) >= size or time.perf_counter() > end:
+            break
+    return found
+
+
+def _together(function: Callable[[Any], Any], items: Sequence[Any]) -> tuple[list[Any], float]:
+    """Results of calls that have travelled together, and the seconds by which their number is chosen."""
+    own, wall = time.thread_time(), time.perf_counter()
+    results = [function(item) for item in items]
+    return results, max(time.thread_time() - own, (time.perf_counter() - wall) / _WAITING)
 
 
 def _called(function: Callable[[Any], Any], item: Any) -> tuple[Any, BaseException | None]:
@@ -177,10 +198,10 @@ class _Given:
     def __init__(self, executor: Any) -> None:
         self._executor = executor
 
-    def submit(self, function: Callable[[Any], Any], item: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Future of a call, which has failed already where the executor is broken."""
         try:
-            future: Future[Any] = self._executor.submit(function, item)
+            future: Future[Any] = self._executor.submit(function, *arguments)
         except BrokenExecutor as error:
             future = Future()
             future.set_exception(error)
@@ -217,7 +238,7 @@ class _Cluster(_Given):
 
     def _threads(self) -> int:
         # one that grows with its work begins with none
-        return max(sum(self._client.nthreads().values()), _CHUNKS)
+        return max(sum(self._client.nthreads().values()), _LEAST)
 
     def stop(self, under_way: Sequence[Future[Any]]) -> None:
         """End what is still under way."""

@@ -109,7 +109,8 @@ def fit_many(
     -----
     Numbers are the same bit by bit for any `workers` on processors of one kind: each fit runs on one thread.
 
-    What is under way takes memory, about two recordings a process, and so does the table.  Files are read where they
+    What is under way takes memory, about two recordings a process, or as many as are fitted in half a second,
+    and so does the table.  Files are read where they
     are fitted: a cluster must see them, and `store`, under the same paths.  Arrays travel with the call.
 
     A result in the store appears whole or not at all.  Where one of our processes is killed it is replaced, and what
