@@ -6,11 +6,14 @@ With Gramians `P` and `Q` of the error `G - G_r`, split as its states,
 
 and its gradients by `Ar`, `Br`, `Cr` are `2 (Q22 P22 + Q12^T P12)`, `2 (Q22 Br + Q12^T B)`, `2 (Cr P22 - C P12)`.
 Where all three vanish the reduced model is a projection of the large one, which the iteration uses (Wilson 1970; Xu
-and Zeng 2011).  Port-Hamiltonian models are `Ar = J - L L^T - Y Y^T` with unit energy, without constraints.
+and Zeng 2011), with poles mirrored at the axis where it leaves the stable ones.  There are many such models, and
+symmetric starts stay symmetric: the iteration starts at random ones too.  Port-Hamiltonian models are
+`Ar = J - L L^T - Y Y^T` with unit energy, without constraints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,12 +23,18 @@ from scipy.linalg import qr, schur
 from scipy.linalg.lapack import dtrsyl
 from scipy.optimize import minimize
 
+from .._checks import EPS
 from .._types import Array
 from .modal_truncation import Parts
 
-_ITERATIONS = 300  # of projections
-_SETTLED = 1e-10  # of the squared norm of the model: change of the squared error
+_STARTS = 12  # beside the balanced one
+_SHORT = 30  # projections of each
+_KEPT = 3  # of the best starts are followed further
+_ITERATIONS = 300  # projections of these
+_SETTLED = 1e-14  # of the squared norm of the system: change of the squared error
+_DECAY = 1e-9  # of the fastest pole: least decay of a mirrored one
 _STEPS = 2000  # of quasi-Newton
+_ENOUGH = 1e-10  # of the squared error: what a last step makes of it
 _PART = 1e-13  # of the largest eigenvalue of the feedthrough: one that is 0
 
 Matrices = tuple[Array, Array, Array]
@@ -78,27 +87,53 @@ def _sylvester(T: Array, t: Array, right: Array, first: str, second: str) -> Arr
     return np.asarray(X / scale, float)
 
 
-def best_model(full: Full, start: Matrices) -> Matrices:
-    """Model of the order of another at which the H2 error is stationary, by projections; the best one on the way."""
-    best, least = start, full.error(*start)[0]
-    A, B, C = start
-    before = np.inf
-    for _ in range(_ITERATIONS):
+def stationary_models(full: Full, order: int) -> list[tuple[float, Matrices]]:
+    """Models at which the H2 error is stationary, the best first, with the squared error less the squared norm.
+
+    Iterations start at the leading states of a system in balanced coordinates, and at random models of their size.
+    """
+    rng = np.random.default_rng(0)
+    start = full.A[:order, :order], full.B[:order], full.C[:, :order]
+    starts = [start]
+    for _ in range(_STARTS):
+        A, B, C = (M + np.abs(M).mean() * rng.standard_normal(M.shape) for M in start)
+        starts.append((A, B, C))
+    found = _best(_stationary(full, one, _SHORT) for one in starts)[:_KEPT]
+    return _best(_stationary(full, model, _ITERATIONS) for _, model in found)
+
+
+def _best(models: Iterable[tuple[float, Matrices]]) -> list[tuple[float, Matrices]]:
+    return sorted(models, key=lambda one: one[0])
+
+
+def _stationary(full: Full, start: Matrices, iterations: int) -> tuple[float, Matrices]:
+    """The best model on the way of the projections, and its squared error less the norm of the system."""
+    A, B, C = _mirrored(start[0]), *start[1:]
+    best, least, before = (A, B, C), full.error(A, B, C)[0], np.inf
+    for _ in range(iterations):
         V, W = (qr(part, mode="economic")[0] for part in full.crossed(A, B, C))
-        with np.errstate(all="ignore"):
-            try:
-                A, B, C = np.linalg.solve(W.T @ V, W.T @ full.A @ V), np.linalg.solve(W.T @ V, W.T @ full.B), full.C @ V
-            except np.linalg.LinAlgError:
-                break
-        if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
+        both = W.T @ V
+        if not np.linalg.cond(both) < 1 / EPS:
             break
+        A, B = np.linalg.solve(both, W.T @ full.A @ V), np.linalg.solve(both, W.T @ full.B)
+        A, C = _mirrored(A), full.C @ V
         value = full.error(A, B, C)[0]
         if value < least:
             best, least = (A, B, C), value
-        if abs(value - before) <= _SETTLED * full.squared_norm * 1e-4:
+        if abs(value - before) <= _SETTLED * full.squared_norm:
             break
         before = value
-    return best
+    return least, best
+
+
+def _mirrored(A: Array) -> Array:
+    """The matrix with its poles in the left half-plane, those in the right one mirrored at the axis."""
+    poles, vectors = np.linalg.eig(A)
+    least = _DECAY * np.abs(poles).max(initial=0.0)
+    if (poles.real <= -least).all():
+        return A
+    poles = -np.maximum(np.abs(poles.real), least) + 1j * poles.imag
+    return np.real(vectors * poles @ np.linalg.inv(vectors))
 
 
 @dataclass(frozen=True)
@@ -161,18 +196,18 @@ class _Layout:
 def best_passive(full: Full, start: Parts) -> tuple[Parts, float]:
     """Port-Hamiltonian system of least H2 error next to another, and the squared error less the squared norm."""
     layout = _Layout(len(start["Q"]), start["G"].shape[1], len(start["sensor_rows"]), start["S"])
-    size = full.squared_norm
+    x, size = layout.vector(start), full.squared_norm
+    before = size + full.error(*layout.matrices(x))[0]
 
     def value(x: Array) -> tuple[float, Array]:
         A, B, C = layout.matrices(x)
         if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
             return 1e3, np.zeros_like(x)
         f, by = full.error(A, B, C)
-        return f / size, layout.gradient(x, by) / size
+        return (size + f) / before, layout.gradient(x, by) / before
 
-    x = layout.vector(start)
-    options: Any = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": 1e-15, "gtol": 1e-10, "maxcor": 30}
+    options: Any = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": _ENOUGH, "gtol": _ENOUGH, "maxcor": 30}
     found = minimize(value, x, jac=True, method="L-BFGS-B", options=options)
-    if not found.fun < value(x)[0]:
-        return start, size * value(x)[0]
-    return layout.parts(found.x, start), size * float(found.fun)
+    if not found.fun < 1:
+        return start, before - size
+    return layout.parts(found.x, start), before * float(found.fun) - size

@@ -21,7 +21,7 @@ from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import FixedPoles, closest_passive
 from .modal_truncation import Parts, Wanted, lossless_truncated, projected, truncated, with_unit_energy
 from .nearest_passive import h2_covariance
-from .optimal import Full, Matrices, best_model, best_passive
+from .optimal import Full, Matrices, best_passive, stationary_models
 
 METHODS = ("modal", "balanced", "h2")
 
@@ -78,9 +78,9 @@ def reduce(
     Poles on the imaginary axis are kept by the methods 'balanced' and 'h2', beside `order` states for the rest.
     In coordinates in which the energy is `|z|^2 / 2` any orthogonal projection is port-Hamiltonian: of an invariant
     subspace for modes, of the leading states of the balanced storage, whose extremes are `diag(s)` and its inverse.
-    'h2' starts at the stationary model of all (a projection found by iteration), moves its outputs until it is
-    passive, and goes downhill in `J`, `R` and `G` by exact gradients.  O(n^3) each, and O(n^2 r) a step of 'h2'; of
-    repeated calls only the bound takes O(n^3).
+    'h2' takes the best stationary models of all, found by iterated projection from a dozen starts (seeded, so that
+    calls repeat), moves their outputs until they are passive, and goes downhill in `J`, `R` and `G` by exact gradients.
+    O(n^3) each, and O(n^2 r) a step of 'h2'.
 
     Examples
     --------
@@ -216,15 +216,18 @@ class _Reducer:
         return projected(parts, np.eye(len(parts["Q"]))[:, :order])
 
     def _optimal(self, order: int) -> Parts:
-        """The best of what starts at the best linear model, and of the balanced one."""
+        """The best passive model next to the best linear ones, or else next to the balanced one."""
         if order >= len(self.A):
             return self._stored
         full = Full(self.A, self.B, self.C)
-        A, B, C = best_model(full, (self.A[:order, :order], self.B[:order], self.C[:, :order]))
-        found = [best_passive(full, self._balanced(order))]
-        with suppress(StructureError):  # a model that cannot be made passive
-            found.append(best_passive(full, self._passive((A, B, C))))
-        return min(found, key=lambda one: one[1])[0]
+        best: tuple[Parts, float] | None = None
+        for value, model in stationary_models(full, order):
+            if best and best[1] <= value:
+                break
+            with suppress(StructureError):  # a model that cannot be made passive
+                found = best_passive(full, self._passive(model))
+                best = found if best is None or found[1] < best[1] else best
+        return (best or best_passive(full, self._balanced(order)))[0]
 
     def _passive(self, model: Matrices) -> Parts:
         """Port-Hamiltonian form of the passive model closest to one."""
