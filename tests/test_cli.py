@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import control as ct
@@ -455,6 +456,49 @@ def test_an_interrupted_fit_gives_the_best_until_then_and_status_130(recording, 
     assert status == 130 and "best model found until then" in error.getvalue()
     answer = strict_json(output.getvalue().decode())
     assert answer["interrupted"] is True and (tmp_path / "best.json").exists()
+
+
+def slow(seconds, answer):
+    """A fit that takes that long, unless it is interrupted; then it keeps its best."""
+
+    def pem(data, order, **keywords):
+        quick = answer(data, order, callback=lambda progress: None)
+        try:
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                time.sleep(0.01)
+        except KeyboardInterrupt:
+            return answer(data, order, callback=stop)
+        return quick
+
+    def stop(progress):
+        raise StopIteration
+
+    return pem
+
+
+def test_the_time_allowed_ends_a_fit_with_the_best_so_far(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(phc, "pem", slow(60.0, phc.pem))
+    done = run("fit", recording, "--order", 2, "--timeout", 1, "--model", tmp_path / "best.json")
+    assert done.status == 130 and "the time of --timeout is up; this is the best model" in done.error
+    assert (tmp_path / "best.json").exists()
+
+
+def test_what_is_silent_for_long_shows_the_time_so_far(recording, monkeypatch):
+    monkeypatch.setattr(phc, "pem", slow(2.5, phc.pem))
+    with streams(b"") as (_, error):
+        error.isatty = lambda: True
+        assert cli.main(["fit", str(recording), "--order", "2", "--timeout", "100"]) == 0
+    assert ", 1 of at most 100 s" in error.getvalue() or ", 2 of at most 100 s" in error.getvalue()
+
+
+def test_a_model_that_the_time_allowed_does_not_give_is_said_to_be_missing(recording, monkeypatch):
+    def pem(*arguments, **keywords):
+        time.sleep(60.0)
+
+    monkeypatch.setattr(phc, "pem", pem)
+    done = run("fit", recording, "--timeout", 0.2)
+    assert done.status == 2 and "no model was found in 0.2 s; allow more by --timeout" in done.error
 
 
 def test_an_interrupt_elsewhere_writes_nothing(recording, tmp_path, monkeypatch):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import _thread
 import io
 import os
 import re
 import sys
+import threading
+import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError, shortened
@@ -33,6 +36,9 @@ _KEYWORDS = (
     "imag", "frequency_unit", "magnitude_unit", "phase_unit", "weights", "header", "overwrite", "structure", "ports",
 )  # fmt: skip
 _KEYWORD = re.compile(rf"\b({'|'.join(_KEYWORDS)})=(?:'([^']*)'|([\w.+-]*\w)?)")
+
+
+_OFTEN = 0.05  # seconds: reports that come sooner are not shown
 
 
 class NoError(PHControlError):
@@ -60,18 +66,62 @@ def complain(message: str) -> None:
             print("ph-control: " + shortened(" ".join(message.split())), file=sys.stderr, flush=True)
 
 
-@contextmanager
-def watching(callback: Callable[[Any], None]) -> Iterator[Callable[[Any], None] | None]:
-    """The callback where somebody watches standard error, whose last line is cleared at the end."""
-    watched = sys.stderr is not None and sys.stderr.isatty()
-    try:
-        yield callback if watched else None
-    finally:
-        if watched:
-            show_progress("")
+class ProgressLine:
+    """A line on standard error that tells how far long work is, and a bell that ends it.
+
+    The line is shown where somebody watches: after each report, and each second in between, with the time so far.
+    """
+
+    def __init__(self, describe: Callable[[Any], str], timeout: float | None = None) -> None:
+        self.describe, self.timeout = describe, timeout
+        self.expired = False
+        self._watched = sys.stderr is not None and sys.stderr.isatty()
+        self._text, self._shown, self._start = "at work", 0.0, time.monotonic()
+        self._over = threading.Event()
+        self._threads = [threading.Thread(target=one, daemon=True) for one in self._tasks()]
+
+    def _tasks(self) -> list[Callable[[], None]]:
+        return [self._tick] * self._watched + [self._ring] * (self.timeout is not None)
+
+    @property
+    def callback(self) -> Callable[[Any], None] | None:
+        """What to call after each step; nothing where nobody watches."""
+        return self._report if self._watched else None
+
+    def __enter__(self) -> ProgressLine:
+        for one in self._threads:
+            one.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        for one in self._threads:
+            one.join()
+        if self._watched:
+            _put("")
+
+    def _report(self, progress: Any) -> None:
+        self._text = self.describe(progress)
+        if time.monotonic() - self._shown > _OFTEN:
+            self._show()
+
+    def _show(self) -> None:
+        self._shown = time.monotonic()
+        bound = "" if self.timeout is None else f" of at most {self.timeout:g}"
+        _put(f"{self._text}, {self._shown - self._start:.0f}{bound} s")
+
+    def _tick(self) -> None:
+        while not self._over.wait(1.0):
+            if time.monotonic() - self._shown >= 1.0:
+                self._show()
+
+    def _ring(self) -> None:
+        if not self._over.wait(self.timeout):
+            self.expired = True
+            _thread.interrupt_main()
 
 
-def show_progress(line: str) -> None:
+def _put(line: str) -> None:
     """Put a line in the place of the last one on standard error."""
     print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
 

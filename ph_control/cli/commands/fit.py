@@ -26,10 +26,10 @@ from typing import Any
 
 import ph_control as phc
 
-from ...exceptions import StructureError
+from ...exceptions import IdentificationError, StructureError
 from ..inputs import measurements, read_model, system_name_of
 from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
-from ..outcome import DONE, INTERRUPTED, NO, NoError, complain, emit, in_shell_terms, show_progress, watching
+from ..outcome import DONE, INTERRUPTED, NO, NoError, ProgressLine, complain, emit, in_shell_terms
 from ..outputs import (
     check_files,
     check_place,
@@ -99,6 +99,9 @@ def add_fitted(parser: Parser) -> None:
     model.add_argument(
         "--seed", type=within(int, 0, inf), metavar="N", help="seed of further starts (default: always the same)"
     )
+    model.add_argument(
+        "--timeout", type=within(float, 1e-3, 1e9), metavar="SECONDS", help="end the search then, with the best so far"
+    )
     model.add_argument("--workers", type=int, default=1, metavar="N", help="processes, -1 for all (default 1)")
 
 
@@ -148,7 +151,7 @@ def run(options: Namespace) -> int:
     for name in filter(None, (options.plot, options.bode)):
         picture_format(name)
     place = check_place(options.experiment, len(options.recordings))
-    result = _fitted(options)
+    result, expired = _fitted(options)
     first = options.recordings[0]
     result.system.name = options.name or system_name_of("" if first == "-" else Path(first).stem)
     interrupted = result.outcome is Outcome.INTERRUPTED
@@ -165,21 +168,34 @@ def run(options: Namespace) -> int:
     if silent and not described:
         complain(f"the verdict is: {result.verdict}; fit without - to read why")
     if interrupted:
-        complain("interrupted; this is the best model found until then")
+        why = "the time of --timeout is up" if expired else "interrupted"
+        complain(f"{why}; this is the best model found until then")
         return INTERRUPTED
     return DONE if described else NO
 
 
-def _fitted(options: Namespace) -> phc.PEMResult:
+def _fitted(options: Namespace) -> tuple[phc.PEMResult, bool]:
+    """The result, and whether time was up."""
     found, keywords = measurements(options.recordings, options), keywords_of(options)
-    with watching(_progress_line) as callback:
-        return phc.pem(
-            found.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=callback, **found.keywords
-        )
+    watch, result = ProgressLine(_progress_line, options.timeout), None
+    try:
+        with watch:
+            result = phc.pem(
+                found.whole, keywords.pop("order"), **keywords, workers=options.workers, callback=watch.callback,
+                **found.keywords,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        if result is None and watch.expired:
+            raise IdentificationError(
+                f"no model was found in {options.timeout:g} s; allow more by --timeout, or give --order or --structure"
+            ) from None
+        if result is None or not watch.expired:
+            raise
+    return result, watch.expired
 
 
-def _progress_line(progress: Any) -> None:
-    show_progress(
+def _progress_line(progress: Any) -> str:
+    return (
         f"order {progress.order} of at most {progress.max_order}, iteration {progress.iteration}, rms residual "
         f"{sqrt(progress.loss):.4g}"
     )

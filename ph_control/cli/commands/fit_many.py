@@ -27,7 +27,7 @@ import ph_control as phc
 from ...exceptions import MissingPackageError, PHControlError, StructureError
 from ..inputs import measurements
 from ..options import Parser, add_recording, add_written
-from ..outcome import DONE, INTERRUPTED, NO, complain, emit, in_shell_terms, show_progress, watching
+from ..outcome import DONE, INTERRUPTED, NO, ProgressLine, complain, emit, in_shell_terms
 from ..outputs import check_files, deliver, deliver_picture, emit_json, picture_format
 from .fit import add_fitted, keywords_of
 
@@ -57,9 +57,9 @@ def run(options: Namespace) -> int:
     if options.plot is not None:
         picture_format(options.plot)
     reader = partial(recording_of, {name: value for name, value in vars(options).items() if name in _reading()})
-    with _workers(options) as workers, watching(_progress_line) as callback:
+    with _workers(options) as workers, ProgressLine(_progress_line, options.timeout) as watch:
         fits = phc.fit_many(
-            options.recordings, workers=workers, store=options.store, callback=callback, reader=reader,
+            options.recordings, workers=workers, store=options.store, callback=watch.callback, reader=reader,
             **keywords_of(options),
         )  # fmt: skip
     tracks = fits.track()
@@ -76,7 +76,8 @@ def run(options: Namespace) -> int:
     elif options.table != "-":
         emit(in_shell_terms(f"{fits}\n\n{tracks}\n") + f"\nWritten: {', '.join(written)}\n" * bool(written))
     if not fits.complete:
-        complain("interrupted; these are the recordings that were done until then")
+        why = "the time of --timeout is up" if watch.expired else "interrupted"
+        complain(f"{why}; these are the recordings that were done until then")
         return INTERRUPTED
     return NO if len(fits.failures) else DONE
 
@@ -118,9 +119,9 @@ def _workers(options: Namespace) -> Iterator[Any]:
         yield client
 
 
-def _progress_line(progress: Any) -> None:
+def _progress_line(progress: Any) -> str:
     of = "" if progress.total is None else f" of {progress.total}"
-    show_progress(f"{progress.done}{of} done, {progress.failed} failed, {Path(progress.name).name}")
+    return f"{progress.done}{of} done, {progress.failed} failed, {Path(progress.name).name}"
 
 
 def _as_csv(tracks: phc.ModeTracks) -> str:
