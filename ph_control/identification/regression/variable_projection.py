@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack
 from scipy.optimize import minimize, nnls
 
 from ..._checks import EPS
@@ -442,9 +442,5 @@ def _damped_step(gram: Array, scale: Array, damping: float, gradient: Array) -> 
     """Solve `(J^T J + damping diag) step = -gradient` in units where the diagonal is 1."""
     root = np.sqrt(scale)
     matrix = gram / np.outer(root, root) + damping * np.eye(len(gram))
-    try:
-        factor = np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        return -gradient / scale / (1 + damping)
-    half = solve_triangular(factor, -gradient / root, lower=True)
-    return np.asarray(solve_triangular(factor.T, half)) / root
+    _, step, failed = lapack.dposv(matrix, -gradient / root)
+    return -gradient / scale / (1 + damping) if failed else np.asarray(step) / root

@@ -20,6 +20,7 @@ from ..._types import Array, ComplexArray, Mask, NDArray
 from ..regression.elimination import LinearProjection
 from ..regression.free import FreeProjection, GivenResidues, PoleRegion
 from ..regression.triangular import reduced
+from ..regression.tuning import TUNING
 from ..regression.variable_projection import refine
 from .coordinates import MatrixCoordinates, ShapeCoordinates, StructureCoordinates
 from .layout import ChannelLayout
@@ -262,7 +263,7 @@ def constrained(
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
-    near = refine(replace(problem, tangent=Tangent(at)), problem.inside(x), rtol=_EXACT, last=False)
+    near = refine(replace(problem, tangent=Tangent(at)), problem.inside(x), rtol=TUNING.rough, last=False)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     found = refine(problem, near.projection.x, rtol=_EXACT, max_iterations=most, last=last)
     end = found.projection

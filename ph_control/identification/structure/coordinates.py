@@ -42,12 +42,12 @@ class StructureCoordinates:
     def _poles(self) -> int:
         return self.n * (1 + self.damped)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of coordinates."""
         return self._poles + self.n * self.values * (1 + (not self.real)) + int(self.through.sum())
 
-    @property
+    @cached_property
     def values(self) -> int:
         """Number of values of residues in each mode."""
         raise NotImplementedError
@@ -149,7 +149,7 @@ class MatrixCoordinates(StructureCoordinates):
                 found[first, there] = found[second, here] = min(found[first, there], found[second, here])
         return np.unique(found, return_inverse=True)[1].reshape(found.shape)
 
-    @property
+    @cached_property
     def values(self) -> int:
         """Number of values of residues in each mode."""
         return int(self._classes.max(initial=-1)) + 1
@@ -191,7 +191,7 @@ class ShapeCoordinates(StructureCoordinates):
         place = np.unique(place, return_inverse=True)[1]
         return place[:p], place[p:]
 
-    @property
+    @cached_property
     def values(self) -> int:
         """Number of values of residues in each mode."""
         return int(max(one.max(initial=-1) for one in self._places)) + 1
