@@ -28,7 +28,7 @@ from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import Finding, noise_size
 from ..search.criteria import preference
 from ..search.formulation import DampedModes
-from ..search.free_search import Channels, FreeModel
+from ..search.free_search import Channels
 from ..search.modal_search import FreeFit, FreePath, Reports
 from ..search.steps import Step, crowds, more_than_noise
 from ..uncertainty.fisher import listed, named_modes
@@ -40,6 +40,7 @@ _CROWDED = 0.5  # basins between modes of a lossless model that look like one wi
 _MOST = 20
 _IN_TIME = 128  # samples up to which all are asked; of longer records the bins about the modes
 _BROAD = 0.5  # bins: half-width of a peak that many lossless modes would mimic
+_PLAIN = 10.0  # standard errors, and a bin: decay rate of a mode that leaves no doubt, where all decay
 _ALONE = 0.9  # of the power about a peak, which a pair of lossless modes does not leave to one with damping
 _PAST = 2  # lossless modes more than damped ones before the two are compared
 REFUSED = 1e-3  # probability below which a hypothesis is refused
@@ -148,8 +149,11 @@ def contradiction(
     """
     if problem.samples <= 2 * free_unknowns(problem, 1) or at.loss <= 0 or _is_of_euler(problem):
         return None
-    path = FreePath.over(problem, criterion, reports)
-    known = np.zeros(0, complex) if followed is None or order is not None else followed.p
+    path, known = FreePath.over(problem, criterion, reports), np.zeros(0, complex)
+    if followed is not None and order is None:
+        known = followed.model.p
+        if followed.problem is problem and followed.path.criterion == criterion:
+            path, path.reports, path.best = followed.path, reports, followed.model
     most = len(known) or min(path.carried, order or most)
     found = path.fit(known, most, order is None, as_channels(list(records)), either_hold=either_hold)
     return found if found.order else None
@@ -196,10 +200,13 @@ def standing_out(model: Any, free: FreeFit) -> tuple[Mask, Mask]:
 
 
 class DampingWatch:
-    """Ends a search for lossless modes that would only mimic the width of a few damped ones."""
+    """Ends a search for lossless modes that would only mimic the width of a few damped ones.
 
-    def __init__(self, problem: Problem, over: Callable[[list[Step]], bool] | None) -> None:
-        self._problem, self._over = problem, over
+    Where a `lossless` model is asked for, not before these are better than all of its path.
+    """
+
+    def __init__(self, problem: Problem, over: Callable[[list[Step]], bool] | None, lossless: bool) -> None:
+        self._problem, self._over, self._lossless = problem, over, lossless
         self._records = [one for one in problem.experiments if isinstance(one, RecordRows)]
         self._silent = not self._records or _is_of_euler(problem)
         self._asked = 0  # order at which damped modes were last looked for
@@ -211,7 +218,9 @@ class DampingWatch:
         if self._over is None or self._over(path):
             return self._over is not None
         self._look(path)
-        past = self._found is not None and len(path[-1].d) >= len(self._found.p) + _PAST
+        if self._found is not None and self._found.plain:
+            return True
+        past = self._found is not None and len(path[-1].d) >= len(self._found.model.p) + _PAST
         return past and self._is_better(path)
 
     def decided(self, path: list[Step]) -> DampedModes | None:
@@ -220,7 +229,7 @@ class DampingWatch:
             self._look(path)
         if not self._is_better(path) or self._found is None:
             return None
-        return self._modes(self._search.chosen(self._found.p, _MOST, True))
+        return self._found
 
     def _look(self, path: list[Step]) -> None:
         """Look for damped modes where the path gives reason to, at orders that double."""
@@ -239,16 +248,21 @@ class DampingWatch:
         """Damped modes from nothing, if any has a decay rate that stands out of the noise."""
         found = self._search.grown(np.zeros(0, complex), min(self._search.carried, _MOST), True)
         decays = np.any(np.abs(found.at.sigma) > _ERRORS * self._search.decay_errors(found.at))
-        return self._modes(found) if decays else None
-
-    def _modes(self, found: FreeModel) -> DampedModes:
-        return DampedModes(found.p, self._search.cost(found))
+        if not decays:
+            return None
+        found, plain = self._search.improved(found, _MOST, True), False
+        if len(found.p) and not self._lossless:
+            # what has no losses decays within its error, and of modes too close to be told apart by less than a bin
+            sigma, errors = found.at.sigma, self._search.decay_errors(found.at)
+            fast = sigma > np.maximum(_PLAIN * errors, self._problem.bin)
+            plain = bool(np.all(sigma > _ERRORS * errors) and fast.any()) and self._search.is_white(found)
+        return DampedModes(self._problem, self._search, found, plain)
 
     def _is_better(self, path: list[Step]) -> bool:
         """Whether damped modes were found that are better than the whole path; they are forgotten if not."""
         problem = self._problem
-        if self._found is None:
-            return False
+        if self._found is None or self._found.plain:
+            return self._found is not None
         # a few coefficients of coloured noise may explain what many damped modes would
         if self._found.cost >= min(preference(problem, step, "bic") for step in path):
             self._found = None

@@ -74,6 +74,9 @@ class Conclusion:
 
 def conclude(fit: Fit, method: str, intersample: str, quantity: str, representation: str) -> Conclusion:
     """Make the result of a fit."""
+    followed = fit.found.followed
+    if followed is not None and followed.plain and not (fit.examined or fit.found.interrupted):
+        fit = _examined(fit, fit.found.end.projection.ascending, True, (), (), quantity)
     problem, found = fit.problem, fit.found
     at: Projection = found.end.projection.ascending
     n = len(at.d)
@@ -87,7 +90,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     ]
     fitted = joint_fit_percent(experiments)
     held = ~at.free
-    findings = circumstances_of(found.posed.findings, at, experiments, whiteness)
+    contradicted = sentence(fit.damped) if fit.damped else ""
+    findings = circumstances_of(found.posed.findings, at, experiments, 1.0 if contradicted else whiteness)
     spare = problem.samples - problem.unknowns(n)
     if not noiseless:
         scaled = [
@@ -101,7 +105,8 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         fit = _examined(fit, at, bool(doubtful), findings, [one.outliers for one in experiments], quantity)
         if fit.found is not found:
             return conclude(fit, method, fit.found.posed.intersample, quantity, representation)
-    if fit.damped is not None and sentence(fit.damped):
+        contradicted = sentence(fit.damped) if fit.damped else ""
+    if contradicted:
         findings = tuple(one for one in findings if one.cause not in NOISE)
     law = record_law(fit.records, estimated.variance, fit.law)
     information = information_at(at)
@@ -131,7 +136,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
         drifting=tuple(int(l) for l in np.flatnonzero(at.d < problem.bin * (1 - 1e-6)) if held[l]),
         interrupted=found.interrupted,
         driven=problem.driven,
-        contradiction=sentence(fit.damped) if fit.damped else "",
+        contradiction=contradicted,
         refused=refused,
         quantity=quantity,
         in_time=isinstance(problem.experiments[0], RecordRows),
@@ -227,7 +232,7 @@ def _examined(
     if chosen is problem and (followed is not None or not (model.damped.any() or model.negative.any())):
         return fit
     d = beside(model.natural_frequencies, at.d, order)
-    end = refine(chosen, np.sort(d), rtol=LAST)
+    end = refine(chosen, np.sort(d), rtol=posed.rtol if followed is not None and followed.plain else LAST)
     end = replace(end, iterations=fit.found.end.iterations + end.iterations)
     return replace(fit, found=replace(fit.found, end=end), order=order or len(d), at_limit=False)
 

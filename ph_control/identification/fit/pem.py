@@ -222,7 +222,7 @@ def pem(
         return cut_short(result)
     if damped.structure == "lossless":
         return result
-    return damped if anew else replace(damped, order_table=result.order_table)
+    return damped
 
 
 def _refuse_lossless_options(structure: str, method: str, representation: str) -> None:
@@ -264,7 +264,8 @@ def _lossless_fit(
     guess = posed.guess(initial_guess)
     largest = posed.largest_order(order, max_order, guess)
     posed.check_signals()
-    how = (order, largest, max_order, guess, weights, criterion, workers, rng, callback)
+    lossless = structure == "lossless" or method != "exact"
+    how = (order, largest, max_order, guess, weights, criterion, workers, rng, callback, lossless)
     records = posed.records
     if structure == "auto" and method == "exact" and any(one.samples > GLANCE for one in records):
         # a part shows losses as well, which take the longer to imitate by lossless modes, the longer the record
@@ -289,12 +290,13 @@ def _lossless_fit(
 
 def _searched(
     posed: Formulation, order: int | str, largest: int, max_order: int, guess: Array, weights: Any, criterion: str,
-    workers: Any, rng: Any, callback: Callback | None,
+    workers: Any, rng: Any, callback: Callback | None, lossless: bool,
 ) -> Fit:  # fmt: skip
     """The minimum that a search ends in."""
 
     def again(posed: Formulation, start: Array | None) -> Found:
-        return _found(posed, order, largest, guess if start is None else start, criterion, workers, rng, callback)
+        begin = guess if start is None else start
+        return _found(posed, order, largest, begin, criterion, workers, rng, callback, lossless)
 
     found: Found | None = None
     law = None
@@ -336,7 +338,7 @@ def _on_all(fit: Fit, records: Records, parts: Sequence[slice]) -> Fit:
 
 def _found(
     posed: Formulation, order: Any, largest: int, guess: Array, criterion: str, workers: Any, rng: Any,
-    callback: Callback | None,
+    callback: Callback | None, lossless: bool,
 ) -> Found:  # fmt: skip
     """Search, selection, and the last refinement."""
     floor, rtol, report = posed.problem.rounding, posed.rtol, reporter(largest, callback, posed.problem.samples)
@@ -344,7 +346,7 @@ def _found(
 
     def watch(problem: Problem) -> DampingWatch:
         over = stop_of(lambda step: preference(problem, step, criterion))
-        return DampingWatch(problem, over if automatic else None)
+        return DampingWatch(problem, over if automatic else None, lossless)
 
     found = posed.path(
         guess, largest, report=report, together=not automatic and posed.search.affords_batches, watch=watch
@@ -360,12 +362,14 @@ def _found(
     starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
     start = path[place].d
     if followed is not None:
-        start = beside(np.abs(followed.p), start, None if automatic else len(start))
+        start = beside(followed.model.at.d, start, None if automatic else len(start))
     else:
         path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
         starts += more
         start = path[place].d
-    end = refine(search.problem, np.sort(start), rtol=LAST, progress=report(len(start)))
+    # a lossless model that will not be asked for need not be exact
+    last = posed.rtol if followed is not None and followed.plain else LAST
+    end = refine(search.problem, np.sort(start), rtol=last, progress=report(len(start)))
     all_d = end.projection.d if place else path[-1].d
     if automatic and followed is None:
         end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ... import _checks
-from ..._types import Array, ComplexArray
+from ..._types import Array
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE, METHODS, Hold
@@ -27,6 +27,8 @@ from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from .circumstances import HOLDS, Cause, Finding, beside, delayed, meeting
 from .criteria import criteria, crowded, preference
+from .free_search import FreeModel
+from .modal_search import FreePath
 from .path import grow
 from .response_search import ResponseSearch
 from .steps import Report, Search, Step, TimeSearch
@@ -51,10 +53,20 @@ Callback = Callable[[Progress], Any]
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Poles of damped modes, and what they are chosen by in comparison to lossless ones."""
+    """Damped modes, the search that found them in the data of a problem, and their `cost` beside lossless ones.
 
-    p: ComplexArray
-    cost: float
+    They are `plain` where they leave white noise and all decay beyond doubt: no other circumstance does as much.
+    """
+
+    problem: Problem
+    path: FreePath
+    model: FreeModel
+    plain: bool
+
+    @cached_property
+    def cost(self) -> float:
+        """What they are chosen by in comparison to lossless ones."""
+        return self.path.cost(self.model)
 
 
 class Watch(Protocol):
@@ -191,6 +203,8 @@ class Formulation:
                 if others:
                     damped = stop.decided(steps) if stop else None
                     own = Path(self, steps, damped) if damped else None
+                    if own and damped and damped.plain:
+                        return own
                     best = self._best(own, others, steps, guess, largest, how)
                     if best is not own:
                         return best
@@ -202,7 +216,7 @@ class Formulation:
             if len(steps) == before or not self._asks(steps[-1], arrival) or (stop is not None and stop(steps)):
                 break
         own = Path(self, steps, stop.decided(steps) if stop and steps[-1].loss > floor else None)
-        if not isinstance(search, TimeSearch) or steps[-1].loss <= floor:
+        if not isinstance(search, TimeSearch) or steps[-1].loss <= floor or (own.damped and own.damped.plain):
             return own
         others = self._arrivals(search, steps) if arrival and search.unconvinced(steps[-1]) else []
         held = self._held_otherwise(search, steps[-1]) if own.damped is None and "hold" in self.open else None
@@ -223,7 +237,7 @@ class Formulation:
         most, asked = largest, how
         if own is not None and own.damped is not None:
             # what explains the record without damping needs few modes more, and no look at damping
-            most = min(largest, max(len(before[-1].d), len(own.damped.p) + TUNING.more_than_damped))
+            most = min(largest, max(len(before[-1].d), len(own.damped.model.p) + TUNING.more_than_damped))
             asked = {**how, "watch": None}
         for one in others:
             path = one.path(guess, most, **asked)

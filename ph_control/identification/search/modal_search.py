@@ -515,6 +515,7 @@ class FreePath:
         self.search, self.felt, self.criterion, self.reports = search, felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
         self.best = best  # so far
+        self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
         counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
         for one in search.data:
             counts[one.outputs] += one.samples
@@ -558,7 +559,7 @@ class FreePath:
 
     def weigh(self, losses: Array) -> None:
         """Give every output the weight of the variance that it is left with."""
-        self.sizes = np.sqrt(self.counts / np.maximum(losses, self.floors))
+        self.sizes, self._shown = np.sqrt(self.counts / np.maximum(losses, self.floors)), None
         self.scaled = self.search.scaled(self.sizes)
 
     def loglik(self, losses: Array) -> float:
@@ -661,15 +662,22 @@ class FreePath:
 
     def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Poles that stand out of what is left, the strongest first."""
+        if self._shown is not None and self._shown[0] is model:
+            return self._shown[1]
         p, gains = self.scaled.candidates(model.left)
         now, then = self.search.unknowns(len(model.p)), self.search.unknowns(len(model.p) + 1)
         loss = float(np.sum(model.losses * self.sizes**2))
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
-        return p, gains * np.array(shown, bool)
+        self._shown = model, (p, gains * np.array(shown, bool))
+        return self._shown[1]
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers."""
-        best = self.relocated(self.grown(start, most, automatic), automatic)
+        return self.improved(self.grown(start, most, automatic), most, automatic)
+
+    def improved(self, model: FreeModel, most: int, automatic: bool) -> FreeModel:
+        """The same once some of its modes have been looked for elsewhere, and of an order that is chosen, dropped."""
+        best = self.relocated(model, automatic)
         return self.patched(self.pruned(best), most) if automatic else best
 
     def grown(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:

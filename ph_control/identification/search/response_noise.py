@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -23,9 +23,11 @@ from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, refine
 from .criteria import criteria, criteria_of
-from .formulation import Formulation
 from .free_search import Responses
 from .response_search import ResponseSearch
+
+if TYPE_CHECKING:
+    from .formulation import Formulation
 
 ROUNDS = 8  # of fit and law in turn
 SETTLED = 1e-3  # relative change of the weights
