@@ -43,6 +43,50 @@ def test_constant_noise_keeps_equal_weights_and_given_ones_stay():
     assert np.abs(own.d - true).max() < np.abs(given.d - true).max()
 
 
+# --- recordings ------------------------------------------------------------------------------------------------------
+
+
+def test_intervals_cover_and_classical_damping_stands_beside_forces_that_were_not_measured():
+    covered, rejected = [], []
+    for seed in range(5):
+        result = phc.pem(recording(2, 1, 1, "forces", seed, 1500), 2, dt=1.0, structure="auto", ports=[(0, 0)])
+        d = np.abs(plant(2, 1, 1, seed)[0])
+        low, high = result.confidence_interval()["natural_frequencies"].T
+        covered += ((low <= d) & (d <= high)).tolist()
+        rejected += [one.p < 0.05 for one in result.tests if one.hypothesis == "classical"]
+    assert np.mean(covered) > 0.75 and sum(rejected) <= 1
+
+
+@pytest.mark.parametrize("noise", ["input", "forces"])
+def test_noise_that_comes_through_the_modes_is_told_with_its_size(noise):
+    result = phc.pem(recording(2, 1, 1, noise, 0, 3000), 2, dt=1.0, structure="free")
+    finding = causes(result)["INPUT_NOISE"]
+    np.testing.assert_allclose(finding.values[0], 0.1, rtol=0.15)
+    assert finding.output == "y" and finding.gain > 100 and "grow with the response" in result.message
+
+
+def test_coloured_residuals_are_told_with_their_band_for_the_outputs_that_have_them(tmp_path):
+    u, y = recording(2, 2, 1, "white", 4, 1500)
+    y[1] = recording(2, 2, 1, "coloured", 4, 1500)[1][1]
+    result = phc.pem((u, y), 2, dt=0.5, structure="free")
+    finding = causes(result)["COLOURED_RESIDUALS"]
+    assert finding.output == "y2" and sum(one.output != "" for one in result.findings) == 1
+    low, high, size, share = finding.values
+    # of e_k = 0.9 e_(k-1) + white
+    edge = np.arccos(1 - 0.1**2 / (2 * 0.9)) / 0.5
+    assert low == 0
+    np.testing.assert_allclose([high, size, share], [edge, 100, 0.5], rtol=0.4)
+    np.testing.assert_allclose(result.experiments[0].residuals[1].std(), np.sqrt(result.noise_variance[1]), rtol=0.02)
+    phc.save(result, tmp_path / "fit.json")
+    assert phc.load(tmp_path / "fit.json").findings == result.findings
+
+
+def test_white_residuals_are_told_as_nothing():
+    for seed in range(4):
+        result = phc.pem(recording(2, 2, 1, "white", seed), 2, dt=1.0, structure="free")
+        assert not {"COLOURED_RESIDUALS", "INPUT_NOISE"} & causes(result).keys()
+
+
 # --- the error over what is held out ---------------------------------------------------------------------------------
 
 

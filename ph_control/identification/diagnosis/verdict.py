@@ -7,12 +7,12 @@ from enum import Enum
 from functools import cached_property
 
 from ..._display import counted, p_value
+from ..search.circumstances import far_out
 from ..uncertainty.fisher import named_modes
 
 WHITE = 1e-3  # p-value below which residuals are called coloured
 GOOD_FIT = 90.0  # percent
 CUT_SHORT = "The fit was interrupted; the numbers above are the best found until then."
-_LISTED = 6  # samples named one by one
 _FEW = 20  # samples to spare below which nothing is said of the quality
 
 
@@ -218,11 +218,7 @@ class FitVerdict:
             for place, one in enumerate(self.outliers, start=1)
             for k in one
         ]
-        listed = ", ".join(named[:_LISTED]) + f" and {len(named) - _LISTED} more" * (len(named) > _LISTED)
-        return (
-            f"{'Samples' if self.in_time else 'Points'} far out of the noise of all others (counted from 0): {listed}. "
-            "If they are errors of measurement, mark them with NaN."
-        )
+        return far_out("Samples" if self.in_time else "Points", named)
 
     def _refusal(self) -> str:
         """That no such model describes the data, and what to suspect where nothing was found to contradict it."""

@@ -20,8 +20,9 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
+from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
-from ..regression.free import FreeProjection
+from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, pieces, unexplained
 from ..regression.prediction import FittedExperiment
 from ..regression.tuning import TUNING
@@ -86,10 +87,19 @@ def begin_at_rest(channels: Channels) -> bool:
 
 
 def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:
-    """The structure of a fit, with the inputs held as it tells.
+    """The structure of a fit, with the inputs held as it tells; in rows of white noise where that of the data is not.
 
     Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.
     """
+    found = _under_either_hold(free, asked, findings)
+    if found.whiteness >= WHITE or not found.success:
+        return found
+    rival = None if free.rival is None else beside_coloured_noise(free.rival)
+    return _under_either_hold(replace(beside_coloured_noise(free), rival=rival), asked, findings)
+
+
+def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> DampedResult:
+    """The same in the rows there are."""
     try:
         first = _structure_of(free, asked)
     except KeyboardInterrupt:
@@ -217,7 +227,7 @@ def _judged(
     rank = np.argsort(np.abs(fit.p), kind="stable")
     poles, residues = fit.p[rank], fit.residues[rank]
     covariance = _covariance(fit, free, rank)
-    experiments = _experiments(fit.projection, free, rank)
+    experiments = _experiments(_in_data(fit, free), free, rank)
     shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
     extra = fit.parameters - (2 * free.order + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + len(free.scales)
@@ -233,7 +243,7 @@ def _judged(
     fitted = joint_percent(unexplained(experiments))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
-    lag = real_pole(free.projection) if whiteness < WHITE and not free.interrupted else None
+    lag = real_pole(free.measured or free.projection) if whiteness < WHITE and not free.interrupted else None
     findings = (*findings, *([lag] if lag else []))
     spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
     growing = np.flatnonzero(poles.real > _CERTAIN * spread * np.abs(poles))
@@ -311,6 +321,14 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     found[absent] = np.nan
     found[:, absent] = np.nan
     return found
+
+
+def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
+    """The data as they were measured at a model, also at one that was fitted in other rows."""
+    if free.measured is None:
+        return fit.projection
+    at = FreeProjection(free.measured.experiments, fit.p, free.measured.fed)
+    return GivenResidues(at, fit.projection.shared)
 
 
 def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[FittedChannels, ...]:
@@ -481,7 +499,10 @@ def _message(
     if free.rounding:
         parts.append("The data are reproduced to rounding.")
     elif whiteness < WHITE:
-        parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): something is left unexplained.")
+        left = "something is left unexplained"
+        if free.measured is not None:
+            left = "errors and tests are those of noise with their spectrum"
+        parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): {left}.")
     else:
         parts.append("The residuals are white: the model explains the data.")
     return " ".join(parts)

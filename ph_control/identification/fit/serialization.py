@@ -37,7 +37,7 @@ _WORDS = {
     "time_unit": SECONDS, "structure": STRUCTURES,
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
-_MAY_LACK = {"drift", "outliers", "noise", "findings", "tests", "damped", "time_unit", "title"}
+_MAY_LACK = {"drift", "outliers", "noise", "output", "experiment", "findings", "tests", "damped", "time_unit", "title"}
 _MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response", "shape_stderr"}
 
 # the length of each array, None where the file decides it; of places in a list, how many there are

@@ -29,6 +29,7 @@ _RIDGE = 1e-12
 _RATES = 16  # of real poles, over all frequencies
 _LARGE = 0.25  # part of what is left: of coloured noise a real pole explains a tenth
 _LONG_ENOUGH = 1 << 14  # samples that show a real pole
+_LISTED = 6  # values named one by one
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
 
@@ -51,6 +52,8 @@ class Cause(Enum):
     SEVERAL_SHAPES = "residues of more than one shape"
     ONE_WAY = "responses that are not reciprocal"
     REAL_POLE = "a real pole"
+    COLOURED_RESIDUALS = "residuals that are coloured"
+    OUTLIERS = "values far out of the noise"
 
 
 REJECTED = {
@@ -73,14 +76,22 @@ class Finding:
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
         that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
         0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
-        freedom; of a real pole its rate, and the share that it explains of what the modes leave.
+        freedom; of a real pole its rate, and the share that it explains of what the modes leave; of coloured residuals
+        the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
+        mean, and the share of their power; of outliers their places, counted from 0.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one.
+    output : str
+        The output that shows it, of several channels; of a response with its input.
+    experiment : int
+        Which of several experiments has these outliers, counted from 0.
     """
 
     cause: Cause
     values: tuple[float, ...]
     gain: float
+    output: str = ""
+    experiment: int = 0
 
 
 # --- problems that differ in a circumstance --------------------------------------------------------------------------
@@ -130,8 +141,20 @@ def correlations(residuals: Sequence[ComplexArray], lengths: Sequence[int]) -> A
 def autoregression(products: Array, shortest: int) -> tuple[list[Array], Array]:
     """Autoregressions of order 0, 1, ... that foretell residuals with these correlations, and what they leave.
 
-    The coefficients of each order, and its variance relative to that of the residuals (Levinson and Durbin).  One that
-    oscillates nearly as long as the `shortest` record is no noise but a mode that is missing, and foretells nothing.
+    One that oscillates nearly as long as the `shortest` record is no noise but a mode that is missing, and foretells
+    nothing.
+    """
+    models, variances = foretold(products)
+    for order, phi in enumerate(models):
+        if order and _oscillates(phi, shortest):
+            variances[order] = variances[order - 1]
+    return models, variances
+
+
+def foretold(products: Array) -> tuple[list[Array], Array]:
+    """The coefficients of autoregressions of each order, and their variances relative to that of the residuals.
+
+    By Levinson's and Durbin's recursion.
     """
     phi, left = np.zeros(0), 1.0
     models, variances = [phi], [left]
@@ -145,7 +168,7 @@ def autoregression(products: Array, shortest: int) -> tuple[list[Array], Array]:
         if not left > 0:
             break
         models.append(phi)
-        variances.append(variances[-1] if _oscillates(phi, shortest) else left)
+        variances.append(left)
     return models, np.array(variances)
 
 
@@ -247,16 +270,7 @@ class _NearModes:
 
     def likeliest(self) -> tuple[float, float]:
         """The likeliest ratio, 0 where none is likelier, and its negative log-likelihood."""
-        ratios = _RATIOS / float(np.median(self.gains))
-        none, tried = self.unlikely(0.0), [self.unlikely(ratio) for ratio in ratios]
-        best = int(np.argmin(tried))
-        if tried[best] >= none:
-            return 0.0, none
-        ends = np.log(ratios[[max(0, best - 1), min(len(ratios) - 1, best + 1)]])
-        found = minimize_scalar(
-            lambda x: self.unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05}
-        )
-        return float(np.exp(found.x)), float(found.fun)
+        return likeliest_ratio(self.unlikely, self.gains)
 
     def moved(self, ratio: float) -> tuple[Array, Array, list[Array]]:
         """Frequencies, residues and motions after one linear step under such noise."""
@@ -266,6 +280,18 @@ class _NearModes:
         n = len(d)
         motions = [part[: 2 * n] + step[2 * n * k : 2 * n * (k + 1)] for k, part in enumerate(own)]
         return d + step[-n:], kappa + step[-2 * n : -n], motions
+
+
+def likeliest_ratio(unlikely: Callable[[float], float], gains: Array) -> tuple[float, float]:
+    """The ratio of input to output noise of least negative log-likelihood, 0 where none is likelier, and that."""
+    ratios = _RATIOS / float(np.median(gains))
+    none, tried = unlikely(0.0), [unlikely(ratio) for ratio in ratios]
+    best = int(np.argmin(tried))
+    if tried[best] >= none:
+        return 0.0, none
+    ends = np.log(ratios[[max(0, best - 1), min(len(ratios) - 1, best + 1)]])
+    found = minimize_scalar(lambda x: unlikely(np.exp(x)), bounds=ends, method="bounded", options={"xatol": 0.05})
+    return float(np.exp(found.x)), float(found.fun)
 
 
 def noise_size(noise: Finding | None, one: RecordRows, at: Projection, bins: Indices) -> Array:
@@ -289,12 +315,17 @@ def input_size(experiments: Sequence[Rows]) -> float:
 
 def _response(one: RecordRows, d: Array, kappa: Array, phase: Array) -> ComplexArray:
     """Frequency response from sample to sample at some phases per step."""
-    step, z = SampledModes.lossless(one.hold, d, one.quantity), np.exp(1j * phase)
-    found = np.full(len(phase), kappa.sum() if one.quantity == "acceleration" else 0.0, complex)
-    for w, lam, b0, b1 in zip(kappa, step.multiplier, step.b0, step.b1, strict=True):
-        gain, mirrored = w * (b0 + b1 * z), w * (np.conj(b0) + np.conj(b1) * z)
+    through = kappa.sum() if one.quantity == "acceleration" else 0.0
+    return sampled_response(SampledModes.lossless(one.hold, d, one.quantity), 0.5 * kappa, through, phase)
+
+
+def sampled_response(step: SampledModes, residues: NDArray[Any], through: float, phase: Array) -> ComplexArray:
+    """Frequency response from sample to sample of modes with residues (n,), at some phases per step."""
+    z, found = np.exp(1j * phase), np.full(len(phase), through, complex)
+    for w, lam, b0, b1 in zip(residues, step.multiplier, step.b0, step.b1, strict=True):
+        gain, mirrored = w * (b0 + b1 * z), np.conj(w) * (np.conj(b0) + np.conj(b1) * z)
         ahead = np.where(z == lam, EPS, z - lam)
-        found += 0.5 * (gain / ahead + mirrored / (z - np.conj(lam)))
+        found += gain / ahead + mirrored / (z - np.conj(lam))
     return found
 
 
@@ -396,7 +427,30 @@ def sentence_of(finding: Finding, intersample: str) -> str:
             f"The noise is coloured ({certain}): an autoregression with the coefficient{'s' * (len(values) != 1)} "
             f"{shown} describes it. Standard errors take it as white."
         )
+    if finding.cause is Cause.COLOURED_RESIDUALS:
+        low, high, size, share = values
+        return (
+            f"The residuals of {finding.output!r} are coloured ({certain}): {100 * share:.0f} % of their power lies "
+            f"between {low:.4g} and {high:.4g} rad per unit time, at {size:.3g} times the mean density (geometric)."
+        )
+    if finding.cause is Cause.OUTLIERS:
+        return far_out(f"Values of {finding.output!r}", [str(int(one)) for one in values])
+    if finding.output:
+        return (
+            f"The residuals of {finding.output!r} grow with the response, as with {100 * values[0]:.2g} % more input "
+            f"({certain}): forces that were not measured, or noise of the recorded input, with which residues come out "
+            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % where inputs are white."
+        )
     return (
         f"The input as recorded has noise of about {100 * values[0]:.2g} % of its size ({certain}), which the plant "
         "did not feel: record the input with less noise, or command it."
+    )
+
+
+def far_out(which: str, places: Sequence[str]) -> str:
+    """That some values stand out of the noise, and what to do about it."""
+    listed = ", ".join(places[:_LISTED]) + f" and {len(places) - _LISTED} more" * (len(places) > _LISTED)
+    return (
+        f"{which} far out of the noise of all others (counted from 0): {listed}. If they are errors of measurement, "
+        "mark them with NaN."
     )

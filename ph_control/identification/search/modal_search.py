@@ -89,6 +89,8 @@ class FreeFit(Frozen):
         What the data show beside the modes.
     rival : FreeFit or None
         These modes refined with the inputs held otherwise, if that is left to the data; no likelier than this fit.
+    measured : FreeProjection or None
+        The linear problem of the data as they are, where its noise is coloured and rows were made in which it is white.
     """
 
     projection: FreeProjection
@@ -102,6 +104,7 @@ class FreeFit(Frozen):
     interrupted: bool = False
     findings: tuple[Finding, ...] = ()
     rival: FreeFit | None = None
+    measured: FreeProjection | None = None
 
     @property
     def per_entry(self) -> bool:

@@ -1,0 +1,199 @@
+"""Noise that is not white beside damped modes: its spectrum at each output, and the fit where it has been whitened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ..._types import Array
+from ..regression.elimination import orthogonal, without
+from ..regression.free import FreeProjection, by_poles, places_of, refine_free
+from ..regression.modal_regressors import SampledModes
+from ..regression.spectral_rows import ChannelSpectra, FreeWindow
+from ..regression.time_rows import FreeRecord
+from ..regression.tuning import TUNING
+from ..search.circumstances import Cause, Finding, foretold, likeliest_ratio, sampled_response
+from ..search.modal_search import FreeFit
+
+_LONGEST = 64  # samples of the past that noise may depend on
+_SAMPLES_EACH = 20  # of the residuals for each of them
+_LEAST = 0.1  # of the noise about a mode that is taken to be left beside what was fitted there
+_TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
+_GRID = 4096  # frequencies of a spectrum
+_EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
+
+
+@dataclass(frozen=True)
+class OutputNoise:
+    """Noise of an output: its `innovations` filter, which leaves white noise of variance 1; and what it is like."""
+
+    innovations: Array
+    finding: Finding | None
+
+
+def beside_coloured_noise(free: FreeFit) -> FreeFit:
+    """The same modes with what their residuals are like, refined in rows of white noise.
+
+    The innovations filter of an output takes inputs and outputs of any modes to inputs and outputs of the same modes.
+    Of a free motion the rows stay as they are, and of responses all.
+    """
+    at = free.projection
+    records = [one for one in at.experiments if isinstance(one, FreeRecord)]
+    if len(records) < len(at.experiments) or not free.order or free.rounding:
+        return free
+    noise = noise_of(free, records)
+    findings = tuple(one.finding for one in noise if one.finding is not None)
+    free = replace(free, findings=(*free.findings, *findings))
+    if not at.inputs:
+        return free
+    rows = [row for one in records for row in _filtered(one, [each.innovations for each in noise])]
+    found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
+    counts = np.zeros(len(noise))
+    for one in rows:
+        counts[one.outputs] += one.samples
+    sizes = np.sqrt(counts / found.losses)[:, None]
+    rows = [replace(one, u=one.u * sizes[one.outputs], y=one.y * sizes[one.outputs]) for one in rows]
+    return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=at)
+
+
+def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:
+    """Noise of each output, from its residuals in all records.
+
+    An autoregression of the order that AIC prefers, or noise that comes through the modes as the input does, where BIC
+    prefers that.  What was fitted took its part of the noise about the modes, which counts as if it were there.
+    """
+    at, count = free.projection, len(free.scales)
+    powers: list[list[tuple[Array, int]]] = [[] for _ in range(count)]
+    gains: list[list[Array]] = [[] for _ in range(count)]
+    for rows, predicted, shares in zip(records, at.predictions(), _shares_left(at, records), strict=True):
+        left = np.where(rows.observed, rows.measured - predicted, 0.0)
+        of_inputs = _gains(at, rows)
+        for output, one, share, gain in zip(rows.outputs.tolist(), left, shares, of_inputs, strict=True):
+            powers[output].append((np.abs(np.fft.rfft(one)) ** 2 / share, rows.length))
+            gains[output].append(gain)
+    labels, step = free.channels[0].output_labels, records[0].hold.h
+    return [_noise(*each, step) for each in zip(powers, gains, labels, free.scales.tolist(), strict=True)]
+
+
+def _noise(
+    powers: Sequence[tuple[Array, int]], gains: Sequence[Array], label: str, scale: float, step: float
+) -> OutputNoise:
+    """Noise of an output, of its residuals' powers at all bins of records of so many samples."""
+    shortest, total = min(length for _, length in powers), sum(length for _, length in powers)
+    most = max(1, min(_LONGEST, shortest // 4, total // _SAMPLES_EACH))
+    products = np.sum([np.fft.irfft(one, length)[: most + 1] for one, length in powers], axis=0)
+    models, variances = foretold(products)
+    likelier = -0.5 * total * np.log(variances)
+    order = int(np.argmax(likelier - np.arange(len(variances))))
+    past = np.concatenate([[1.0], -models[order]])
+    innovations = past / np.sqrt(max(variances[order] * products[0] / total, np.finfo(float).tiny))
+    finding, least = None, _TOLD
+    if (gain := float(likelier[order])) - order > least:
+        finding = Finding(Cause.COLOURED_RESIDUALS, _band(past, step), gain, label)
+        least = max(_TOLD, gain - 0.5 * order * float(np.log(total)))
+    power = np.concatenate([one[1 : (length + 1) // 2] / length for one, length in powers])
+    through = np.concatenate([one[1 : (length + 1) // 2] for one, (_, length) in zip(gains, powers, strict=True)])
+    if not np.median(through) > 0:
+        return OutputNoise(innovations, finding)
+
+    def unlikely(ratio: float) -> float:
+        size = 1 + ratio * through
+        return float(np.sum(np.log(size)) + len(power) * np.log(np.mean(power / size)))
+
+    ratio, level = likeliest_ratio(unlikely, through)
+    if ratio and (gain := unlikely(0.0) - level) > least:
+        beside = float(np.sqrt(np.mean(power / (1 + ratio * through))))
+        finding = Finding(Cause.INPUT_NOISE, (float(np.sqrt(ratio)) * beside, scale * beside), gain, label)
+        pairs = zip(gains, powers, strict=True)
+        products = np.sum([np.fft.irfft(1 + ratio * one, length)[: most + 1] for one, (_, length) in pairs], axis=0)
+        models, variances = foretold(products)
+        past = np.concatenate([[1.0], -models[-1]])
+        innovations = past / (beside * np.sqrt(variances[-1] * products[0] / len(powers)))
+    return OutputNoise(innovations, finding)
+
+
+def _band(past: Array, step: float) -> tuple[float, float, float, float]:
+    """Band of half the peak of a spectrum, its density there over the geometric mean, and its share of the power."""
+    density = np.abs(np.fft.rfft(past, 2 * _GRID)) ** -2.0
+    peak, low = int(np.argmax(density)), density < 0.5 * density.max()
+    first = int(np.flatnonzero(np.append(True, low[:peak]))[-1])
+    last = peak + int(np.flatnonzero(np.append(low[peak:], True))[0])
+    unit = np.pi / (_GRID * step)
+    share = float(density[first:last].sum() / density.sum())
+    return unit * first, unit * min(last, _GRID), float(density[peak]), share
+
+
+def _gains(at: FreeProjection, rows: FreeRecord) -> Array:
+    """Squared gains (q, bins) of the outputs of a record, of inputs of their size."""
+    found = np.zeros((len(rows.outputs), rows.length // 2 + 1))
+    phase = np.asarray(2 * np.pi / rows.length * np.arange(found.shape[1]), float)
+    step = SampledModes.of(rows.hold, at.p)
+    for u, i in zip(rows.u[: rows.inputs], rows.acting.tolist(), strict=True):
+        for k, o in enumerate(rows.outputs.tolist()):
+            gain = sampled_response(step, at.residues[:, o, i], float(at.feedthrough[o, i]), phase)
+            found[k] += np.mean(u**2) * np.abs(gain) ** 2
+    return found
+
+
+def _filtered(one: FreeRecord, innovations: Sequence[Array]) -> list[FreeRecord]:
+    """Each output of a record, and the inputs, through the filter of the output; what it cannot know is left out."""
+    found = []
+    for row, output in enumerate(one.outputs.tolist()):
+        b = innovations[output]
+        u, y = (np.asarray(lfilter(b, 1.0, part, axis=-1)) for part in (one.u, one.measured[row : row + 1]))
+        missing = np.convolve(~one.observed, np.ones(len(b)))[: one.length] > 0
+        # before a record at rest, all is 0; a constant is not
+        missing[: (len(b) - 1) * (one.offset > 0)] = True
+        part = slice((len(b) - 1) * one.moving, None)
+        found.append(
+            replace(one, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=one.outputs[[row]])
+        )
+    return found
+
+
+# --- what a fit leaves of the noise ----------------------------------------------------------------------------------
+
+
+def _shares_left(at: FreeProjection, records: Sequence[FreeRecord]) -> list[Array]:
+    """Of the noise of each record and output (q, bins), the share that a fit leaves on average: 1 less the leverage."""
+    found = [np.ones((len(one.outputs), one.length // 2 + 1)) for one in records]
+    for outputs in {tuple(one.outputs.tolist()) for one in records}:
+        places = [k for k, one in enumerate(records) if tuple(one.outputs.tolist()) == outputs]
+        windows = [_about(replace(records[k], outputs=np.arange(len(outputs))), at) for k in places]
+        for k, window, taken in zip(places, windows, _leverages(FreeProjection(windows, at.p)), strict=True):
+            found[k][:, window.bins] = np.maximum(_LEAST, 1 - taken)
+    return found
+
+
+def _about(one: FreeRecord, at: FreeProjection) -> FreeWindow:
+    """Bins about the modes, as far as a fit has taken a part of the noise in them."""
+    spectra = ChannelSpectra.of(one)
+    reach = np.minimum(TUNING.half_width * (1 + np.abs(at.p.real) / one.bin), TUNING.thinned).astype(int)
+    centres = np.rint(spectra.place(at.p.imag)).astype(int).tolist()
+    bins = np.unique(np.concatenate([np.arange(c - r, c + r + 1) for c, r in zip(centres, reach, strict=True)]))
+    return FreeWindow(spectra, bins[(bins >= 1) & (bins <= spectra.last)])
+
+
+def _leverages(near: FreeProjection) -> list[Array]:
+    """Of each record and output (q, bins) the diagonal of the projection on what was fitted, the mean of both parts."""
+    n, own, shared, slopes = len(near.p), list[Array](), list[Array](), list[Array]()
+    for window, mine in zip(near.experiments, near.own, strict=True):
+        columns, place = next(iter(window.at(near.p).blocks())).T, places_of(window, n)
+        basis = orthogonal(columns[:, : 2 * n])[0]
+        every = np.zeros((len(columns), len(near.shared)))
+        every[:, place] = columns[:, 2 * n : 2 * n + len(place)]
+        moved = columns[:, 2 * n + len(place) : columns.shape[1] - len(window.outputs)]
+        each = [by_poles(moved, window, mine[:, o], near.residues[:, o]) for o in window.outputs]
+        own.append(basis)
+        shared.append(without(every, basis))
+        slopes.append(np.stack([without(one, basis) for one in each]))
+    ends = np.cumsum([len(one) for one in own])[:-1]
+    joint = orthogonal(np.concatenate(shared))[0]
+    by_output = np.stack([without(one, joint) for one in np.concatenate(slopes, axis=1)])
+    poles = orthogonal(by_output.reshape(-1, 2 * n))[0].reshape(by_output.shape)
+    taken = np.split(np.sum(poles**2, axis=2) + np.sum(joint**2, axis=1), ends, axis=1)
+    rows = [part + np.sum(basis**2, axis=1) for part, basis in zip(taken, own, strict=True)]
+    return [0.5 * (each[:, : each.shape[1] // 2] + each[:, each.shape[1] // 2 :]) for each in rows]
