@@ -18,9 +18,10 @@ from ..._units import checked_unit
 from ...exceptions import StructureError
 from .frequency_record import FrequencyRecord, checked_points, checked_weights, title_of
 from .time_record import (
+    LONG,
     CheckedData,
+    Clock,
     Record,
-    instants,
     refuse_out_of_range,
     refuse_short,
     signal,
@@ -73,7 +74,7 @@ class Recording(CheckedData):
     @property
     def samples(self) -> int:
         """Number of instants T."""
-        return len(self.time)
+        return self.y.shape[1]
 
     @property
     def driven(self) -> bool:
@@ -83,25 +84,23 @@ class Recording(CheckedData):
     @cached_property
     def observed(self) -> Mask:
         """Where each output was measured, shape (p, T)."""
-        return _checks.readonly(~np.isnan(self.y))
+        mask = np.isnan(self.y)
+        return _checks.readonly(np.logical_not(mask, out=mask))
 
     @property
     def begins_at_rest(self) -> bool:
         """Whether outputs are small, beside what follows, in the few samples before an input acts."""
-        size = np.abs(self.u)
-        largest: Array = size.max(axis=1, keepdims=True, initial=0.0)
-        first = int(np.argmax((size > _ACTING * largest).any(axis=0)))
+        largest: Array = np.maximum(self.u.max(axis=1, initial=0.0), -self.u.min(axis=1, initial=0.0))
+        acting = (np.abs(self.u[:, : _QUIET.stop]) > _ACTING * largest[:, None]).any(axis=0)
+        first = int(np.argmax(acting))
         if first not in _QUIET:
             return False
-        level = self.y - np.nanmedian(
-            np.where(self.observed.any(axis=1, keepdims=True), self.y, 0.0), axis=1, keepdims=True
-        )
+        # what follows in a long record is that of its beginning
+        y, observed = self.y[:, :LONG], self.observed[:, :LONG]
+        level = y - np.nanmedian(np.where(observed.any(axis=1, keepdims=True), y, 0.0), axis=1, keepdims=True)
         before, after = (
             np.sqrt(np.mean(np.where(seen, part, 0.0) ** 2, axis=1) / np.maximum(np.mean(seen, axis=1), _ACTING))
-            for part, seen in (
-                (level[:, :first], self.observed[:, :first]),
-                (level[:, first:], self.observed[:, first:]),
-            )
+            for part, seen in ((level[:, :first], observed[:, :first]), (level[:, first:], observed[:, first:]))
         )
         return bool(np.all(before <= _STILL * after))
 
@@ -175,7 +174,7 @@ def single(one: CheckedData) -> Record | FrequencyRecord:
         )  # fmt: skip
     u, label = (one.u[0], one.input_labels[0]) if m else (np.zeros(one.samples), "u")
     return Record(
-        one.time, one.dt, u, one.y[0], label, one.output_labels[0], bool(m), title=one.title, time_unit=one.time_unit
+        one.clock, one.dt, u, one.y[0], label, one.output_labels[0], bool(m), title=one.title, time_unit=one.time_unit
     )
 
 
@@ -194,7 +193,7 @@ def several(one: Any) -> Recording | ResponseMatrix:
         return one
     inputs = (one.input_label,) if one.driven else ()
     u = one.u[None] if one.driven else np.zeros((0, one.samples))
-    return Recording(one.time, one.dt, u, one.y[None], inputs, (one.output_label,), one.title, one.time_unit)
+    return Recording(one.clock, one.dt, u, one.y[None], inputs, (one.output_label,), one.title, one.time_unit)
 
 
 def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:
@@ -261,13 +260,13 @@ def _numbered(letter: str, count: int) -> Labels:
 
 
 def recording(
-    time: Array | None, dt: float, inputs: Sequence[Array] | Array, outputs: Sequence[Array] | Array,
+    time: Array | Clock | None, dt: float, inputs: Sequence[Array] | Array, outputs: Sequence[Array] | Array,
     names: Labels, seen: Labels, title: str = "", time_unit: str | None = None,
 ) -> Recording:  # fmt: skip
     """Put checked signals together, of one length each; without `time` they begin at 0."""
     if not len(outputs):
         raise StructureError("the record has no outputs; needed at least one, missing samples as NaN")
-    time = instants(len(outputs[0]), dt) if time is None else time
+    time = Clock(range(len(outputs[0])), dt) if time is None else time
     parts = [("input", one) for one in inputs] + [("output", one) for one in outputs] + [("time", time)]
     for (one, here), (other, there) in pairwise((name, len(values)) for name, values in parts):
         if here != there:
@@ -278,7 +277,7 @@ def recording(
     _refuse_repeated("input", names)
     _refuse_repeated("output", seen)
     u, y = _stacked(inputs, len(time)), _stacked(outputs, len(time))
-    return Recording(time, dt, u, y, names, seen, title, time_unit)
+    return Recording(time, dt, u, y, names, seen, title, time_unit)  # type: ignore[arg-type]
 
 
 def _stacked(signals: Sequence[Array] | Array, samples: int) -> Array:

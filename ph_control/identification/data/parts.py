@@ -100,4 +100,4 @@ def cut(one: Any, part: slice) -> Any:
         return one
     short = part.stop - part.start <= LONG
     u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (one.u, one.y))
-    return replace(one, time=one.time[part], u=u, y=y)
+    return replace(one, time=one.clock[part], u=u, y=y)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from control import TimeResponseData
@@ -25,8 +25,45 @@ _LARGEST = 1e100  # of a signal whose squares are summed
 _CONTRADICTION = 0.01  # of a step: how far a given dt may be from the step of the record
 
 
+@dataclass(frozen=True)
+class Clock:
+    """Instants `k dt` of samples by their numbers k, which need no memory."""
+
+    numbers: range
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, part: slice) -> Clock:
+        return Clock(self.numbers[part], self.dt)
+
+    def instants(self) -> Array:
+        """All of them."""
+        time = np.arange(float(self.numbers.start), self.numbers.stop)
+        time *= self.dt
+        return time
+
+
 class CheckedData(Frozen):
-    """Data of any kind that have been checked."""
+    """Data of any kind that have been checked; the `time` of a `Clock` is made when it is first asked for."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(vars(self).get("time"), Clock):
+            vars(self)["_clock"] = vars(self).pop("time")
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            if name != "time" or "_clock" not in vars(self):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            return vars(self).setdefault("time", _checks.readonly(self.clock.instants()))
+
+    @property
+    def clock(self) -> Any:
+        """The time, as it is kept."""
+        return vars(self).get("_clock", vars(self).get("time"))
 
     @property
     def samples(self) -> int:
@@ -73,7 +110,7 @@ class Record(CheckedData):
     @property
     def samples(self) -> int:
         """Number of instants T."""
-        return len(self.time)
+        return len(self.y)
 
     @cached_property
     def observed(self) -> Mask:

@@ -452,7 +452,7 @@ def _squeezed(one: FittedChannels) -> Any:
     u = record.u[0] if labels else np.zeros(record.samples)
     # among several experiments a free motion has an input of 0
     kept = Record(
-        record.time, record.dt, u, record.y[0], labels[0] if labels else "u", record.output_labels[0], bool(u.any()),
+        record.clock, record.dt, u, record.y[0], labels[0] if labels else "u", record.output_labels[0], bool(u.any()),
         title=record.title, time_unit=record.time_unit,
     )  # fmt: skip
     return FittedExperiment(kept, state, motion, float(one.offsets[0]), one.predicted[0], float(one.drifts[0]))

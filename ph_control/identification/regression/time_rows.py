@@ -237,8 +237,9 @@ class FreeRecord:
     def by_observation(cls, u: Array, y: Array, observed: Mask, hold: Hold, **options: Any) -> list[FreeRecord]:
         """A record with inputs (m, T) and outputs (q, T), divided into outputs observed at the same samples."""
         groups: dict[bytes, list[int]] = {}
+        complete = bool(observed.all())
         for output in np.flatnonzero(observed.any(axis=1)).tolist():
-            groups.setdefault(observed[output].tobytes(), []).append(output)
+            groups.setdefault(b"" if complete else observed[output].tobytes(), []).append(output)
         if len(groups) == 1 and len(y) == len(next(iter(groups.values()))):
             return [cls(u, y, observed[0], hold, outputs=np.arange(len(y)), **options)]
         return [

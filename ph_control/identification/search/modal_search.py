@@ -365,7 +365,7 @@ def _leaves_traces(at: FreeProjection) -> bool:
 
 
 def _first(one: Recording, samples: int) -> Recording:
-    return replace(one, time=one.time[:samples], u=one.u[:, :samples], y=one.y[:, :samples])
+    return replace(one, time=one.clock[:samples], u=one.u[:, :samples], y=one.y[:, :samples])
 
 
 def _delayed(one: Recording, samples: int) -> Recording:
@@ -374,7 +374,7 @@ def _delayed(one: Recording, samples: int) -> Recording:
         return one
     early, late = slice(None, -abs(samples)), slice(abs(samples), None)
     u, y = (early, late) if samples > 0 else (late, early)
-    return replace(one, time=one.time[y], u=one.u[:, u], y=one.y[:, y])
+    return replace(one, time=one.clock[y], u=one.u[:, u], y=one.y[:, y])
 
 
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
