@@ -1,13 +1,19 @@
 """Reduced and nearest passive models beside those of other packages, one run.
 
-    python -m benchmarks.reduction chain [--orders R ...]       pyMOR beside, if it is installed
+    python -m benchmarks.reduction chain [--orders R ...] [--picture FILE]      pyMOR beside, if it is installed
+    python -m benchmarks.reduction building FILE [--orders R ...]               the same
     python -m benchmarks.reduction bounds [--count N]
-    python -m benchmarks.reduction passive [--count N]          scikit-rf beside
+    python -m benchmarks.reduction passive [--count N]                          scikit-rf beside
+    python -m benchmarks.reduction network FILE [--poles N]                     the same
+    python -m benchmarks.reduction loops [--count N]                            python-control beside
 
-`chain` is the mass-spring-damper chain of 50 masses with two ports: the H2 norm of the difference, whether the model is
-passive, CPU seconds.  `bounds` holds `error_bound` of random systems against responses by dense matrices.  `passive`
-makes fits to noisy scattering data passive by the covariance, by the H2 norm, and by scikit-rf, and compares what the
-data pay.
+`chain` is the mass-spring-damper chain of 50 masses with two ports, `building` a building of 48 states (`build.mat` of
+the SLICOT collection): the H2 norm of the difference, whether the model is passive, CPU seconds.  `bounds` holds
+`error_bound` of random systems against responses by dense matrices.  `passive` makes fits to noisy scattering data
+passive by the covariance, by the H2 norm, and by scikit-rf, and compares what the data pay; `network` does so for
+measured data, a Touchstone file, from the poles and residues of scikit-rf's vector fitting.  `loops` closes random
+loops through gains, random systems and LQG: the energy without input, and the poles of `control.feedback` of the same
+matrices.
 """
 
 from __future__ import annotations
@@ -15,6 +21,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from time import process_time
 from typing import Any
@@ -22,6 +29,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 import ph_control as phc
 
@@ -33,26 +41,44 @@ METHODS = ("modal", "balanced", "h2")
 def main(argv: Sequence[str] | None = None) -> None:
     """Run one of the comparisons."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("which", choices=("chain", "bounds", "passive"))
-    parser.add_argument("--orders", type=int, nargs="+", default=list(range(2, 21, 2)))
+    parser.add_argument("which", choices=("chain", "building", "bounds", "passive", "network", "loops"))
+    parser.add_argument("file", nargs="?")
+    parser.add_argument("--orders", type=int, nargs="+", default=list(range(2, 21)))
+    parser.add_argument("--picture")
     parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--poles", type=int, default=28, help="for vector fitting: two real, the others complex")
     options = parser.parse_args(argv)
-    {"chain": lambda: chain(options.orders), "bounds": lambda: bounds(options.count),
-     "passive": lambda: passive(options.count)}[options.which]()  # fmt: skip
+    if options.which in ("building", "network") and not options.file:
+        parser.error(f"{options.which} needs its file")
+    {
+        "chain": lambda: beside_pymor(phc.msd_chain(), options.orders, options.picture),
+        "building": lambda: beside_pymor(building(options.file), options.orders, options.picture),
+        "bounds": lambda: bounds(options.count), "passive": lambda: passive(options.count),
+        "network": lambda: network(options.file, options.poles), "loops": lambda: loops(options.count),
+    }[options.which]()  # fmt: skip
 
 
-# --- the chain ----------------------------------------------------------------------------------------------------
+# --- beside pyMOR -------------------------------------------------------------------------------------------------
 
 
-def chain(orders: Sequence[int]) -> None:
+def building(path: str) -> Any:
+    """The model of a building, as a port-Hamiltonian system."""
+    from scipy.io import loadmat
+    from scipy.sparse import csc_matrix
+
+    A, B, C = (np.asarray(csc_matrix(loadmat(path)[name]).todense(), float) for name in "ABC")
+    return phc.ph(ct.ss(A, B, C, 0))
+
+
+def beside_pymor(plant: Any, orders: Sequence[int], picture: str | None) -> None:
     """H2 error, passivity and CPU time of all methods over orders."""
-    plant = phc.msd_chain()
     full = ct.ss(plant.A, plant.B, plant.C, plant.D)
     reducers: dict[str, Callable[[int], Any]] = {
         f"ph_control {one}": lambda r, one=one: phc.reduce(plant, r, method=one) for one in METHODS
     }
     reducers |= dict(pymor_reducers(plant))
-    print(f"{'method':22} order  H2 error    passive  CPU s")
+    found: dict[str, list[tuple[int, float, bool]]] = {}
+    print(f"H2 norm {ct.norm(full, 2):.5f}\nmethod                 order  H2 error    passive  CPU s")
     for order in orders:
         for name, make in reducers.items():
             start = process_time()
@@ -65,7 +91,30 @@ def chain(orders: Sequence[int]) -> None:
             small = ct.ss(*(np.asarray(getattr(small, one), float) for one in "ABCD"))
             report = phc.passivity(small)
             error = ct.norm(full - small, 2) if not len(report.unstable) else np.inf
+            found.setdefault(name, []).append((order, error, report.is_passive))
             print(f"{name:22} {order:5}  {error:.4e}  {report.is_passive!s:7}  {seconds:.2f}", flush=True)
+    if picture:
+        draw(found, picture)
+
+
+def draw(found: dict[str, list[tuple[int, float, bool]]], path: str) -> None:
+    """The errors over the orders, passive models filled."""
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(layout="constrained", figsize=(7, 4.5))
+    for k, (name, rows) in enumerate(found.items()):
+        orders, errors, passive_ones = (np.array(column) for column in zip(*rows, strict=True))
+        own = name.startswith("ph_control")
+        (line,) = axis.semilogy(
+            orders, errors, "-" if own else ":", color=f"C{k}", lw=2 if name.endswith("h2") else 1, label=name
+        )
+        for kept, face in ((passive_ones, line.get_color()), (~passive_ones, "white")):
+            axis.plot(orders[kept], errors[kept], "o", ms=4, color=line.get_color(), mfc=face)
+    axis.set(xlabel="States", ylabel="H2 norm of the difference", xticks=np.arange(orders.min(), orders.max() + 1, 2))
+    axis.set_title("Filled: passive models; open: models that are not")
+    axis.grid(alpha=0.4)
+    axis.legend(fontsize="small", ncols=2, loc="lower left")
+    figure.savefig(path, dpi=110)
 
 
 def pymor_reducers(plant: Any) -> Iterator[tuple[str, Callable[[int], Any]]]:
@@ -248,6 +297,85 @@ def by_scikit_rf(fit: Any, omega: Array) -> tuple[Array, bool]:
     found = fitting.residues.T.reshape(fit.residues.shape)
     judged = replace(fit, residues=found, structure="free").observed_system
     return found, phc.passivity(judged, kind="scattering").is_passive
+
+
+# --- a measured network -------------------------------------------------------------------------------------------
+
+
+def network(path: str, poles: int) -> None:
+    """What measured scattering parameters pay for passivity, with the same noise on all of them."""
+    import skrf
+    from skrf.vectorFitting import VectorFitting
+
+    warnings.simplefilter("ignore")
+    data = skrf.Network(path)
+    omega = 2 * np.pi * data.f
+    fitting = VectorFitting(data)
+    fitting.vector_fit(n_poles_real=2, n_poles_cmplx=poles - 2)
+
+    def system(model: Any) -> Any:
+        return ct.StateSpace(*model._get_ABCDE()[:4], remove_useless_states=False)
+
+    fit = system(fitting)
+    squared = np.abs(data.s - response(fit, omega)) ** 2
+
+    def report(name: str, model: Any, seconds: float) -> None:
+        lost = 2 * (np.sum(np.abs(data.s - response(model, omega)) ** 2) - squared.sum()) / squared.mean()
+        judged = phc.passivity(model, kind="scattering")
+        bands = ", ".join(f"{low:.4g} to {high:.4g} MHz" for low, high in np.array(judged.bands) / (2e6 * np.pi))
+        print(
+            f"{name:28} cost {lost:8.2f}  {seconds:6.1f} s  {'active at ' + bands if bands else 'passive'}", flush=True
+        )
+
+    residual = np.sqrt(squared.mean())
+    print(f"{data.nports} ports, {len(omega)} frequencies, {fit.nstates} states, residual {residual:.4f}")
+    report("vector fitting", fit, 0.0)
+    weights: tuple[tuple[str, Any], ...] = (("data", (omega, np.ones(len(omega)))), ("h2", "h2"))
+    for name, weight in weights:
+        start = process_time()
+        report(f"nearest_passive, weight {name}", phc.nearest_passive(fit, weight=weight, kind="scattering"),
+               process_time() - start)  # fmt: skip
+    for count in (200, 1000):
+        moved = deepcopy(fitting)
+        start = process_time()
+        moved.passivity_enforce(n_samples=count)
+        report(f"scikit-rf, {count} samples", system(moved), process_time() - start)
+
+
+# --- closed loops -------------------------------------------------------------------------------------------------
+
+
+def loops(count: int) -> None:
+    """Loops of random plants and controllers: rise of the energy without input, and poles by python-control."""
+    rises, differences, passive_loops, ports = [], [], 0, 2
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        plant = random_loop_part(rng, ports)
+        root = rng.normal(size=(ports, ports))
+        controller = (
+            random_loop_part(rng, ports), root @ root.T + root - root.T, phc.lqg(plant, 10 ** rng.uniform(-2, 1))
+        )[seed % 3]  # fmt: skip
+        loop = phc.damping_injection(plant, controller)
+        judged = phc.passivity(ct.ss(loop.A, loop.B, loop.C, loop.D)).is_passive
+        passive_loops += judged and isinstance(loop, phc.PortHamiltonian)
+        t = np.linspace(0, 4, 100)
+        states = phc.forced_response(loop, t, np.zeros((ports, len(t))), rng.normal(size=loop.nstates)).states
+        energy = 0.5 * np.einsum("it,ij,jt->t", states, loop.Q, states)
+        rises.append(np.diff(energy).max() / energy[0])
+        other = ct.ss(controller) if isinstance(controller, ct.StateSpace) else ct.ss([], [], [], controller)
+        expected = ct.feedback(ct.ss(plant.A, plant.B, plant.C, plant.D), other).poles()
+        distance = np.abs(expected[:, None] - loop.poles())
+        differences.append(distance[linear_sum_assignment(distance)].max() / np.abs(expected).max())
+    print(f"{count} loops, port-Hamiltonian and passive {passive_loops}")
+    print(f"largest rise of the energy: {max(rises):.1e} of that at the start")
+    print(f"poles beside those of control.feedback: largest difference {max(differences):.1e} of the largest pole")
+
+
+def random_loop_part(rng: np.random.Generator, ports: int) -> Any:
+    """Passive system of 1 to 8 states."""
+    n = int(rng.integers(1, 9))
+    J, root, loss = rng.normal(size=(n, n)), rng.normal(size=(n, n)), rng.normal(size=(n, int(rng.integers(1, n + 1))))
+    return phc.ph(root @ root.T + 0.1 * np.eye(n), rng.normal(size=(n, ports)), J=J - J.T, R=loss @ loss.T)
 
 
 if __name__ == "__main__":
