@@ -109,12 +109,14 @@ def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...
     if free.rival is None or first[0].structure in settled:
         return _result(free, *first, asked, findings)
     try:
+        simpler = STRUCTURES[: STRUCTURES.index(first[0].structure)]
+        if asked.structure == "auto" and _tested(free.rival, asked, simpler)[0].structure not in simpler:
+            return _result(free, *first, asked, findings)
         second = _structure_of(free.rival, asked)
     except KeyboardInterrupt:
         return cut_short(_result(free, *first, asked, findings))
     if asked.structure == "auto":
-        simpler = STRUCTURES.index(second[0].structure) < STRUCTURES.index(first[0].structure)
-        return _result(*((free.rival, *second) if simpler else (free, *first)), asked, findings)
+        return _result(free.rival, *second, asked, findings)
     found, other = _result(free, *first, asked, findings), _result(free.rival, *second, asked, findings)
     return other if other.loglik > found.loglik + TUNING.sure else found
 
@@ -124,20 +126,31 @@ def structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) 
     return _result(free, *_structure_of(free, asked), asked, (*findings, *free.findings))
 
 
-def _structure_of(free: FreeFit, asked: Asked) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
-    """The structure that is asked for, or the simplest that is not rejected, and the tests of all."""
+def _layout(free: FreeFit, asked: Asked) -> ChannelLayout:
     first = free.channels[0]
-    layout = ChannelLayout(
+    return ChannelLayout(
         len(first.output_labels), len(first.input_labels), free.scales, asked.quantities, asked.ports,
         per_entry=free.per_entry,
     )  # fmt: skip
+
+
+def _tested(
+    free: FreeFit, asked: Asked, among: tuple[str, ...] | None = None
+) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
+    """The simplest structure that is not rejected, and the tests of all, or of those `among` some."""
+    found = structure_tests(free.projection, _layout(free, asked), free.region, among)
+    return choose(found), found.tests
+
+
+def _structure_of(free: FreeFit, asked: Asked) -> tuple[StructuredFit, tuple[HypothesisTest, ...]]:
+    """The structure that is asked for, or the simplest that is not rejected, and the tests of all."""
+    layout = _layout(free, asked)
     if not free.order:
         return _without_modes(free), ()
     if asked.structure == "auto" and free.interrupted:
         return constrained(free.projection, layout, "free", free.region), ()
     if asked.structure == "auto":
-        found = structure_tests(free.projection, layout, free.region)
-        return choose(found), found.tests
+        return _tested(free, asked)
     return constrained(free.projection, layout, asked.structure, free.region, 1 if free.interrupted else None), ()
 
 

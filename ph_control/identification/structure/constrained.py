@@ -33,6 +33,7 @@ STRUCTURES = {
 _EXACT = 1e-10  # relative decrease of the loss at which a refinement ends
 _WELL_CONDITIONED = 1e10  # entries of the inverse of a Gram matrix of unit columns
 _ITERATIONS = 60  # before it follows secants
+_FEW = 12  # in the tangent of a free fit, where three are usual
 
 
 _Residual = tuple[int, Array, Array, Array]  # of an output: what is left, its Jacobian by poles and by shared unknowns
@@ -263,8 +264,9 @@ def constrained(
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
-    near = refine(replace(problem, tangent=Tangent(at)), problem.inside(x), rtol=TUNING.rough, last=False)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
+    tangent = replace(problem, tangent=Tangent(at))
+    near = refine(tangent, problem.inside(x), rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False)
     found = refine(problem, near.projection.x, rtol=_EXACT, max_iterations=most, last=last)
     end = found.projection
     shapes, participation = coordinates.shapes(end.x) if isinstance(coordinates, ShapeCoordinates) else (None, None)

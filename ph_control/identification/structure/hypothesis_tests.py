@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,8 +41,10 @@ class StructureTests:
         return any(one.hypothesis == hypothesis and one.p >= level for one in self.tests)
 
 
-def structure_tests(at: FreeProjection, layout: ChannelLayout, region: PoleRegion) -> StructureTests:
-    """Test all structures that the inputs, outputs and ports of a free fit allow to test.
+def structure_tests(
+    at: FreeProjection, layout: ChannelLayout, region: PoleRegion, among: Sequence[str] | None = None
+) -> StructureTests:
+    """Test all structures that the inputs, outputs and ports of a free fit allow to test, or those `among` some.
 
     Parameters
     ----------
@@ -73,6 +75,8 @@ def structure_tests(at: FreeProjection, layout: ChannelLayout, region: PoleRegio
     parameters = fits["free"].parameters
     tests: list[HypothesisTest] = []
     for hypothesis in testable(layout):
+        if among is not None and hypothesis not in among:
+            continue
         if hypothesis == "passive":
             # the classical model is passive, and was found before
             fit = nearest_passive_fit(at, layout, lambda: fits["classical"], _BEYOND * parameters)
