@@ -418,14 +418,18 @@ def test_demo_leaves_recordings_models_and_pictures_and_finds_the_truth(tmp_path
     assert (done.status, done.error) == (0, "")
     folder = tmp_path / "ph_control_demo"
     names = {f"{plant}{end}" for plant in ("circuit", "chain") for end in (".csv", ".json", "_fit.png", "_bode.png")}
-    assert {path.name for path in folder.iterdir()} == names
+    assert {path.name for path in folder.iterdir()} == names | {f"structure{end}" for end in (".csv", ".json", ".html")}
+    assert done.out.count("3 of 3 visible modes found") == 1 and "f [Hz] true" in done.out
     assert "1 of 1 visible modes found" in done.out and "2 of 2 visible modes found" in done.out
     assert np.allclose(phc.load(folder / "circuit.json").d, [1.0], rtol=1e-3)
     assert np.allclose(phc.load(folder / "chain.json").d, [0.6180339887, 1.6180339887], rtol=1e-3)
     # a second run finds a free folder; a folder with something in it is refused
     answer = strict_json(run("demo", "--seed", 1, "--json").out)
     assert answer["folder"] == "ph_control_demo-2" and (tmp_path / "ph_control_demo-2" / "chain.json").exists()
-    assert np.allclose(answer["plants"][1]["fit"]["d"], answer["plants"][1]["true"]["d"], rtol=1e-3)
+    structure, _, chain = answer["plants"]
+    assert np.allclose(chain["fit"]["d"], chain["true"]["d"], rtol=1e-3)
+    assert np.allclose(structure["fit"]["hertz"], structure["true"]["hertz"], rtol=1e-3)
+    assert np.allclose(structure["fit"]["damping_ratios"], structure["true"]["damping_ratios"], rtol=0.1)
     refused = run("demo", "--folder", folder)
     assert refused.status == 2 and "not an empty folder" in refused.error
     # what the demonstration proposes to do next works

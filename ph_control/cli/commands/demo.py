@@ -1,6 +1,7 @@
-"""Record two known plants with noise, a circuit and a chain of masses, and identify them.
+"""Record three known plants with noise: a damped structure with two shakers, and the two systems of the paper.
 
-The models are compared with the truth. Recordings (CSV), models (JSON) and pictures (PNG) are left in a folder.
+The models are compared with the truth. Recordings (CSV), models (JSON), pictures (PNG) and a report (HTML) are left in
+a folder.
 
 Examples
 --------
@@ -20,6 +21,7 @@ from typing import Any
 
 import ph_control as phc
 
+from ..._display import aligned
 from ...exceptions import OutputExistsError
 from ..options import Parser, add_json, within
 from ..outcome import DONE, emit
@@ -39,39 +41,53 @@ def add_options(parser: Parser) -> None:
 
 @dataclass(frozen=True)
 class Plant:
-    """A known plant, the state its recording starts from, and what its signals are."""
+    """A known plant, the state its recording starts from, the step, and the units of its inputs and outputs."""
 
     title: str
     system: phc.PortHamiltonian
     initial_state: Any
-    output_unit: str
+    step: float
+    units: tuple[str, str]
 
     @property
     def name(self) -> str:
         """Name of the plant and of its files."""
         return str(self.system.name)
 
+    @property
+    def labels(self) -> tuple[list[str], list[str]]:
+        """Inputs and outputs with their units."""
+        sides = self.system.input_labels, self.system.output_labels
+        inputs, outputs = ([f"{name} [{unit}]" for name in side] for side, unit in zip(sides, self.units, strict=True))
+        return inputs, outputs
+
 
 def plants() -> list[Plant]:
-    """Return the two systems of the paper: a five-branch LC circuit and a chain of two masses."""
+    """Return a damped tower with two ports, and the systems of the paper: an LC circuit and a chain of two masses."""
     import numpy as np
 
+    tower = phc.spring_chain(
+        [300.0, 200.0, 100.0], 4e5, ground=[6e5, 0, 0], c=150.0, ground_c=[100.0, 0, 0], port=[0, 2],
+        inputs=["force_low", "force_top"], outputs=["low", "top"], name="structure",
+    )  # fmt: skip
     circuit = phc.lc_circuit(np.ones(5), np.ones(5), name="circuit")
     chain = phc.frenkel_kontorova(2, name="chain")
+    amperes = np.linspace(-1.0, 1.0, 10)
     return [
-        Plant("LC circuit, five equal branches (one visible mode)", circuit, np.linspace(-1.0, 1.0, 10), "A"),
-        Plant("Chain of two masses", chain, np.array([2.0, 1.0, -3.0, -3.0]), "m/s"),
+        Plant("Damped tower, two shakers", tower, np.zeros(6), 0.01, ("N", "m/s")),
+        Plant("LC circuit, five equal branches (one visible mode)", circuit, amperes, 0.1, ("V", "A")),
+        Plant("Chain of two masses", chain, np.array([2.0, 1.0, -3.0, -3.0]), 0.1, ("N", "m/s")),
     ]
 
 
-def record(plant: Plant, rng: Any, samples: int = 2000, step: float = 0.1) -> tuple[Any, Any, Any]:
-    """Time, input and noisy output: white input held between samples, noise 20 dB below the output."""
+def record(plant: Plant, rng: Any, samples: int = 2000) -> Any:
+    """Columns of time, inputs and noisy outputs: white inputs held between samples, noise 20 dB below each output."""
     import numpy as np
 
-    t = step * np.arange(samples)
-    u = rng.standard_normal(samples)
-    y = phc.forced_response(plant.system, t, u, plant.initial_state, return_states=False, intersample="zoh").outputs
-    return t, u, y + 0.1 * np.std(y) * rng.standard_normal(samples)
+    t, u = plant.step * np.arange(samples), rng.standard_normal((plant.system.ninputs, samples))
+    run = phc.forced_response(plant.system, t, u, plant.initial_state, return_states=False, intersample="zoh")
+    y = run.outputs.reshape(-1, samples)
+    return np.column_stack([t, *u, *(y + 0.1 * np.std(y, axis=1, keepdims=True) * rng.standard_normal(y.shape))])
 
 
 def run(options: Namespace) -> int:
@@ -82,23 +98,29 @@ def run(options: Namespace) -> int:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputExistsError(f"{folder} exists and is not an empty folder; name another one, or leave --folder out")
     folder.mkdir(parents=True, exist_ok=True)
-    found = []
-    for plant, rng in zip(plants(), np.random.default_rng(options.seed).spawn(2), strict=True):
-        table, recording = np.column_stack(record(plant, rng)), folder / f"{plant.name}.csv"
-        header = ",".join(["time [s]", *plant.system.input_labels, *plant.system.output_labels])
-        np.savetxt(recording, table, delimiter=",", header=header, comments="", fmt="%.12g")
-        result = phc.pem(phc.read_csv(recording))
+    found, known = [], plants()
+    for plant, rng in zip(known, np.random.default_rng(options.seed).spawn(len(known)), strict=True):
+        recording, (inputs, outputs) = folder / f"{plant.name}.csv", plant.labels
+        header = ",".join(["time [s]", *inputs, *outputs])
+        np.savetxt(recording, record(plant, rng), delimiter=",", header=header, comments="", fmt="%.12g")
+        several = len(inputs) > 1
+        columns: dict[str, Any] = {"input": inputs, "output": outputs} if several else {}
+        ports: dict[str, Any] = {"ports": list(zip(outputs, inputs, strict=True))} if several else {}
+        result = phc.pem(phc.read_csv(recording, **columns), **ports)
         phc.save(result.system, folder / f"{plant.name}.json")
-        _draw(plant, result, folder)
+        if several:
+            result.report(folder / f"{plant.name}.html", title=plant.title)
+        else:
+            _draw(plant, result, folder)
         if not options.json:
-            files = f"   {plant.name}.csv, {plant.name}.json, {plant.name}_fit.png, {plant.name}_bode.png"
+            made = (".csv", ".json", ".html") if several else (".csv", ".json", "_fit.png", "_bode.png")
+            files = "   " + ", ".join(plant.name + end for end in made)
             emit("\n".join([f"== {plant.title}", *_against_truth(plant, result), files, "", ""]))
-        truth = modes_of(plant.system.modes.minimal())
-        found.append({"plant": plant.name, "true": truth, "fit": fit_of(result)})
+        found.append({"plant": plant.name, "true": _truth(plant), "fit": fit_of(result)})
     if options.json:
         emit_json({"command": "demo", "folder": str(folder), "seed": options.seed, "plants": found})
     else:
-        emit(f"All of it is in {folder.resolve()}\n")
+        emit(f"Everything is in {folder.resolve()}; structure.html opens in a browser.\n")
         emit(f"Next: ph-control fit {folder / 'chain.csv'} --model my_model.json --plot my_fit.png\n")
     return DONE
 
@@ -111,18 +133,30 @@ def _new_folder(wanted: Path) -> Path:
     return candidate
 
 
+def _truth(plant: Plant) -> dict[str, Any]:
+    """Modes that the ports of a plant show."""
+    if plant.system.is_lossless:
+        return modes_of(plant.system.modes.minimal())
+    return {
+        name: getattr(plant.system, name) for name in ("natural_frequencies", "hertz", "damping_ratios")
+    }  # fmt: skip
+
+
 def _against_truth(plant: Plant, result: phc.PEMResult) -> Iterator[str]:
-    truth = plant.system.modes.minimal()
-    yield f"   fit {result.fit_percent:.2f} %, {result.order} of {truth.n} visible modes found. {result.message}"
-    if result.order != truth.n:
+    lossless, true = plant.system.is_lossless, _truth(plant)
+    n = len(true["d"] if lossless else true["hertz"])
+    said = result.message if lossless else f"Structure {result.structure}, {result.verdict}."
+    yield f"   fit {result.fit_percent:.2f} %, {result.order} of {n} visible modes found. {said}"
+    if result.order != n:
         return
-    yield "   mode   d true       d found      +-         r true       r found      +-"
-    rows = zip(truth.d, result.d, result.stderr["d"], truth.r, result.r, result.stderr["r"], strict=True)
-    for number, (d, d_found, d_error, r, r_found, r_error) in enumerate(rows, 1):
-        yield (
-            f"   {number:4d}   {d:<11.8g}  {d_found:<11.8g}  {d_error:<9.1g}  "
-            f"{r:<11.8g}  {r_found:<11.8g}  {r_error:<.1g}"
-        )
+    columns = [("d", "d [rad/s]"), ("r", "r")] if lossless else [("hertz", "f [Hz]"), ("damping_ratios", "damping [%]")]
+    rows = [["mode"]] + [[str(number)] for number in range(1, n + 1)]
+    for name, title in columns:
+        size = 100.0 if name == "damping_ratios" else 1.0
+        rows[0] += [f"{title} true", "found", "+-"]
+        for row, *values in zip(rows[1:], true[name], getattr(result, name), result.stderr[name], strict=True):
+            row += [f"{size * value:.{digits}g}" for value, digits in zip(values, (7, 7, 1), strict=True)]
+    yield from (f"   {line}" for line in aligned(rows))
 
 
 def _draw(plant: Plant, result: phc.PEMResult, folder: Path) -> None:
@@ -130,7 +164,7 @@ def _draw(plant: Plant, result: phc.PEMResult, folder: Path) -> None:
 
     response = result.record.as_response()
     pictures = {
-        "fit": result.plot(output_label=plant.system.output_labels[0], output_unit=plant.output_unit),
+        "fit": result.plot(),
         "bode": phc.bode_plot([result.system, plant.system], data=response, label=["identified", "true"]),
     }
     for name, picture in pictures.items():
