@@ -1,6 +1,7 @@
 """Measured data: what `pem` says of them, and how peers predict and describe the same.
 
     python -m benchmarks.measured [--method TEXT ...]
+    python -m benchmarks.measured --pictures docs
 
 Two recordings and two sets of frequency responses, each by the default call: modes with 95 % intervals, and p-values of
 the structures that were tested.  The recordings are fitted once more by their first half alone, and every model has to
@@ -33,7 +34,10 @@ STRUCTURES = ("lossless", "classical", "passive", "free")
 
 @dataclass(frozen=True)
 class Measured:
-    """Data with what is known of them: keywords of `pem`, the unit of frequencies, numbers of modes for the peers."""
+    """Data with what is known of them: keywords of `pem`, the unit of frequencies, numbers of modes for the peers.
+
+    `picture` is the name of that of the documentation, `drawn` its keywords.
+    """
 
     file: str
     about: str
@@ -42,6 +46,8 @@ class Measured:
     unit: str
     orders: tuple[int, ...] = ()
     near: tuple[float, ...] = ()
+    picture: str = ""
+    drawn: Any = None
 
 
 def _arm(path: str) -> Any:
@@ -57,7 +63,9 @@ def _player(path: str) -> Any:
 def _beam(path: str) -> Any:
     """Lines of 1 Hz; that of frequency 0 is no measurement."""
     response = np.array([complex(line) for line in Path(path).read_text().split()])
-    return ct.frd(response[1:], 2 * np.pi * np.arange(1.0, len(response)))
+    data = ct.frd(response[1:], 2 * np.pi * np.arange(1.0, len(response)))
+    data.time_unit = "s"
+    return data
 
 
 def _receptances(path: str) -> Any:
@@ -67,7 +75,8 @@ def _receptances(path: str) -> Any:
 CASES = (
     Measured(
         "robot_arm.dat", "flexible robot arm, torque to acceleration, sampling time unknown", _arm,
-        {"quantity": "acceleration"}, "cycles/sample", (2, 3, 4),
+        {"quantity": "acceleration"}, "cycles/sample", (2, 3, 4), (), "measured_arm.png",
+        {"segments": 1, "omega_limits": [0.01, 0.2], "title": "Flexible robot arm: torque to acceleration"},
     ),
     Measured(
         "CD_player_arm_dat.mat", "arm of a compact disc player in closed loop, 2 x 2, sampling time unknown", _player,
@@ -75,7 +84,8 @@ CASES = (
     ),
     Measured(
         "meas_point_1.txt", "accelerance of a free beam", _beam, {"quantity": "acceleration"}, "Hz", (),
-        (51.5, 142.0, 278.5, 460.5, 688.0, 958.5),
+        (51.5, 142.0, 278.5, 460.5, 688.0, 958.5), "measured_beam.png",
+        {"title": "Free beam: force to acceleration"},
     ),
     # all residues of the first receptance have one sign: it is that of the driving point
     Measured(
@@ -207,11 +217,25 @@ def study(case: Measured, wanted: Sequence[str] | None) -> Iterator[str]:
             yield from by_peers(case, data, wanted)
 
 
+def draw(case: Measured, folder: Path) -> str:
+    """Write the picture of a case: what was measured, and the model."""
+    if not case.picture or not (DATA / case.file).exists():
+        return f"{case.file}: no picture"
+    plot = phc.frf_plot(phc.pem(case.read(str(DATA / case.file)), **case.known), **case.drawn)
+    plot.figure.savefig(folder / case.picture, dpi=110)
+    return f"{case.file}: {case.picture}"
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print what each file gives."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.measured", description=__doc__.splitlines()[0])
     parser.add_argument("--method", nargs="+", metavar="TEXT", help="only the methods with one of these in their names")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="write the pictures of the documentation there")
     options = parser.parse_args(arguments)
+    if options.pictures:
+        for case in CASES:
+            print(draw(case, options.pictures))
+        return
     print(f"measured: {environment(1)}")
     for case in CASES:
         for line in study(case, options.method):

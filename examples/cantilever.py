@@ -7,6 +7,7 @@ length. The pictures of such a test: frequency responses with what was measured,
 mode shapes, and how they compare with those of a model.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 import control as ct
 import numpy as np
 

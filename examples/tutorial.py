@@ -6,6 +6,7 @@ A structure with five natural frequencies is pushed at one point, and the veloci
 recording alone comes a model with error bars, and from the model a controller that takes the energy out.
 """
 
+# sphinx_gallery_thumbnail_number = 2
 import control as ct
 import matplotlib.pyplot as plt
 import numpy as np

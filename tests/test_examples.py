@@ -48,10 +48,12 @@ def test_every_picture_of_the_documentation_is_made_by_an_example(finished):
     text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
     shown = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+)\)", text)}
     assert shown, "the documentation shows no picture"
-    # those of measured times come from a run of the benchmarks, which no test repeats
-    report = (ROOT / "benchmarks" / "report.py").read_text(encoding="utf-8")
-    measured = {name for name in shown if name.startswith("performance_") and (ROOT / "docs" / name).exists()}
+    # those of measured times and of measured data come from runs of the benchmarks, which no test repeats
+    report, data = ((ROOT / "benchmarks" / name).read_text(encoding="utf-8") for name in ("report.py", "measured.py"))
+    kinds = ("performance_", "measured_")
+    measured = {name for name in shown if name.startswith(kinds) and (ROOT / "docs" / name).exists()}
     assert not measured or 'f"performance_{family}.png"' in report
+    assert all(f'"{name}"' in data for name in measured if name.startswith("measured_"))
     drawn = {"architecture.svg"}  # by docs/architecture.py, from the folders
     assert shown - measured - drawn <= made, f"no example writes {sorted(shown - measured - made)}"
 

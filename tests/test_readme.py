@@ -38,7 +38,7 @@ def test_the_python_code_runs_and_leaves_what_it_says(after_python):
     folder, done = after_python
     assert done.returncode == 0, done.stderr
     assert "3 modes" in done.stdout
-    assert {"recording.csv", "model.json", "fit.png", "bode.png"} <= {path.name for path in folder.iterdir()}
+    assert {"recording.csv", "model.json", "fit.html", "response.png"} <= {path.name for path in folder.iterdir()}
 
 
 def test_the_python_code_prints_what_the_readme_shows(after_python):
@@ -69,5 +69,5 @@ def test_the_fit_on_the_command_line_runs_in_the_folder_that_the_python_code_lef
 def test_every_path_that_the_readme_refers_to_exists():
     targets = re.findall(r"\]\(([^)\s]+)\)", README)
     local = [target.split("#")[0] for target in targets if not target.startswith("http")]
-    assert "docs/fit.png" in local
+    assert "docs/measured_beam.png" in local
     assert [target for target in local if not (ROOT / target).exists()] == []

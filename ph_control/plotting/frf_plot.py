@@ -655,7 +655,8 @@ def _draw_response(pair: Any, numbers: FRFData, i: int, j: int, look: Look) -> l
     gain.set_ylim(*numbers.levels(i, j))
     gain.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 4, 5, 10]))
     angle.set_ylim(*numbers.turn)
-    angle.yaxis.set_major_locator(MultipleLocator(180.0))
+    quarters = numbers.response.shape[:2] == (1, 1) and numbers.turn[1] - numbers.turn[0] < 405.0
+    angle.yaxis.set_major_locator(MultipleLocator(90.0 if quarters else 180.0))
     angle.yaxis.set_minor_locator(MultipleLocator(90.0))
     for axis in pair:
         axis.set_xscale("log" if numbers.logarithmic else "linear")
