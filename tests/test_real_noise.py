@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import ph_control as phc
-from benchmarks.real_noise import DELAY, SHARE, plant, recording, response, study
+from benchmarks.real_noise import DELAY, SHARE, SIZES, plant, recording, response, study
 
 
 def causes(result):
@@ -84,7 +84,24 @@ def test_coloured_residuals_are_told_with_their_band_for_the_outputs_that_have_t
 def test_white_residuals_are_told_as_nothing():
     for seed in range(4):
         result = phc.pem(recording(2, 2, 1, "white", seed), 2, dt=1.0, structure="free")
-        assert not {"COLOURED_RESIDUALS", "INPUT_NOISE"} & causes(result).keys()
+        assert not {"COLOURED_RESIDUALS", "INPUT_NOISE", "OUTLIERS"} & causes(result).keys()
+
+
+@pytest.mark.parametrize(("outputs", "inputs"), SIZES)
+def test_a_value_far_out_of_the_noise_is_told_with_its_output(outputs, inputs):
+    result = phc.pem(recording(2, outputs, inputs, "outlier", 1), 2, dt=1.0, structure="free")
+    finding = causes(result)["OUTLIERS"]
+    assert (finding.values, finding.output) == ((333,), result.output_labels[0])
+    assert "mark them with NaN" in result.message and result.outcome.name == "DOUBTFUL"
+
+
+def test_a_point_far_out_of_the_noise_is_told_with_its_entry():
+    data = response(2, 2, 1, "constant", 1)
+    values = data.frdata.copy()
+    values[1, 0, 300] += 1j * np.sqrt(np.mean(np.abs(values[1, 0]) ** 2))  # 20 standard deviations, between peaks
+    result = phc.pem(ct.frd(values, data.omega), 2)
+    finding = causes(result)["OUTLIERS"]
+    assert (finding.values, finding.output) == ((300,), f"{result.output_labels[1]}:{result.input_labels[0]}")
 
 
 # --- the error over what is held out ---------------------------------------------------------------------------------

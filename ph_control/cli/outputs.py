@@ -82,7 +82,10 @@ def _modal_of(result: Any) -> dict[str, Any]:
         "quantities": result.quantities,
         "ports": [f"{outputs[o]}:{inputs[i]}" for o, i in result.ports],
         "hertz": None if result.time_unit is None else result.hertz,
-        "findings": [{**_fields(one, "values", "gain"), "cause": one.cause.value} for one in result.findings],
+        "findings": [
+            {**_fields(one, "values", "gain", "output", "experiment"), "cause": one.cause.value}
+            for one in result.findings
+        ],
         "stderr": dict(result.stderr),
         "tests": [dict(vars(one)) for one in result.tests],
         "experiments": [

@@ -21,6 +21,7 @@ from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise
+from ..diagnosis.outliers import outliers
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, pieces, unexplained
@@ -258,11 +259,14 @@ def _judged(
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
     lag = real_pole(free.measured or free.projection) if whiteness < WHITE and not free.interrupted else None
     findings = (*findings, *([lag] if lag else []))
+    if whiteness >= WHITE and not (free.rounding or free.interrupted):
+        findings = (*findings, *_outliers(experiments, spare))
     spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
     growing = np.flatnonzero(poles.real > _CERTAIN * spread * np.abs(poles))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown = tuple(_squeezed(one) for one in experiments) if single else experiments
-    outcome = _outcome(free, fitted, whiteness, spare)
+    far = any(one.cause is Cause.OUTLIERS for one in findings)
+    outcome = _outcome(free, fitted, whiteness, spare, far)
     return DampedResult(
         structure=fit.structure,
         poles=poles,
@@ -390,14 +394,30 @@ def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Arr
     return np.ravel(counts), np.ravel(losses)
 
 
-def _rows(one: FittedChannels) -> Sequence[Signal]:
-    """Residuals of each output; of each entry of a response weighted real and imaginary parts."""
+def _left(one: FittedChannels) -> dict[str, Signal]:
+    """Residuals by label of the output, or of the entry of a response, where they are weighted; of those measured."""
+    outputs, inputs = one.record.output_labels, one.record.input_labels
     if isinstance(one.record, Recording):
         seen = np.flatnonzero(one.record.observed.any(axis=1)).tolist()
-        return [Difference(one.measured[k], one.predicted[k]) for k in seen]
-    left = one.residuals * np.sqrt(getattr(one.record, "weights", 1.0))
-    flat = left.reshape(-1, left.shape[-1])
-    return [row for row in (*flat.real, *flat.imag) if not np.isnan(row).all()]
+        return {outputs[k]: Difference(one.measured[k], one.predicted[k]) for k in seen}
+    left = one.residuals * np.sqrt(one.record.weights)
+    entries = [
+        (f"{o}:{i}", row) for o, rows in zip(outputs, left, strict=True) for i, row in zip(inputs, rows, strict=True)
+    ]
+    return {label: row for label, row in entries if not np.isnan(row).all()}
+
+
+def _rows(one: FittedChannels) -> list[Signal]:
+    """Real residuals of each output, or real and imaginary parts of those of each entry of a response."""
+    left = list(_left(one).values())
+    return left if isinstance(one.record, Recording) else [part for row in left for part in (row[:].real, row[:].imag)]
+
+
+def _outliers(experiments: Sequence[FittedChannels], spare: int) -> list[Finding]:
+    """Values that stand out of the noise of all others of their output and experiment."""
+    every = [(label, k, row) for k, one in enumerate(experiments) for label, row in _left(one).items()]
+    pairs = zip(every, outliers([row for *_, row in every], spare), strict=True)
+    return [Finding(Cause.OUTLIERS, tuple(map(float, far)), 0.0, label, k) for (label, k, _), far in pairs if far]
 
 
 def _shapes(
@@ -478,13 +498,15 @@ def _rejection(test: HypothesisTest) -> Finding:
     return Finding(REJECTED[test.hypothesis], (test.p, float(test.dof)), 0.5 * test.likelihood_ratio)
 
 
-def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int) -> Outcome:
+def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bool) -> Outcome:
     if free.interrupted:
         return Outcome.INTERRUPTED
     if not free.order:
         return Outcome.NOTHING
     if whiteness < WHITE:
         return Outcome.COLOURED if fitted >= GOOD_FIT else Outcome.DOUBTFUL
+    if far:
+        return Outcome.DOUBTFUL
     return Outcome.CONSISTENT if spare >= 20 or free.rounding else Outcome.UNJUDGED
 
 

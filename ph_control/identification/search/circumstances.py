@@ -80,7 +80,7 @@ class Finding:
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0.
     gain : float
-        How much the log-likelihood grows by it; of a hold, over the other one.
+        How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers.
     output : str
         The output that shows it, of several channels; of a response with its input.
     experiment : int
@@ -434,7 +434,8 @@ def sentence_of(finding: Finding, intersample: str) -> str:
             f"between {low:.4g} and {high:.4g} rad per unit time, at {size:.3g} times the mean density (geometric)."
         )
     if finding.cause is Cause.OUTLIERS:
-        return far_out(f"Values of {finding.output!r}", [str(int(one)) for one in values])
+        which = f"Values of {finding.output!r}" + f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
+        return far_out(which, [str(int(one)) for one in values])
     if finding.output:
         return (
             f"The residuals of {finding.output!r} grow with the response, as with {100 * values[0]:.2g} % more input "
