@@ -221,8 +221,37 @@ def _normal_between(low: Array, high: Array, centre: Array, random: np.random.Ge
     return np.clip(np.where(flipped, -x, x) + centre, low, high)
 
 
-@dataclass(frozen=True, eq=False)
-class ModeSamples(Frozen):
+class Draws(Frozen):
+    """Models drawn from the distribution of an estimate, and percentiles over them."""
+
+    @property
+    def natural_frequencies(self) -> Array:
+        """Natural frequencies, shape (k, n), rad per unit time."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} draws of {self.natural_frequencies.shape[1]} modes)"
+
+    def __len__(self) -> int:
+        return len(self.natural_frequencies)
+
+    def _blocks(self, name: str, points: ArrayLike, at_once: int) -> Iterator[Array]:
+        """Points in turn, so many of them that tables with these entries at each stay small."""
+        at = _checks.real_array(name, points, 1)
+        _checks.in_range(name, at)
+        size = max(1, _BLOCK // max(1, at_once))
+        return (at[k : k + size] for k in range(0, len(at), size))
+
+    def _percentiles(self, tables: Iterator[Array], level: float) -> Array:
+        """Ends of a band, shape (2, K), of tables (points, k) one after the other."""
+        tail = tail_of(level)
+        if not len(self):
+            raise StructureError("there are no samples, so they have no percentiles; draw at least one")
+        return np.concatenate([np.empty((2, 0)), *(_percentiles(table, tail) for table in tables)], axis=1)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModeSamples(Draws):
     """Models drawn by `LosslessResult.sample` from the distribution of an estimate, and the bands of their responses.
 
     Attributes
@@ -256,11 +285,10 @@ class ModeSamples(Frozen):
         if (self.d <= 0).any() or (self.r < 0).any():
             raise StructureError(f"the least of d is {self.d.min():.3g}, of r {self.r.min():.3g}; needed > 0, >= 0")
 
-    def __repr__(self) -> str:
-        return f"ModeSamples({len(self)} draws of {self.d.shape[1]} modes)"
-
-    def __len__(self) -> int:
-        return len(self.d)
+    @property
+    def natural_frequencies(self) -> Array:
+        """`d`."""
+        return self.d
 
     def __getitem__(self, index: int) -> ModalForm:
         if not -len(self) <= _checks.whole_number("index", index) < len(self):
@@ -444,14 +472,7 @@ class ModeSamples(Frozen):
         return self._band("time", time, lambda t: self._oscillations(t, self.r * self.d, np.cos), level)
 
     def _band(self, name: str, points: ArrayLike, values: Callable[[Array], Array], level: float) -> Array:
-        """Percentiles of a table (point x sample), a block of points at a time."""
-        at, tail = _checks.real_array(name, points, 1), tail_of(level)
-        _checks.in_range(name, at)
-        if not len(self):
-            raise StructureError("there are no samples, so they have no percentiles; draw at least one")
-        size = max(1, _BLOCK // len(self))
-        blocks = [_percentiles(values(at[k : k + size]), tail) for k in range(0, len(at), size)]
-        return np.concatenate([np.empty((2, 0)), *blocks], axis=1)
+        return self._percentiles(map(values, self._blocks(name, points, len(self))), level)
 
     def _reactance(self, w: Array) -> Array:
         """`G(i w)/i` of every draw, shape (K, k): at a pole infinite, and twice the digits where terms cancel."""

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ... import _checks
-from ..._frozen import Frozen
 from ..._types import Array, ArrayLike, ComplexArray, NDArray
 from ...exceptions import StructureError
-from .draws import tail_of
-
-_BLOCK = 1 << 17  # entries of a (point x draw x mode) table held at once
+from .draws import Draws
 
 
-@dataclass(frozen=True, eq=False)
-class ModalSamples(Frozen):
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalSamples(Draws):
     """Models drawn by `DampedResult.sample`, and the bands of their responses from each input to each output.
 
     Attributes
@@ -51,12 +48,6 @@ class ModalSamples(Frozen):
         if found != ((k, n), (k, p, m), (k, n, p)):
             raise StructureError(f"poles, feedthrough, shapes have shapes {found}; needed (k, n), (k, p, m), (k, n, p)")
         super().__post_init__()
-
-    def __repr__(self) -> str:
-        return f"ModalSamples({len(self)} draws of {self.poles.shape[1]} modes)"
-
-    def __len__(self) -> int:
-        return len(self.poles)
 
     @property
     def natural_frequencies(self) -> Array:
@@ -95,8 +86,8 @@ class ModalSamples(Frozen):
         >>> one.freqresp([0.0]).round(3)
         array([[0.099+0.j]])
         """
-        w = self._points("omega", omega)
-        return self._table(w, self._response(*self._entry(output, input)), complex).T
+        tables = self._tables("omega", omega, self._response(output, input))
+        return np.concatenate([np.empty((0, len(self)), complex), *tables]).T
 
     def magnitude_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the gain from an input to an output: percentiles of `|G(i omega)|` over the draws.
@@ -129,7 +120,7 @@ class ModalSamples(Frozen):
         array([[5.27],
                [5.77]])
         """
-        return self._band("omega", omega, self._response(*self._entry(output, input)), level, np.abs)
+        return self._percentiles(map(np.abs, self._tables("omega", omega, self._response(output, input))), level)
 
     def phase_band(self, omega: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the phase from an input to an output, in degrees, about the direction of the mean.
@@ -157,12 +148,13 @@ class ModalSamples(Frozen):
         array([[-2.8],
                [-2.8]])
         """
-        w, tail = self._points("omega", omega), tail_of(level)
-        G = self._table(w, self._response(*self._entry(output, input)), complex)
-        sizes = np.abs(G)
-        centre = np.angle(np.sum(G / np.where(sizes > 0, sizes, 1.0), axis=1))
-        about = np.angle(G * np.exp(-1j * centre)[:, None])
-        return np.degrees(centre + self._percentiles(about, tail))
+
+        def degrees(G: ComplexArray) -> Array:
+            sizes = np.abs(G)
+            centre = np.angle(np.sum(G / np.where(sizes > 0, sizes, 1.0), axis=1, keepdims=True))
+            return np.degrees(centre + np.angle(G * np.exp(-1j * centre)))
+
+        return self._percentiles(map(degrees, self._tables("omega", omega, self._response(output, input))), level)
 
     def step_band(self, time: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the response of an output to a unit step of an input: percentiles over the draws.
@@ -198,7 +190,7 @@ class ModalSamples(Frozen):
             moved = np.sum((2 * residues / p * np.expm1(p * np.maximum(t, 0.0))).real, axis=-1)
             return np.where(t[..., 0] < 0, 0.0, moved + through)
 
-        return self._band("time", time, step, level, np.asarray)
+        return self._percentiles(self._tables("time", time, step), level)
 
     def impulse_band(self, time: ArrayLike, level: float = 0.95, output: int = 0, input: int = 0) -> Array:
         """Band of the response of an output to a unit impulse of an input, without what is fed through at once.
@@ -232,7 +224,7 @@ class ModalSamples(Frozen):
             moved = np.sum((2 * residues * np.exp(p * np.maximum(t, 0.0))).real, axis=-1)
             return np.where(t[..., 0] < 0, 0.0, moved)
 
-        return self._band("time", time, impulse, level, np.asarray)
+        return self._percentiles(self._tables("time", time, impulse), level)
 
     def _entry(self, output: int, input: int) -> tuple[ComplexArray, Array]:
         """Residues (k, n) and feedthrough (k,) of an entry."""
@@ -241,32 +233,17 @@ class ModalSamples(Frozen):
                 raise StructureError(f"{name} is {value}; these models have {count}, counted from 0")
         return self.residues[:, :, output, input], self.feedthrough[:, output, input]
 
-    def _response(self, residues: ComplexArray, through: Array) -> Callable[[Array, ComplexArray], NDArray[Any]]:
+    def _response(self, output: int, input: int) -> Callable[[Array, ComplexArray], ComplexArray]:
+        residues, through = self._entry(output, input)
+
         def response(w: Array, p: ComplexArray) -> ComplexArray:
             terms = residues / (1j * w - p) + residues.conj() / (1j * w - p.conj())
             return np.asarray(terms.sum(axis=-1) + through)
 
         return response
 
-    def _points(self, name: str, values: ArrayLike) -> Array:
-        at = _checks.real_array(name, values, 1)
-        _checks.in_range(name, at)
-        return at
-
-    def _table(self, at: Array, values: Callable[[Array, ComplexArray], NDArray[Any]], kind: type) -> NDArray[Any]:
+    def _tables(
+        self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], NDArray[Any]]
+    ) -> Iterator[NDArray[Any]]:
         """Values at points (K, k), a block of points at a time."""
-        size = max(1, _BLOCK // max(1, self.poles.size))
-        blocks = [values(at[k : k + size, None, None], self.poles) for k in range(0, len(at), size)]
-        return np.concatenate([np.empty((0, len(self)), kind), *blocks])
-
-    def _band(
-        self, name: str, points: ArrayLike, values: Callable[[Array, ComplexArray], NDArray[Any]], level: float,
-        size: Callable[[NDArray[Any]], Array],
-    ) -> Array:  # fmt: skip
-        at, tail = self._points(name, points), tail_of(level)
-        return self._percentiles(size(self._table(at, values, complex if size is np.abs else float)), tail)
-
-    def _percentiles(self, table: Array, tail: float) -> Array:
-        if not len(self):
-            raise StructureError("there are no samples, so they have no percentiles; draw at least one")
-        return np.asarray(np.quantile(table, [tail, 1 - tail], axis=1))
+        return (values(at[:, None, None], self.poles) for at in self._blocks(name, points, self.poles.size))
