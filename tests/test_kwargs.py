@@ -81,9 +81,8 @@ SYSTEMS = (plant(), phc.ch([1.0], [1.0, 0.0]), phc.oh([1.0], [1.0, 0.0]), phc.af
 # a valid call of each function that collects keywords, once for each way its arguments can go
 CALLS: dict[str, list[Callable[..., Any]]] = {
     "OrderSelection.plot": [lambda **k: phc.order_selection(fitted().record, 2).plot(**k)],
-    "LosslessResult.plot": [lambda **k: fitted().plot(**k)],
+    "PEMResult.plot": [lambda **k: fitted().plot(**k), lambda **k: damped_fit().plot(**k)],
     "Stabilisation.plot": [lambda **k: damped_fit().stabilisation(1).plot(**k)],
-    "DampedResult.plot": [lambda **k: damped_fit().plot(**k)],
     "AffineHamiltonian": [lambda **k: phc.AffineHamiltonian(np.eye(2), [1, 0], **k)],
     "AffineHamiltonian.derivative": [lambda **k: phc.affine(np.eye(2), [1, 0]).derivative(**k)],
     "Comparison.plot": [lambda **k: phc.compare(fitted().record, plant()).plot(**k)],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -13,14 +12,15 @@ import numpy as np
 from control import FrequencyResponseData, TimeResponseData
 
 from ... import _checks
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, ComplexArray
 from ..._units import checked_unit
 from ...exceptions import StructureError
-from .frequency_record import FrequencyRecord, checked_points, checked_weights, title_of
+from .frequency_record import FrequencyRecord, InFrequency, checked_points, checked_weights, title_of
 from .time_record import (
     LONG,
     CheckedData,
     Clock,
+    InTime,
     Record,
     refuse_out_of_range,
     refuse_short,
@@ -38,7 +38,7 @@ _STILL = 1 / 3  # of the outputs that follow: what outputs are before that, of a
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording(CheckedData):
+class Recording(InTime):
     """Inputs and outputs on a uniform grid.
 
     Attributes
@@ -72,20 +72,9 @@ class Recording(CheckedData):
         return f"<Recording: {self.samples} samples, step {self.dt:.6g}, {_shape(self)}>"
 
     @property
-    def samples(self) -> int:
-        """Number of instants T."""
-        return self.y.shape[1]
-
-    @property
     def driven(self) -> bool:
         """Whether there is an input that is not 0."""
         return bool(self.u.any())
-
-    @cached_property
-    def observed(self) -> Mask:
-        """Where each output was measured, shape (p, T)."""
-        mask = np.isnan(self.y)
-        return _checks.readonly(np.logical_not(mask, out=mask))
 
     @property
     def begins_at_rest(self) -> bool:
@@ -106,7 +95,7 @@ class Recording(CheckedData):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ResponseMatrix(CheckedData):
+class ResponseMatrix(InFrequency):
     """Frequency responses from each input to each output.
 
     Attributes
@@ -135,16 +124,6 @@ class ResponseMatrix(CheckedData):
 
     def __repr__(self) -> str:
         return f"<ResponseMatrix: {self.samples} frequencies, {_shape(self)}>"
-
-    @property
-    def samples(self) -> int:
-        """Number of frequencies K."""
-        return len(self.omega)
-
-    @cached_property
-    def observed(self) -> Mask:
-        """Where each entry was measured, shape (p, m, K)."""
-        return _checks.readonly(~np.isnan(self.response))
 
 
 def _shape(one: Recording | ResponseMatrix) -> str:
@@ -186,14 +165,13 @@ def several(one: Any) -> Recording | ResponseMatrix:
     """The same data with lists of channels."""
     if isinstance(one, FrequencyRecord):
         return ResponseMatrix(
-            one.omega, one.response[None, None], one.weights[None, None], (one.input_label,), (one.output_label,),
+            one.omega, one.response[None, None], one.weights[None, None], one.input_labels, one.output_labels,
             one.title, one.time_unit,
         )  # fmt: skip
     if not isinstance(one, Record):
         return one
-    inputs = (one.input_label,) if one.driven else ()
     u = one.u[None] if one.driven else np.zeros((0, one.samples))
-    return Recording(one.clock, one.dt, u, one.y[None], inputs, (one.output_label,), one.title, one.time_unit)
+    return Recording(one.clock, one.dt, u, one.y[None], one.input_labels, one.output_labels, one.title, one.time_unit)
 
 
 def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:

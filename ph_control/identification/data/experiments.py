@@ -160,9 +160,7 @@ def _named(data: Any) -> tuple[Any, Any] | None:
     """Names of the input and the output of an experiment that has one of each, and names."""
     if isinstance(data, TimeResponseData | FrequencyResponseData):
         return (tuple(data.input_labels or ()), tuple(data.output_labels or ())) if data.output_labels else None
-    if isinstance(data, Record):
-        return (data.input_label,) * data.driven, (data.output_label,)
-    return ((data.input_label,), (data.output_label,)) if isinstance(data, FrequencyRecord) else None
+    return (data.input_labels, data.output_labels) if isinstance(data, Record | FrequencyRecord) else None
 
 
 def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., tuple[Any, ...]]) -> tuple[Any, ...]:

@@ -3,21 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from control import FrequencyResponseData
 
 from ... import _checks
-from ..._types import Array, ComplexArray, Mask
+from ..._types import Array, ComplexArray
 from ..._units import with_unit
 from ...exceptions import IdentificationError, StructureError
 from .time_record import CheckedData, refuse_out_of_range
 
 
+class InFrequency(CheckedData):
+    """Frequency responses at any frequencies."""
+
+    omega: Array
+    response: ComplexArray
+    title: str
+    time_unit: str | None
+
+    @property
+    def measured(self) -> ComplexArray:
+        """Responses; NaN where they are missing."""
+        return self.response
+
+    def as_response(self) -> FrequencyResponseData:
+        """Return the data as python-control keeps them, which has no weights; names have no dots."""
+        names = {"inputs": plain(self.input_labels), "outputs": plain(self.output_labels)}  # type: ignore[attr-defined]
+        found = FrequencyResponseData(self.response, self.omega, **names, title=self.title or None)
+        return with_unit(found, self.time_unit)
+
+
+def plain(labels: tuple[str, ...]) -> list[str]:
+    """Labels without dots, which python-control does not take."""
+    return [label.replace(".", "_") for label in labels]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyRecord(CheckedData):
+class FrequencyRecord(InFrequency):
     """A frequency response from one input to one output, at any frequencies.
 
     Attributes
@@ -54,22 +78,14 @@ class FrequencyRecord(CheckedData):
         return f"<FrequencyRecord: {self.samples} frequencies, {self.output_label!r} from {self.input_label!r}>"
 
     @property
-    def samples(self) -> int:
-        """Number of frequencies K."""
-        return len(self.omega)
+    def input_labels(self) -> tuple[str, ...]:
+        """Name of the input."""
+        return (self.input_label,)
 
-    @cached_property
-    def observed(self) -> Mask:
-        """Where the response was measured."""
-        return _checks.readonly(~np.isnan(self.response))
-
-    def as_response(self) -> FrequencyResponseData:
-        """Return the record as python-control keeps one, which has no weights; its names have no dots."""
-        found = FrequencyResponseData(
-            self.response, self.omega, inputs=[self.input_label.replace(".", "_")],
-            outputs=[self.output_label.replace(".", "_")], title=self.title or None,
-        )  # fmt: skip
-        return with_unit(found, self.time_unit)
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Name of the output."""
+        return (self.output_label,)
 
 
 def checked_points(data: FrequencyResponseData) -> tuple[Array, ComplexArray]:

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..._types import Array, NDArray
-from .channels import Recording
-from .time_record import LONG, CheckedData, Record
+from .time_record import LONG, CheckedData, InTime
 
 GLANCE = 1 << 18  # numbers of a part that is asked whether there are losses
 _BLOCK = 1 << 18  # numbers that are looked at at a time
@@ -45,7 +44,7 @@ def blocks(samples: int, rows: int = 1) -> Iterator[slice]:
         yield slice(first, min(first + size, samples))
 
 
-def _size(one: Record | Recording, numbers: int = LONG) -> int:
+def _size(one: InTime, numbers: int = LONG) -> int:
     """Samples that have so many numbers."""
     channels = one.u.size // max(1, one.samples) + one.y.size // max(1, one.samples)
     return max(2, numbers // max(1, channels))
@@ -53,7 +52,7 @@ def _size(one: Record | Recording, numbers: int = LONG) -> int:
 
 def is_long(records: Sequence[CheckedData]) -> bool:
     """Whether modes are looked for in a part of the samples only."""
-    return any(isinstance(one, Record | Recording) and one.samples > _size(one) for one in records)
+    return any(isinstance(one, InTime) and one.samples > _size(one) for one in records)
 
 
 def searched_part(one: CheckedData, from_rest: bool = False, numbers: int = LONG) -> slice:
@@ -61,7 +60,7 @@ def searched_part(one: CheckedData, from_rest: bool = False, numbers: int = LONG
 
     A part has at most so many numbers; of a plant at rest before the record it is the first one.
     """
-    if not isinstance(one, Record | Recording):
+    if not isinstance(one, InTime):
         return slice(0, one.samples)
     samples = one.samples
     y, size = np.atleast_2d(one.y), _size(one, numbers)
@@ -96,8 +95,8 @@ def stages(part: slice, samples: int) -> Iterator[slice]:
 
 def cut(one: Any, part: slice) -> Any:
     """Some samples of a record, in memory and as doubles where they are few."""
-    if not isinstance(one, Record | Recording) or part == slice(0, one.samples):
+    if not isinstance(one, InTime) or part == slice(0, one.samples):
         return one
     short = part.stop - part.start <= LONG
     u, y = (np.asarray(x[..., part], float if short else x.dtype) for x in (one.u, one.y))
-    return replace(one, time=one.clock[part], u=u, y=y)
+    return replace(one, time=one.clock[part], u=u, y=y)  # type: ignore[type-var]

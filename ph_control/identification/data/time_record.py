@@ -66,13 +66,38 @@ class CheckedData(Frozen):
         return vars(self).get("_clock", vars(self).get("time"))
 
     @property
-    def samples(self) -> int:
-        """Number of instants or frequencies."""
+    def measured(self) -> NDArray[Any]:
+        """What was measured, samples along the last axis; NaN where it is missing."""
         raise NotImplementedError
+
+    @property
+    def samples(self) -> int:
+        """Number of instants T, or frequencies K."""
+        return self.measured.shape[-1]
+
+    @cached_property
+    def observed(self) -> Mask:
+        """Where it was measured."""
+        mask = np.isnan(self.measured)
+        return _checks.readonly(np.logical_not(mask, out=mask))
+
+
+class InTime(CheckedData):
+    """Signals on a uniform grid."""
+
+    time: Array
+    dt: float
+    u: Array
+    y: Array
+
+    @property
+    def measured(self) -> Array:
+        """Outputs; NaN where they are missing."""
+        return self.y
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Record(CheckedData):
+class Record(InTime):
     """One input and one output on a uniform grid.
 
     Attributes
@@ -108,15 +133,14 @@ class Record(CheckedData):
         return f"<Record: {self.samples} samples, step {self.dt:.6g}, {self.output_label!r}{source}>"
 
     @property
-    def samples(self) -> int:
-        """Number of instants T."""
-        return len(self.y)
+    def input_labels(self) -> tuple[str, ...]:
+        """Name of the input; none of a free motion."""
+        return (self.input_label,) * self.driven
 
-    @cached_property
-    def observed(self) -> Mask:
-        """Where the output was measured."""
-        mask = np.isnan(self.y)
-        return _checks.readonly(np.logical_not(mask, out=mask))
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """Name of the output."""
+        return (self.output_label,)
 
     def as_response(self) -> TimeResponseData:
         """Return the record as python-control keeps one."""

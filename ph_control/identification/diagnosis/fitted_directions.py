@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._types import Array, ComplexArray, Mask
 from ...modal.discretization import Hold
-from ..data.channels import Recording, ResponseMatrix
-from ..data.frequency_record import FrequencyRecord
+from ..data.channels import Recording
+from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import Record
 from ..regression.free import by_poles
 from ..regression.frequency_rows import modal_columns
@@ -31,8 +31,7 @@ def same_data(one: Any, other: Any) -> bool:
     """Whether two experiments are one."""
     if one is other:
         return True
-    kinds = FrequencyRecord | ResponseMatrix
-    if isinstance(one, kinds) and isinstance(other, kinds):
+    if isinstance(one, InFrequency) and isinstance(other, InFrequency):
         return np.array_equal(one.omega, other.omega) and np.array_equal(one.response, other.response, equal_nan=True)
     if not (isinstance(one, Record | Recording) and isinstance(other, Record | Recording)):
         return False

@@ -21,16 +21,17 @@ from ...modal.general_form import from_vectors, real_matrices
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels
+from ..data.frequency_record import plain
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
-from ..regression.prediction import FittedExperiment, chosen_experiment
+from ..regression.prediction import FittedExperiment
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS
-from ..uncertainty.draws import draw, intervals
+from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
 from .report import DampedReport, damped_lines
-from .result import OrderRow, PEMResult, kind_plot, output_plot, response_plot
+from .result import OrderRow, PEMResult
 from .scaled_shapes import ModeShapes, Ports, in_velocity_units
 from .stabilisation import Orders
 
@@ -213,7 +214,7 @@ class DampedResult(DampedReport, PEMResult):
             poles, shapes, through = list(self.poles), [self.shapes], np.zeros((p, 1))
             participation = [np.zeros((n, 1), complex)]
         A, B, C = real_matrices(np.array(poles, complex), 2 * np.concatenate(participation), np.concatenate(shapes).T)
-        names = {"inputs": _plain(self.input_labels), "outputs": _plain(outputs)} if m else {"outputs": _plain(outputs)}
+        names = {"inputs": plain(self.input_labels), "outputs": plain(outputs)} if m else {"outputs": plain(outputs)}
         return with_unit(ct.StateSpace(A, B, C, through, remove_useless_states=False, **names), self.time_unit)
 
     @cached_property
@@ -249,43 +250,6 @@ class DampedResult(DampedReport, PEMResult):
         """Real residuals less what was estimated."""
         parts = sum(int(one.record.observed.sum()) * (1 + np.iscomplexobj(one.predicted)) for one in self.experiments)
         return max(1, parts - self.unknowns)
-
-    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Any]:
-        """Confidence intervals of the parameters.
-
-        Parameters
-        ----------
-        level : float
-            Probability of each interval, between 0 and 1.
-
-        Returns
-        -------
-        mapping
-            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`; NaN for what is held.  Of
-            complex numbers the ends are those of real and imaginary part.
-
-        Raises
-        ------
-        StructureError
-            If the level is not between 0 and 1.
-
-        Notes
-        -----
-        From Student's t distribution, as the noise variances are estimated as well; frequencies are cut off at 0.
-
-        Examples
-        --------
-        >>> import numpy as np, ph_control as phc
-        >>> rng = np.random.default_rng(0)
-        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
-        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1, structure="free")
-        >>> (low, high), = result.confidence_interval()["damping_ratios"]
-        >>> bool(low < 0.02 < high)
-        True
-        """
-        values = {name: getattr(self, name) for name in self.stderr}
-        return intervals(values, self.stderr, level, {"natural_frequencies": 0.0, "hertz": 0.0}, self._spare)
 
     def sample(self, k: int, rng: Any = None) -> ModalSamples:
         """Models drawn from the distribution of the estimate, for bands and for designs that must hold for all.
@@ -354,14 +318,6 @@ class DampedResult(DampedReport, PEMResult):
         ]  # fmt: skip
 
     # --- prediction ------------------------------------------------------------------------------------------------
-
-    @property
-    def free_amplitudes(self) -> ComplexArray:
-        """Free motion of each mode at each output, `Re(amplitude exp(p t))`, of a fit to one experiment.
-
-        Shape (n, p); (n,) of one input and output.
-        """
-        return np.asarray(self._only("free_amplitudes").free_amplitudes)
 
     @property
     def initial_state(self) -> Array:
@@ -441,7 +397,7 @@ class DampedResult(DampedReport, PEMResult):
         """Outputs on a record, from a motion of some name."""
         seen = bool(record.observed.any())
         if initial_state is not None and not isinstance(initial_state, str):
-            return self._outputs_from(self._given_state(initial_state), record)
+            return self._outputs_from(self._motion_of(initial_state), record)
         name = initial_state or ("estimate" if seen else "zero")
         _checks.choice("initial_state", name, ("estimate", "fitted", "zero"))
         hold = Hold(record.dt, "exact", self.intersample)
@@ -461,14 +417,11 @@ class DampedResult(DampedReport, PEMResult):
             raise StructureError("the record has no outputs to estimate the motion from; pass initial_state='zero'")
         return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()))
 
-    def _given_state(self, value: Any) -> ComplexArray:
+    def _motion_of(self, state: Any) -> ComplexArray:
         """Motions (n,) of a state of `observed_system`."""
-        state, size = _checks.real_array("initial_state", value), 2 * self.order
         if self.residues.shape[1:] != (1, 1):
             raise StructureError("initial_state is a state; of several channels it is 'estimate', 'fitted' or 'zero'")
-        if state.ndim and state.shape != (size,):
-            raise StructureError(f"initial_state has shape {state.shape}; a state of this model is a vector ({size},)")
-        every = np.full(size, state) if not state.ndim else state
+        every = self._given_state(state)
         return every[::2] + 1j * every[1::2]
 
     def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
@@ -476,63 +429,6 @@ class DampedResult(DampedReport, PEMResult):
         hold, t = Hold(record.dt, "exact", self.intersample), record.dt * np.arange(record.samples)
         forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
         return np.asarray(forced + (motion.reshape(self.order, -1).T @ np.exp(np.outer(self.poles, t))).real)
-
-    def plot(
-        self,
-        experiment: int = 0,
-        *,
-        kind: str = "fit",
-        output: int | None = None,
-        input: int | None = None,
-        **kwargs: Any,
-    ) -> Any:
-        """Picture of one measured and predicted output with the residual below; of a response, over frequency.
-
-        Parameters
-        ----------
-        experiment : int
-            Which of several experiments, counted from 0.
-        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
-            What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
-            `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
-        output, input : int
-            Which output, and of a response from which input, counted from 0; by default the first, and of 'circles' of
-            each mode those in which it counts most.
-        **kwargs
-            Passed to the plotting function: labels and units.
-
-        Returns
-        -------
-        control.ControlPlot
-
-        Raises
-        ------
-        StructureError
-            If there is no such kind, experiment, output or input.
-
-        Examples
-        --------
-        >>> import numpy as np, ph_control as phc
-        >>> rng = np.random.default_rng(0)
-        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
-        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1, structure="free")
-        >>> picture = result.plot(output_unit="m/s")
-        >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
-        """
-        if kind != "fit":
-            chosen = {"output": output, "input": input} if kind == "circles" else {}
-            return kind_plot(self, kind, experiment, **chosen, **kwargs)
-        one = chosen_experiment(self.experiments, experiment)
-        place = _checks.whole_number("output", 0 if output is None else output, 0, len(self.output_labels) - 1)
-        if np.iscomplexobj(one.predicted):
-            source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
-            data = as_frequency_response(one.record)[place, source]
-            plant = self if self.residues.shape[1:] == (1, 1) else self.observed_system[place, source]
-            names = self.input_labels[source], self.output_labels[place]
-            return response_plot(self, plant, data, names, **kwargs)
-        y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
-        return output_plot(self, one.record.time, y, predicted, self.output_labels[place], **kwargs)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -670,11 +566,6 @@ def _complex(real: Array, imaginary: Array, shape: tuple[int, ...]) -> ComplexAr
     return found.reshape(shape)
 
 
-def _plain(labels: tuple[str, ...]) -> list[str]:
-    """Labels without dots, which python-control does not take."""
-    return [label.replace(".", "_") for label in labels]
-
-
 def _recording(data: Any, dt: Any, outputs: int) -> Recording:
     """One recording; without outputs these are missing throughout."""
     blind = isinstance(data, tuple) and data[1] is None
@@ -685,14 +576,3 @@ def _recording(data: Any, dt: Any, outputs: int) -> Recording:
     if len(found) > 1 or isinstance(found[0], ResponseMatrix):
         raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; needed one record in time")
     return replace(found[0], y=np.full_like(found[0].y, np.nan)) if blind else found[0]
-
-
-def as_frequency_response(record: Any) -> ct.FrequencyResponseData:
-    """Response as python-control keeps one."""
-    if not isinstance(record, ResponseMatrix):
-        return record.as_response()
-    found = ct.FrequencyResponseData(
-        record.response, record.omega, inputs=_plain(record.input_labels), outputs=_plain(record.output_labels),
-        title=record.title or None,
-    )  # fmt: skip
-    return with_unit(found, record.time_unit)

@@ -18,12 +18,10 @@ from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...systems.port_hamiltonian import PortHamiltonian
 from ..data.experiments import as_record
-from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import Record
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.prediction import (
     FittedExperiment,
-    chosen_experiment,
     estimated_state,
     observed_system,
     response_on,
@@ -34,13 +32,13 @@ from ..search.order_selection import order_selection
 from ..search.path import Start
 from ..search.response_noise import NoiseLaw
 from ..structure.layout import POWERS
-from ..uncertainty.draws import ModeSamples, draw, intervals
+from ..uncertainty.draws import ModeSamples, draw
 from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .damped_result import DampedModel
 from .report import FitReport, residue_errors
-from .result import OrderRow, PEMResult, kind_plot, output_plot, response_plot
+from .result import OrderRow, PEMResult
 from .stabilisation import Orders
 
 
@@ -265,11 +263,6 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         return tuple(one.initial_state for one in self.experiments)
 
     @property
-    def free_amplitudes(self) -> ComplexArray:
-        """Free motion of each mode at the output, shape (n,), of a fit to one experiment."""
-        return self._only("free_amplitudes").free_amplitudes
-
-    @property
     def offsets(self) -> Array:
         """Constant added to the output in each experiment; 0 where none was estimated."""
         return np.array([one.offset for one in self.experiments])
@@ -282,50 +275,6 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         parts = sum(int(one.record.observed.sum()) * (2 - isinstance(one.record, Record)) for one in self.experiments)
         estimated = sum(int(np.isfinite(part).sum()) for part in (np.diag(self.covariance), self.offset_stderr))
         return max(1, parts - estimated)
-
-    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Array]:
-        """Confidence intervals of the parameters.
-
-        Parameters
-        ----------
-        level : float
-            Probability of each interval, between 0 and 1.
-
-        Returns
-        -------
-        mapping
-            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`; NaN for what is held.  Of
-            complex numbers the ends are those of real and imaginary part.
-
-        Raises
-        ------
-        StructureError
-            If the level is not between 0 and 1.
-
-        Notes
-        -----
-        From Student's t distribution, as the noise variance is estimated as well; weights and frequencies are cut off
-        at 0.  Frequencies are right to the square of their error over the Fourier spacing, weights to that over their
-        size.
-
-        Examples
-        --------
-        >>> import numpy as np, ph_control as phc
-        >>> rng = np.random.default_rng(0)
-        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
-        >>> y = y + 0.1 * rng.standard_normal(500)
-        >>> (low, high), = phc.pem((u, y), 1, dt=0.1).confidence_interval()["d"]
-        >>> bool(low < 1.0 < high)
-        True
-        """
-        states = np.array(self.initial_states).reshape(np.shape(self.stderr["initial_state"]))
-        values = {"d": self.d, "r": self.r, "initial_state": states, "offset": self.offsets}
-        values |= {
-            name: getattr(self, name) for name in ("natural_frequencies", "damping_ratios", "residues", "shapes")
-        }
-        lower = {"d": 0.0, "r": 0.0, "natural_frequencies": 0.0, "damping_ratios": 0.0}
-        return intervals(values, self.stderr, level, lower, self._spare)
 
     def sample(self, k: int, rng: Any = None) -> ModeSamples:
         """Models drawn from the distribution of the estimate, for bands and for designs that must hold for all.
@@ -469,12 +418,6 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
             state, offset = self._given_state(initial_state), 0.0
         return response_on(self.system, record, state, hold, self.quantity, offset)
 
-    def _given_state(self, value: Any) -> Array:
-        state, size = _checks.real_array("initial_state", value), 2 * self.order
-        if state.ndim and state.shape != (size,):
-            raise StructureError(f"initial_state has shape {state.shape}; a state of this model is a vector ({size},)")
-        return np.full(size, state) if not state.ndim else state
-
     def _named_state(self, record: Record, name: str, hold: Hold) -> tuple[Array, float]:
         _checks.choice("initial_state", name, ("estimate", "fitted", "final", "zero"))
         if name == "zero":
@@ -492,41 +435,3 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
                 "'final' or a state"
             )
         return estimated_state(self.system, record, hold, self.quantity, bool(np.isfinite(self.offset_stderr).any()))
-
-    def plot(self, experiment: int = 0, *, kind: str = "fit", **kwargs: Any) -> Any:
-        """Picture of measured and predicted output with the residual below; of a response, over frequency.
-
-        Parameters
-        ----------
-        experiment : int
-            Which of several experiments, counted from 0.
-        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
-            What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
-            `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
-        **kwargs
-            Passed to the plotting function: labels and units.
-
-        Returns
-        -------
-        control.ControlPlot
-
-        Raises
-        ------
-        StructureError
-            If there is no such kind or experiment.
-
-        Examples
-        --------
-        >>> import numpy as np, ph_control as phc
-        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), np.random.default_rng(0).standard_normal(500)
-        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
-        >>> picture = phc.pem((u, y), dt=0.1).plot(output_unit="m/s")
-        >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
-        """
-        if kind != "fit":
-            return kind_plot(self, kind, experiment, **kwargs)
-        one = chosen_experiment(self.experiments, experiment)
-        if isinstance(one.record, FrequencyRecord):
-            names = one.record.input_label, one.record.output_label
-            return response_plot(self, self, one.record.as_response(), names, **kwargs)
-        return output_plot(self, one.record.time, one.record.y, one.predicted, one.record.output_label, **kwargs)

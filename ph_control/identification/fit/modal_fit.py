@@ -15,11 +15,10 @@ from ..._types import Array, ComplexArray, Indices, NDArray
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE
 from ...modal.modal_form import ModalForm
-from ..data.channels import Recording, ResponseMatrix
+from ..data.channels import Recording, ResponseMatrix, single
 from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
-from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
@@ -473,21 +472,13 @@ def _motion_covariances(fit: StructuredFit, free: FreeFit, rank: Indices) -> lis
 
 def _squeezed(one: FittedChannels) -> Any:
     """An experiment of one input and one output as one of a lossless fit."""
-    record, labels = one.record, one.record.input_labels
-    if isinstance(record, ResponseMatrix):
-        response = FrequencyRecord(
-            record.omega, record.response[0, 0], record.weights[0, 0], labels[0], record.output_labels[0], record.title,
-            record.time_unit,
-        )  # fmt: skip
-        return FittedExperiment(response, np.zeros(0), np.zeros(0, complex), 0.0, one.predicted[0, 0])
+    kept = single(one.record)
+    if isinstance(kept, FrequencyRecord):
+        return FittedExperiment(kept, np.zeros(0), np.zeros(0, complex), 0.0, one.predicted[0, 0])
     motion = one.free_amplitudes[:, 0]
     state = np.stack([motion.real, motion.imag], axis=1).ravel()
-    u = record.u[0] if labels else np.zeros(record.samples)
     # among several experiments a free motion has an input of 0
-    kept = Record(
-        record.clock, record.dt, u, record.y[0], labels[0] if labels else "u", record.output_labels[0], bool(u.any()),
-        title=record.title, time_unit=record.time_unit,
-    )  # fmt: skip
+    kept = replace(kept, time=kept.clock, driven=bool(kept.u.any()))
     return FittedExperiment(kept, state, motion, float(one.offsets[0]), one.predicted[0], float(one.drifts[0]))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from ... import _checks
 from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
-from ..._types import Array, NDArray
+from ..._types import Array, ComplexArray, NDArray
 from ..._units import SECONDS, common_unit, hertz_size, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
@@ -25,9 +25,9 @@ from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
-from ..data.channels import Recording, ResponseMatrix
 from ..diagnosis.verdict import CUT_SHORT, Outcome
-from ..regression.prediction import fit_percent
+from ..regression.prediction import chosen_experiment, fit_percent
+from ..uncertainty.draws import intervals
 from .stabilisation import Stabilisation, compared
 
 STRUCTURES = ("lossless", "classical", "passive", "free")  # the simplest first
@@ -138,16 +138,12 @@ class PEMResult(Report, Frozen):
     @property
     def input_labels(self) -> tuple[str, ...]:
         """Names of the inputs."""
-        record = self.experiments[0].record
-        if isinstance(record, Recording | ResponseMatrix):
-            return record.input_labels
-        return (record.input_label,) if getattr(record, "driven", True) else ()
+        return self.experiments[0].record.input_labels
 
     @property
     def output_labels(self) -> tuple[str, ...]:
         """Names of the outputs."""
-        record = self.experiments[0].record
-        return record.output_labels if isinstance(record, Recording | ResponseMatrix) else (record.output_label,)
+        return self.experiments[0].record.output_labels
 
     @property
     def phase_collinearity(self) -> Array:
@@ -205,6 +201,21 @@ class PEMResult(Report, Frozen):
     def record(self) -> Any:
         """The data, of a fit to one experiment."""
         return self._only("record").record
+
+    @property
+    def free_amplitudes(self) -> ComplexArray:
+        """Free motion of each mode at each output, `Re(amplitude exp(p t))`, of a fit to one experiment.
+
+        Shape (n,) of one input and output, else (n, p).
+        """
+        return np.asarray(self._only("free_amplitudes").free_amplitudes)
+
+    def _given_state(self, value: Any) -> Array:
+        """State (2n,); a number is every entry of it."""
+        state, size = _checks.real_array("initial_state", value), 2 * self.order
+        if state.ndim and state.shape != (size,):
+            raise StructureError(f"initial_state has shape {state.shape}; a state of this model is a vector ({size},)")
+        return np.full(size, state) if not state.ndim else state
 
     @property
     def predicted(self) -> NDArray[Any]:
@@ -283,6 +294,50 @@ class PEMResult(Report, Frozen):
             damping_tolerance=damping_tolerance, least_mac=least_mac,
         )  # fmt: skip
 
+    def confidence_interval(self, level: float = 0.95) -> Mapping[str, Any]:
+        """Confidence intervals of the parameters.
+
+        Parameters
+        ----------
+        level : float
+            Probability of each interval, between 0 and 1.
+
+        Returns
+        -------
+        mapping
+            Arrays of shape (..., 2), lower and upper ends, under the keys of `stderr`; NaN for what is held.  Of
+            complex numbers the ends are those of real and imaginary part.
+
+        Raises
+        ------
+        StructureError
+            If the level is not between 0 and 1.
+
+        Notes
+        -----
+        From Student's t distribution, as the noise variances are estimated as well; weights and frequencies are cut off
+        at 0.  Those of lossless models are right to the square of their error: of frequencies over the Fourier spacing,
+        of weights over their size.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> y = y + 0.1 * rng.standard_normal(500)
+        >>> (low, high), = phc.pem((u, y), 1, dt=0.1).confidence_interval()["d"]
+        >>> bool(low < 1.0 < high)
+        True
+        """
+        names = {"initial_state": "initial_states", "offset": "offsets"}
+        values = {
+            name: np.reshape(getattr(self, names.get(name, name)), np.shape(error))
+            for name, error in self.stderr.items()
+        }
+        lower = dict.fromkeys(("d", "r", "natural_frequencies", "hertz"), 0.0)
+        return intervals(values, self.stderr, level, lower, self._spare)
+
     def summary(self) -> str:
         """Report for people: model, uncertainty, quality, verdict.
 
@@ -304,6 +359,83 @@ class PEMResult(Report, Frozen):
           The record is reproduced to rounding.
         """
         return str(self)
+
+    def plot(
+        self,
+        experiment: int = 0,
+        *,
+        kind: str = "fit",
+        output: int | None = None,
+        input: int | None = None,
+        **kwargs: Any,
+    ) -> Any:
+        """Picture of one measured and predicted output with the residual below; of a response, over frequency.
+
+        Parameters
+        ----------
+        experiment : int
+            Which of several experiments, counted from 0.
+        kind : {'fit', 'responses', 'circles', 'shapes', 'assurance', 'stabilisation', 'residuals', 'tests'}
+            What to show: 'fit' as above, or the picture of `frf_plot`, `circle_plot`, `shape_plot`, `mac_plot`,
+            `stabilisation_plot`, `residual_plot` or `hypothesis_plot`.
+        output, input : int
+            Which output, and of a response from which input, counted from 0; by default the first, and of 'circles' of
+            each mode those in which it counts most.
+        **kwargs
+            Passed to the plotting function: labels and units.
+
+        Returns
+        -------
+        control.ControlPlot
+
+        Raises
+        ------
+        StructureError
+            If there is no such kind, experiment, output or input.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1, structure="free")
+        >>> picture = result.plot(output_unit="m/s")
+        >>> picture.figure.savefig("fit.png")  # doctest: +SKIP
+        """
+        from ..validation.result_plots import residual_plot
+
+        pictures: dict[str, Callable[..., Any]] = {
+            "responses": frf_plot, "circles": circle_plot, "shapes": shape_plot, "assurance": mac_plot,
+            "stabilisation": stabilisation_plot, "residuals": residual_plot, "tests": hypothesis_plot,
+        }  # fmt: skip
+        if _checks.choice("kind", kind, ("fit", *pictures)) != "fit":
+            given: dict[str, dict[str, Any]] = {
+                "circles": {"output": output, "input": input},
+                "residuals": {"experiment": experiment},
+            }
+            return pictures[kind](self, **given.get(kind, {}), **kwargs)
+        one = chosen_experiment(self.experiments, experiment)
+        place = _checks.whole_number("output", 0 if output is None else output, 0, len(self.output_labels) - 1)
+        if np.iscomplexobj(one.predicted):
+            source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
+            plant, data, whole = self, one.record.as_response(), self.residues.shape[1:] == (1, 1)
+            if not whole:
+                plant, data = self.observed_system[place, source], data[place, source]
+            names = (name.partition(" [")[0] for name in (self.input_labels[source], self.output_labels[place]))
+            kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), self) in SECONDS)
+            kwargs.setdefault("title", "Frequency response, {} to {}".format(*names))
+            return bode_plot(plant, data=data, **kwargs)
+        # a label such as "velocity [m/s]" carries its unit
+        name, bracket, unit = self.output_labels[place].partition(" [")
+        kwargs.setdefault("output_label", name)
+        if bracket:
+            kwargs.setdefault("output_unit", unit.removesuffix("]"))
+        kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
+        y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
+        kept = ~np.isnan(y)
+        fitted = fit_percent(y[kept], (y - predicted)[kept])
+        return fit_plot(one.record.time, y, predicted, fit_percent=fitted, **kwargs)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the result as JSON; `load` gives it back.
@@ -376,40 +508,3 @@ class PEMResult(Report, Frozen):
 def cut_short(result: Any) -> Any:
     """A result of a fit that was interrupted on the way to a better one."""
     return replace(result, success=False, outcome=Outcome.INTERRUPTED, message=CUT_SHORT)
-
-
-KINDS = ("fit", "responses", "circles", "shapes", "assurance", "stabilisation", "residuals", "tests")
-
-
-def kind_plot(result: PEMResult, kind: str, experiment: int, **kwargs: Any) -> Any:
-    """Picture of a result of one of the kinds, 'fit' excepted."""
-    from ..validation.result_plots import residual_plot
-
-    if _checks.choice("kind", kind, KINDS) == "residuals":
-        return residual_plot(result, experiment, **kwargs)
-    pictures: dict[str, Callable[..., Any]] = {
-        "responses": frf_plot, "circles": circle_plot, "shapes": shape_plot, "assurance": mac_plot,
-        "stabilisation": stabilisation_plot, "tests": hypothesis_plot,
-    }  # fmt: skip
-    return pictures[kind](result, **kwargs)
-
-
-def output_plot(result: PEMResult, time: Array, y: Array, predicted: Array, label: str, **kwargs: Any) -> Any:
-    """Picture of a measured and a predicted output."""
-    # a label such as "velocity [m/s]" carries its unit
-    name, bracket, unit = label.partition(" [")
-    kwargs.setdefault("output_label", name)
-    if bracket:
-        kwargs.setdefault("output_unit", unit.removesuffix("]"))
-    kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), result)
-    kept = ~np.isnan(y)
-    fitted = fit_percent(y[kept], (y - predicted)[kept])
-    return fit_plot(time, y, predicted, fit_percent=fitted, **kwargs)
-
-
-def response_plot(result: PEMResult, plant: Any, data: Any, names: tuple[str, str], **kwargs: Any) -> Any:
-    """Picture of a measured response and of that of the model, in Hz where the unit of time is known."""
-    source, sensor = (name.partition(" [")[0] for name in names)
-    kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), result) in SECONDS)
-    kwargs.setdefault("title", f"Frequency response, {source} to {sensor}")
-    return bode_plot(plant, data=data, **kwargs)

@@ -47,7 +47,7 @@ class FittedChannels(Report, Frozen):
     @property
     def measured(self) -> NDArray[Any]:
         """Outputs of the record; NaN where missing."""
-        return self.record.y if isinstance(self.record, Recording) else self.record.response
+        return self.record.measured
 
     @property
     def residuals(self) -> NDArray[Any]:

@@ -66,8 +66,8 @@ class FittedExperiment(Report, Frozen):
 
     @property
     def measured(self) -> NDArray[Any]:
-        """Output of the record; NaN where missing."""
-        return self.record.y if isinstance(self.record, Record) else self.record.response
+        """Outputs of the record; NaN where missing."""
+        return self.record.measured
 
     @property
     def residuals(self) -> NDArray[Any]:

@@ -20,9 +20,9 @@ from ...plotting.fit_plot import comparison_plot
 from ...plotting.validation_plot import channel_comparison_plot, response_comparison_plot
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
+from ..data.time_record import InTime
 from ..regression.prediction import chosen_experiment
 from .measured import (
-    IN_TIME,
     HeldData,
     HeldExperiment,
     Kind,
@@ -30,7 +30,6 @@ from .measured import (
     fit_to,
     fits_of_outputs,
     names_of,
-    names_of_outputs,
     rms_of,
 )
 from .simulation import Rules, answers_to
@@ -146,9 +145,7 @@ class Comparison(Report, HeldData, Frozen):
             return ""
         if len(self.experiments) == 1:
             return (
-                "fitted to this record"
-                if isinstance(self.experiments[0].record, IN_TIME)
-                else "fitted to this response"
+                "fitted to this record" if isinstance(self.experiments[0].record, InTime) else "fitted to this response"
             )
         return f"fitted to {own if own < len(self.experiments) else 'all'} of these experiments"
 
@@ -365,7 +362,7 @@ def compare(
         own_record=tuple(any(own) for own in zip(*(one.own_record for one in experiments), strict=True)),
         experiments=tuple(experiments),
         initial_state=initial_state,
-        output_labels=names_of_outputs(records[0]),
+        output_labels=records[0].output_labels,
     )
 
 
@@ -375,11 +372,11 @@ def _described(records: Sequence[Kind], initial_state: str) -> str:
     missing = sum(int((~record.observed).sum()) for record in records)
     several = len(records) > 1
     tail = f", {missing} missing" * bool(missing)
-    if not isinstance(records[0], IN_TIME):
-        weighted = any(np.ptp(record.weights) for record in records if not isinstance(record, IN_TIME))
+    if not isinstance(records[0], InTime):
+        weighted = any(np.ptp(record.weights) for record in records if not isinstance(record, InTime))
         kind = f"{len(records)} responses, " * several
         return f"{kind}{samples} frequencies{tail}" + ", weighted" * weighted
     states = {"estimate": "estimated", "zero": "zero", "fitted": "as fitted"}[initial_state]
-    if initial_state == "zero" and not all(record.driven for record in records if isinstance(record, IN_TIME)):
+    if initial_state == "zero" and not all(record.driven for record in records if isinstance(record, InTime)):
         states = "zero, of free motions estimated"
     return f"{len(records)} experiments, " * several + f"{samples} samples{tail}; initial state{'s' * several} {states}"

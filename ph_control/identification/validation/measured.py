@@ -20,14 +20,13 @@ from ...exceptions import StructureError
 from ..data.channels import Recording, ResponseMatrix
 from ..data.data_frames import is_data_frame
 from ..data.experiments import as_channels, as_experiments, has_several_channels
-from ..data.frequency_record import FrequencyRecord
-from ..data.time_record import Record
+from ..data.frequency_record import FrequencyRecord, InFrequency
+from ..data.time_record import InTime, Record
 from ..fit.result import PEMResult
 from ..regression.free_prediction import FittedChannels, joint_percent, unexplained
 from ..regression.prediction import fit_percent, unit_norm
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
-IN_TIME = Record | Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class HeldExperiment(Frozen):
     @property
     def measured(self) -> NDArray[Any]:
         """What was measured; NaN where missing."""
-        return values_of(self.record)
+        return self.record.measured
 
 
 class HeldData:
@@ -58,14 +57,12 @@ class HeldData:
     @property
     def time(self) -> Array:
         """Instants of all experiments, shape (T,); raises `StructureError` for frequency responses."""
-        return self._joined(IN_TIME, "time", "frequency responses and have no time; use omega")
+        return self._joined(InTime, "time", "frequency responses and have no time; use omega")
 
     @property
     def omega(self) -> Array:
         """Frequencies of all responses, shape (T,), rad per unit time; raises `StructureError` for records in time."""
-        return self._joined(
-            FrequencyRecord | ResponseMatrix, "omega", "records in time and have no frequencies; use time"
-        )
+        return self._joined(InFrequency, "omega", "records in time and have no frequencies; use time")
 
     def _joined(self, kind: Any, name: str, what: str) -> Array:
         parts = [getattr(one.record, name) for one in self.experiments if isinstance(one.record, kind)]
@@ -83,7 +80,7 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
     if dt is None and _lacks_step(data):
         fitted = [one.record for model in models if isinstance(model, PEMResult) for one in model.experiments]
         sampled = [getattr(model, "dt", None) for model in models]
-        steps = [record.dt for record in fitted if isinstance(record, IN_TIME)]
+        steps = [record.dt for record in fitted if isinstance(record, InTime)]
         steps += [step for step in sampled if step and not isinstance(step, bool)]
         dt = steps[0] if steps else None
     taken: Any = as_channels if has_several_channels(data) else as_experiments
@@ -92,9 +89,9 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
     several = len(records) > 1
     for k, record in enumerate(records, start=1):
         if not record.observed.any():
-            name = f"experiment {k}" if several else "the record" if isinstance(record, IN_TIME) else "the response"
+            name = f"experiment {k}" if several else "the record" if isinstance(record, InTime) else "the response"
             raise StructureError(f"{name} has no outputs; there is nothing to hold a model against")
-    if not any(np.nan_to_num(values_of(record)).any() for record in records):
+    if not any(np.nan_to_num(record.measured).any() for record in records):
         where = "throughout" if several else "throughout the record"
         raise StructureError(f"the output is zero {where}; no share of it can be explained")
     return records
@@ -104,11 +101,6 @@ def _lacks_step(data: Any) -> bool:
     """Whether any of the data may be arrays, which have no step of their own."""
     known = Kind | ct.TimeResponseData | ct.FrequencyResponseData
     return isinstance(data, tuple | list) and not all(isinstance(one, known) or is_data_frame(one) for one in data)
-
-
-def values_of(record: Kind) -> NDArray[Any]:
-    """What was measured."""
-    return record.y if isinstance(record, IN_TIME) else record.response
 
 
 # --- names and numbers -----------------------------------------------------------------------------------------------
@@ -154,11 +146,6 @@ def fits_of_outputs(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
     return np.array([joint_percent(one) for one in shares.reshape(len(shares), -1)])
 
 
-def names_of_outputs(record: Any) -> tuple[str, ...]:
-    """Labels of the outputs."""
-    return tuple(record.output_labels) if isinstance(record, Recording | ResponseMatrix) else (record.output_label,)
-
-
 def shares_of(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
     """Share of each output (p,), or entry (p, m), that a model leaves in some experiments together; NaN if unknown."""
     none, still = np.zeros(0), np.zeros(0, np.complex128)
@@ -168,7 +155,7 @@ def shares_of(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
 def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> Any:
     """Root of the mean squared error of a model in some experiments together, weighted as the fit; of each output."""
     if isinstance(pairs[0][0], Recording | ResponseMatrix):
-        left = np.concatenate([values_of(record) - output for record, output in pairs], axis=-1)
+        left = np.concatenate([record.measured - output for record, output in pairs], axis=-1)
         rows = left.reshape(len(left), -1)
         counts = np.isfinite(rows).sum(axis=1)
         squares = np.sum(np.abs(np.nan_to_num(rows)) ** 2, axis=1)
@@ -180,7 +167,7 @@ def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> Any:
 
 def _observed(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> tuple[NDArray[Any], NDArray[Any], Array | None]:
     """What was measured, the errors there, and the weights of responses."""
-    y = np.concatenate([values_of(record)[record.observed] for record, _ in pairs])
-    error = np.concatenate([(values_of(record) - output)[record.observed] for record, output in pairs])
+    y = np.concatenate([record.measured[record.observed] for record, _ in pairs])
+    error = np.concatenate([(record.measured - output)[record.observed] for record, output in pairs])
     weights = [record.weights[record.observed] for record, _ in pairs if isinstance(record, FrequencyRecord)]
     return y, error, np.concatenate(weights) if weights else None

@@ -31,7 +31,6 @@ from .measured import (
     experiments_to_hold_against,
     fit_to,
     names_of,
-    values_of,
 )
 from .simulation import Rules, Simulation, answers_to
 
@@ -356,7 +355,7 @@ def _largest_lag(lags: Any, records: tuple[Any, ...]) -> int:
 def _analysed(
     records: tuple[Kind, ...], name: str, answers: list[Simulation], lags: int, confidence: float
 ) -> ResidualAnalysis:
-    left = [values_of(record) - answer.output for record, answer in zip(records, answers, strict=True)]
+    left = [record.measured - answer.output for record, answer in zip(records, answers, strict=True)]
     outputs = [(record, answer.output) for record, answer in zip(records, answers, strict=True)]
     data, unit = _residual_data(records, left, answers, lags)
     auto, statistic, whiteness = autocorrelation(data, confidence)

@@ -110,7 +110,7 @@ def _residuals_of_channels(result: PEMResult, experiment: int, style: dict[str, 
     weights = getattr(record, "weights", None)
     if weights is not None:
         residuals = residuals * np.sqrt(weights)
-    outputs = getattr(record, "output_labels", None) or (record.output_label,)
+    outputs = record.output_labels
     names = list(outputs)
     if residuals.ndim == 3:
         inputs = record.input_labels

@@ -22,7 +22,7 @@ from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
 from ...systems.port_hamiltonian import ph
 from ..data.channels import Recording, ResponseMatrix
-from ..data.frequency_record import FrequencyRecord
+from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import Record
 from ..diagnosis.fitted_directions import (
     Directions,
@@ -141,7 +141,7 @@ def _refuse_fitted(model: Any, label: str, rules: Rules) -> None:
 
 def _keeps_its_state(one: Any, initial_state: str) -> bool:
     """Whether the prediction of the fit itself is asked for: that from its state, estimated on these very data."""
-    if isinstance(one.record, FrequencyRecord | ResponseMatrix) or initial_state == "fitted":
+    if isinstance(one.record, InFrequency) or initial_state == "fitted":
         return True
     from_rest = one.record.driven and not one.free_amplitudes.any()
     return bool((initial_state == "zero" and one.record.driven) == from_rest)
@@ -182,7 +182,7 @@ def _matching(model: Any, label: str, record: Kind) -> tuple[Indices, Indices]:
     columns = list(record.input_labels) if isinstance(record, Recording | ResponseMatrix) else inputs[:1]
     if len(outputs) != len(rows) or (columns and len(inputs) != len(columns)) or (not several and len(inputs) > 1):
         held = f"{len(columns)} inputs and {len(rows)} outputs" if several else "one of each"
-        data = "response" if isinstance(record, FrequencyRecord | ResponseMatrix) else "record"
+        data = "response" if isinstance(record, InFrequency) else "record"
         raise StructureError(
             f"model {label!r} has {len(inputs)} inputs and {len(outputs)} outputs, the {data} {held}; pass the entries "
             "that were measured, such as model[0, 0]"
