@@ -222,3 +222,14 @@ def add_model(parser: Parser) -> None:
     model = parser.add_argument_group("a model without a file")
     model.add_argument("--num", type=numbers, metavar="LIST", help="numerator, highest power first, such as 1,0")
     model.add_argument("--den", type=numbers, metavar="LIST", help="denominator, such as 1,0,4")
+
+
+def add_files(parser: Parser, written: str) -> None:
+    """A model and the file made of it."""
+    parser.add_argument(
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help=f"the model and the {written} to write; - for standard input and output",
+    )
+    add_model(parser)

@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from ..exceptions import OutputExistsError, StructureError
-from .outcome import emit
+from .outcome import DONE, emit
 
 # --- answers ---------------------------------------------------------------------------------------------------------
 
 _FIT = (
-    "verdict", "message", "order", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness", "active",
-    "unseen", "rank_deficiency", "success", "structure", "natural_frequencies", "damping_ratios", "method",
-    "intersample", "quantity", "representation",
-)  # fmt: skip
-_MODAL = (
     "verdict", "message", "order", "structure", "fit_percent", "time_unit", "loss", "loglik", "aic", "bic", "whiteness",
-    "success", "intersample", "quantity", "natural_frequencies", "damping_ratios", "poles", "residues", "feedthrough",
-    "shapes", "participation", "shapes_scaled", "phase_collinearity", "noise_variance",
+    "success", "intersample", "quantity", "natural_frequencies", "damping_ratios",
+)  # fmt: skip
+_LOSSLESS = ("active", "unseen", "rank_deficiency", "method", "representation")
+_MODAL = (
+    "poles", "residues", "feedthrough", "shapes", "participation", "shapes_scaled", "phase_collinearity",
+    "noise_variance", "quantities",
 )  # fmt: skip
 _DAMPED = ("order", "fit_percent", "natural_frequencies", "damping_ratios", "residues", "feedthrough", "loss", "loglik",
            "damped", "negative")  # fmt: skip
@@ -41,6 +40,16 @@ def emit_json(answer: dict[str, Any]) -> None:
     emit(strict(answer))
 
 
+def conclude(options: Namespace, answer: dict[str, Any], files: Sequence[str | None], text: str = "") -> int:
+    """Say what was done and written: as JSON or as text, but for text where a file is standard output."""
+    written = [name for name in files if name not in (None, "-")]
+    if options.json:
+        emit_json({**answer, "written": written})
+    elif "-" not in files:
+        emit(text + "\n" * bool(text and written) + f"Written: {', '.join(filter(None, written))}\n" * bool(written))
+    return DONE
+
+
 def modes_of(form: Any) -> dict[str, Any]:
     """Fields of a modal form."""
     kappa_0 = form.kappa_0 if len(form.rigid) else 0.0
@@ -52,51 +61,35 @@ def fit_of(result: Any) -> dict[str, Any]:
     from ..identification.fit.damped_result import DampedResult
     from ..identification.fit.report import residue_errors
 
-    if isinstance(result, DampedResult):
-        return _modal_of(result)
-    return {
+    answer = {
         **_fields(result, *_FIT),
         "described": is_described(result),
-        "findings": [{**_fields(one, "values", "gain"), "cause": one.cause.value} for one in result.findings],
-        "hertz": None if result.time_unit is None else result.hertz,
-        **modes_of(result.modes),
-        "stderr": {**result.stderr, "kappa": residue_errors(result)},
-        "noise_std": result.noise.floor,
-        "iterations": result.n_iterations,
-        "tests": [dict(vars(one)) for one in result.tests],
-        "damped": None if result.damped is None else _damped_of(result.damped),
-        "experiments": [_experiment_of(one) for one in result.experiments],
-        "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
-    }
-
-
-def _modal_of(result: Any) -> dict[str, Any]:
-    """Fields of a fit of damped modes."""
-    inputs, outputs = result.input_labels, result.output_labels
-    records = [one.record for one in result.experiments]
-    return {
-        **_fields(result, *_MODAL),
-        "described": is_described(result),
-        "inputs": inputs,
-        "outputs": outputs,
-        "quantities": result.quantities,
-        "ports": [f"{outputs[o]}:{inputs[i]}" for o, i in result.ports],
-        "hertz": None if result.time_unit is None else result.hertz,
         "findings": [
             {**_fields(one, "values", "gain", "output", "experiment"), "cause": one.cause.value}
             for one in result.findings
         ],
+        "hertz": None if result.time_unit is None else result.hertz,
         "stderr": dict(result.stderr),
         "tests": [dict(vars(one)) for one in result.tests],
-        "experiments": [
-            {
-                "title": record.title, "samples": record.samples, "missing": int((~record.observed).sum()),
-                "step": getattr(record, "dt", None), "fit_percent": one.fit_percent,
-            }
-            for record, one in zip(records, result.experiments, strict=True)
-        ],
+        "experiments": [_experiment_of(one) for one in result.experiments],
         "order_table": [_fields(row, "order", "loss", "aic", "bic", "d") for row in result.order_table],
-    }  # fmt: skip
+    }
+    if isinstance(result, DampedResult):
+        inputs, outputs = result.input_labels, result.output_labels
+        ports = [f"{outputs[o]}:{inputs[i]}" for o, i in result.ports]
+        return answer | _fields(result, *_MODAL) | {"inputs": inputs, "outputs": outputs, "ports": ports}
+    answer["stderr"]["kappa"] = residue_errors(result)
+    for told, one in zip(answer["experiments"], result.experiments, strict=True):
+        told |= {"input": one.record.input_label, "output": one.record.output_label}
+        told |= _fields(one, "initial_state", "offset", "drift")
+    return {
+        **answer,
+        **_fields(result, *_LOSSLESS),
+        **modes_of(result.modes),
+        "noise_std": result.noise.floor,
+        "iterations": result.n_iterations,
+        "damped": None if result.damped is None else _damped_of(result.damped),
+    }
 
 
 def _fields(thing: Any, *names: str) -> dict[str, Any]:
@@ -114,15 +107,11 @@ def _damped_of(model: Any) -> dict[str, Any]:
 
 def _experiment_of(one: Any) -> dict[str, Any]:
     record = one.record
+    missing = int((~record.observed).sum())
     return {
-        "title": record.title,
-        "input": record.input_label,
-        "output": record.output_label,
-        "samples": record.samples,
-        "missing": int((~record.observed).sum()),
-        "step": getattr(record, "dt", None),
-        **_fields(one, "fit_percent", "initial_state", "offset", "drift"),
-    }
+        "title": record.title, "samples": record.samples, "missing": missing, "step": getattr(record, "dt", None),
+        "fit_percent": one.fit_percent,
+    }  # fmt: skip
 
 
 def is_described(result: Any) -> bool:

@@ -35,7 +35,6 @@ _BEYOND = 45.0  # degrees beyond a turn of the phase in which measured ones stay
 _DEEPEST = 0.02  # share of a curve in its antiresonances that may leave the picture
 _FOLDED = 20  # turns of the sampling frequency from which responses fold back
 _FAR = 1e6  # times the highest of these: the response there is what is fed through
-_CIRCLE = 4.0  # half widths of a resonance of which its circle is drawn
 _LETTERS = 34  # of the name of a panel
 _DRAWS = 300  # models of a band
 _CUTS = np.arange(-360.0, 0.0, 45.0) + 45.0

@@ -21,8 +21,8 @@ import ph_control as phc
 
 from ..inputs import labels_of, measurements, read_models
 from ..options import Parser, add_labels, add_meeting, add_model, add_recording, add_written
-from ..outcome import DONE, NO, complain, emit
-from ..outputs import check_files, check_place, deliver_picture, emit_json, picture_format
+from ..outcome import DONE, NO, complain
+from ..outputs import check_files, check_place, conclude, deliver_picture, picture_format
 
 USAGE = "RECORDING MODEL [MODEL ...] [options]"
 
@@ -56,34 +56,25 @@ def run(options: Namespace) -> int:
     )  # fmt: skip
     if options.plot is not None:
         deliver_picture(found.plot(place), options.plot, options.overwrite)
-    if options.json:
-        rows = zip(
-            models, found.labels, found.fit_percent, found.rms_error, found.own_record, found.output_fit_percent,
-            strict=True,
-        )  # fmt: skip
-        answer = {
-            "command": "compare",
-            "output": found.output_label,
-            "best": found.best,
-            "models": [
-                {
-                    "label": label,
-                    "source": model.source,
-                    "fit_percent": fit,
-                    "rms_error": error,
-                    "own_record": own,
-                    "outputs": dict(zip(found.output_labels, each, strict=True)),
-                }
-                for model, label, fit, error, own, each in rows
-            ],
-            "experiments": [
-                {"samples": one.record.samples, "fit_percent": one.fit_percent, "rms_error": one.rms_error}
-                for one in found.experiments
-            ],
-        }
-        emit_json({**answer, "written": [options.plot] if options.plot else []})
-    elif options.plot != "-":
-        emit(f"{found}\n" + (f"\nWritten: {options.plot}\n" if options.plot else ""))
+    numbers = found.fit_percent, found.rms_error, found.own_record, found.output_fit_percent
+    rows = zip(models, found.labels, *numbers, strict=True)
+    answer = {
+        "command": "compare",
+        "output": found.output_label,
+        "best": found.best,
+        "models": [
+            {
+                "label": label, "source": model.source, "fit_percent": fit, "rms_error": error, "own_record": own,
+                "outputs": dict(zip(found.output_labels, each, strict=True)),
+            }
+            for model, label, fit, error, own, each in rows
+        ],
+        "experiments": [
+            {"samples": one.record.samples, "fit_percent": one.fit_percent, "rms_error": one.rms_error}
+            for one in found.experiments
+        ],
+    }  # fmt: skip
+    conclude(options, answer, [options.plot], f"{found}\n")
     best = float(found.fit_percent.max())
     if options.at_least is None or best >= options.at_least:
         return DONE

@@ -24,9 +24,8 @@ import ph_control as phc
 
 from ...exceptions import StructureError
 from ..inputs import Model, read_models, source_and_target, system_name_of
-from ..options import Parser, add_model, add_written, system_name
-from ..outcome import DONE, emit
-from ..outputs import deliver, emit_json, strict
+from ..options import Parser, add_files, add_written, system_name
+from ..outputs import conclude, deliver, strict
 
 USAGE = "MODEL FILE [options]"
 
@@ -39,11 +38,7 @@ FORMATS = ("json", "mat", "txt", "csv")
 
 def add_options(parser: Parser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "files", nargs="+", metavar="FILE",
-        help="the model and the file to write; - for standard input and output",
-    )  # fmt: skip
-    add_model(parser)
+    add_files(parser, "file")
     listed = "; ".join(f"{form}: {meaning}" for form, meaning in FORMS.items())
     parser.add_argument("--to", choices=tuple(FORMS), help=f"form ({listed}); default: as it is, or ph; tf for texts")
     parser.add_argument("--format", choices=FORMATS, help="format of the file (default: told by its suffix)")
@@ -59,12 +54,8 @@ def run(options: Namespace) -> int:
     form = options.to or ("tf" if kind in ("txt", "csv") else None)
     made = _converted(model, form, options.name)
     deliver(encoded(made, form, kind), target, options.overwrite)
-    if options.json:
-        answer = {"command": "convert", "source": model.source, "form": options.to or _form_of(made), "format": kind}
-        emit_json({**answer, "written": [target]})
-    elif target != "-":
-        emit(f"Written: {target}\n")
-    return DONE
+    answer = {"command": "convert", "source": model.source, "form": options.to or _form_of(made), "format": kind}
+    return conclude(options, answer, [target])
 
 
 def format_of(target: str) -> str:

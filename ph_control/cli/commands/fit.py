@@ -33,9 +33,9 @@ from ..outcome import DONE, INTERRUPTED, NO, NoError, ProgressLine, complain, em
 from ..outputs import (
     check_files,
     check_place,
+    conclude,
     deliver,
     deliver_picture,
-    emit_json,
     fit_of,
     is_described,
     picture_format,
@@ -157,13 +157,9 @@ def run(options: Namespace) -> int:
     interrupted = result.outcome is Outcome.INTERRUPTED
     silent = "-" in outputs
     if not (silent or options.json):
-        emit(in_shell_terms(result.summary()) + "\n")
+        emit(in_shell_terms(result.summary()) + "\n" * (1 + any(outputs)))
     _write(result, place, options)
-    written = [name for name in outputs if name not in (None, "-")]
-    if options.json:
-        emit_json({"command": "fit", **fit_of(result), "interrupted": interrupted, "written": written})
-    elif written and not silent:
-        emit("\nWritten: " + ", ".join(written) + "\n")
+    conclude(options, {"command": "fit", **fit_of(result), "interrupted": interrupted}, outputs)
     described = is_described(result)
     if silent and not described:
         complain(f"the verdict is: {result.verdict}; fit without - to read why")

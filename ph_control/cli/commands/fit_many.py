@@ -27,8 +27,8 @@ import ph_control as phc
 from ...exceptions import MissingPackageError, PHControlError, StructureError
 from ..inputs import measurements
 from ..options import Parser, add_recording, add_written
-from ..outcome import DONE, INTERRUPTED, NO, ProgressLine, complain, emit, in_shell_terms
-from ..outputs import check_files, deliver, deliver_picture, emit_json, picture_format
+from ..outcome import DONE, INTERRUPTED, NO, ProgressLine, complain, in_shell_terms
+from ..outputs import check_files, conclude, deliver, deliver_picture, picture_format
 from .fit import add_fitted, keywords_of
 
 USAGE = "RECORDING [RECORDING ...] [options]"
@@ -67,14 +67,11 @@ def run(options: Namespace) -> int:
         deliver(_as_csv(tracks), options.table, options.overwrite)
     if options.plot is not None:
         deliver_picture(tracks.plot(), options.plot, options.overwrite)
-    written = [name for name in outputs if name not in (None, "-")]
-    if options.json:
-        rows = [dict(zip(fits.table.dtype.names or (), row.tolist(), strict=True)) for row in fits.table]
-        told = [row | {"track": k} for row, k in zip(rows, tracks.ids.tolist(), strict=True)]
-        counts = {"failed": len(fits.failures), "interrupted": not fits.complete}
-        emit_json({"command": "fit-many", "rows": told, **counts, "written": written})
-    elif options.table != "-":
-        emit(in_shell_terms(f"{fits}\n\n{tracks}\n") + f"\nWritten: {', '.join(written)}\n" * bool(written))
+    rows = [dict(zip(fits.table.dtype.names or (), row.tolist(), strict=True)) for row in fits.table]
+    told = [row | {"track": k} for row, k in zip(rows, tracks.ids.tolist(), strict=True)]
+    counts = {"failed": len(fits.failures), "interrupted": not fits.complete}
+    answer = {"command": "fit-many", "rows": told, **counts}
+    conclude(options, answer, outputs, in_shell_terms(f"{fits}\n\n{tracks}\n"))
     if not fits.complete:
         why = "the time of --timeout is up" if watch.expired else "interrupted"
         complain(f"{why}; these are the recordings that were done until then")

@@ -18,19 +18,15 @@ from argparse import Namespace
 import ph_control as phc
 
 from ..inputs import read_models, source_and_target
-from ..options import Parser, add_model, add_written
-from ..outcome import DONE, emit
-from ..outputs import deliver, emit_json
+from ..options import Parser, add_files, add_written
+from ..outputs import conclude, deliver
 
 USAGE = "MODEL FILE [options]"
 
 
 def add_options(parser: Parser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="the model and the netlist to write; - for standard input and output"
-    )
-    add_model(parser)
+    add_files(parser, "netlist")
     parser.add_argument(
         "--form", choices=("foster1", "foster2", "cauer1", "cauer2"),
         help="form of a lossless one-port; default: one resonator for each mode",
@@ -47,10 +43,6 @@ def run(options: Namespace) -> int:
     (model,) = read_models(sources, options)
     circuit = phc.netlist(model.port_hamiltonian(), options.form, kind=options.kind)
     deliver(circuit.spice(), target, options.overwrite)
-    if options.json:
-        elements = [{"name": one.name, "nodes": one.nodes, "value": one.value} for one in circuit.elements]
-        answer = {"command": "netlist", "source": model.source, "form": circuit.form, "kind": circuit.kind}
-        emit_json({**answer, "elements": elements, "written": [target]})
-    elif target != "-":
-        emit(f"Written: {target}\n")
-    return DONE
+    elements = [{"name": one.name, "nodes": one.nodes, "value": one.value} for one in circuit.elements]
+    answer = {"command": "netlist", "source": model.source, "form": circuit.form, "kind": circuit.kind}
+    return conclude(options, {**answer, "elements": elements}, [target])

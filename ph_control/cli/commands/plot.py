@@ -29,8 +29,7 @@ from ..._units import unit_for, with_unit
 from ...exceptions import StructureError
 from ..inputs import Model, labels_of, measurements, read_models
 from ..options import Parser, add_labels, add_model, add_recording, add_written, pair, size, within
-from ..outcome import DONE, emit
-from ..outputs import check_files, check_place, deliver_picture, emit_json, picture_format
+from ..outputs import check_files, check_place, conclude, deliver_picture, picture_format
 
 USAGE = "KIND MODEL [MODEL ...] --out FILE [options]"
 
@@ -86,11 +85,7 @@ def run(options: Namespace) -> int:
         options.title = f"{_TITLES[options.kind]} of {', '.join(labels)}"
     plot = draw(models, labels, options)
     deliver_picture(plot, options.out, options.overwrite, format=options.format, dpi=options.dpi, inches=options.size)
-    if options.json:
-        emit_json({"command": "plot", "kind": options.kind, "models": labels, "written": [options.out]})
-    elif options.out != "-":
-        emit(f"Written: {options.out}\n")
-    return DONE
+    return conclude(options, {"command": "plot", "kind": options.kind, "models": labels}, [options.out])
 
 
 def _around(models: Sequence[Model], options: Namespace) -> dict[str, Any]:

@@ -18,9 +18,8 @@ import numpy as np
 import ph_control as phc
 
 from ..inputs import read_models, source_and_target
-from ..options import Parser, add_model, add_written, pair
-from ..outcome import DONE, emit
-from ..outputs import deliver, emit_json
+from ..options import Parser, add_files, add_written, pair
+from ..outputs import conclude, deliver
 from .convert import FORMATS, encoded, format_of
 
 USAGE = "MODEL FILE [options]"
@@ -28,10 +27,7 @@ USAGE = "MODEL FILE [options]"
 
 def add_options(parser: Parser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="the model and the file to write; - for standard input and output"
-    )
-    add_model(parser)
+    add_files(parser, "file")
     parser.add_argument("--order", type=int, metavar="N", help="number of states, at most")
     parser.add_argument(
         "--tolerance", type=float, metavar="X", help="the fewest states with an error of this part of the largest gain"
@@ -57,10 +53,7 @@ def run(options: Namespace) -> int:
     )  # fmt: skip
     deliver(encoded(small, "tf" if kind in ("txt", "csv") else None, kind), target, options.overwrite)
     bound = small.error_bound if small.error_bound is not None and np.isfinite(small.error_bound) else None
-    if options.json:
-        answer = {"command": "reduce", "source": model.source, "method": options.method, "states": small.nstates}
-        emit_json({**answer, "error_bound": bound, "written": [target]})
-    elif target != "-":
-        error = "unbounded" if bound is None else f"{bound:.4g}"
-        emit(f"{given.nstates} states reduced to {small.nstates}, largest difference {error}\nWritten: {target}\n")
-    return DONE
+    answer = {"command": "reduce", "source": model.source, "method": options.method, "states": small.nstates}
+    error = "unbounded" if bound is None else f"{bound:.4g}"
+    text = f"{given.nstates} states reduced to {small.nstates}, largest difference {error}"
+    return conclude(options, {**answer, "error_bound": bound}, [target], text)
