@@ -1,4 +1,4 @@
-"""Lossless (port-Hamiltonian) linear systems for python-control.
+"""Modal identification and port-Hamiltonian models for python-control.
 
 The public names are those of `__init__.pyi`, one a line; each is imported when it is first asked for.
 """

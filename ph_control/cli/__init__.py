@@ -13,7 +13,7 @@ from .options import Parser
 from .outcome import EXIT_CODES, guarded
 
 COMMANDS = {
-    "demo": "identify two known plants from noisy recordings, compare with the truth",
+    "demo": "identify three known plants from noisy recordings, compare with the truth",
     "fit": "identify a model from recordings or frequency responses",
     "fit-many": "identify a model from each of many recordings, follow their modes",
     "info": "show what a model is, and whether it is lossless",
@@ -27,7 +27,7 @@ COMMANDS = {
 _EPILOG = f"""Each command has its own help, with examples: ph-control fit --help. In place of a file name, - is
 standard input or standard output. Files that exist are replaced only with --overwrite. {EXIT_CODES}"""
 
-_HELP = """Lossless (port-Hamiltonian) models from recordings, for python-control.
+_HELP = """Modes and port-Hamiltonian models from recordings, for python-control.
 
 Examples
 --------

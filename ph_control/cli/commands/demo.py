@@ -63,12 +63,14 @@ class Plant:
 
 
 def plants() -> list[Plant]:
-    """Return a damped tower with two ports, and the systems of the paper: an LC circuit and a chain of two masses."""
+    """Return a damped tower with two ports and a sensor, and the LC circuit and the chain of masses of the paper."""
     import numpy as np
 
-    tower = phc.spring_chain(
-        [300.0, 200.0, 100.0], 4e5, ground=[6e5, 0, 0], c=150.0, ground_c=[100.0, 0, 0], port=[0, 2],
-        inputs=["force_low", "force_top"], outputs=["low", "top"], name="structure",
+    mass, between, ground = [300.0, 200.0, 100.0], np.array([[2, -1, 0], [-1, 2, -1], [0, -1, 1]]), np.diag([1, 0, 0])
+    tower = phc.from_second_order(
+        np.diag(mass), 4e5 * between + 2e5 * ground, np.eye(3)[:, [0, 2]], C=150.0 * between - 50.0 * ground,
+        sensors={"velocity": np.eye(3)[1]}, inputs=["force_low", "force_top"], outputs=["low", "top", "middle"],
+        name="structure",
     )  # fmt: skip
     circuit = phc.lc_circuit(np.ones(5), np.ones(5), name="circuit")
     chain = phc.frenkel_kontorova(2, name="chain")
@@ -105,7 +107,7 @@ def run(options: Namespace) -> int:
         np.savetxt(recording, record(plant, rng), delimiter=",", header=header, comments="", fmt="%.12g")
         several = len(inputs) > 1
         columns: dict[str, Any] = {"input": inputs, "output": outputs} if several else {}
-        ports: dict[str, Any] = {"ports": list(zip(outputs, inputs, strict=True))} if several else {}
+        ports: dict[str, Any] = {"ports": list(zip(outputs, inputs, strict=False))} if several else {}
         result = phc.pem(phc.read_csv(recording, **columns), **ports)
         phc.save(result.system, folder / f"{plant.name}.json")
         if several:

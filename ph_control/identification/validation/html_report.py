@@ -18,7 +18,7 @@ from ..fit.result import PEMResult
 # kind of picture, its heading, and what it shows
 _PICTURES = (
     ("fit", "Measured and predicted", "The data, the model, and below what the model leaves unexplained."),
-    ("responses", "Frequency responses", "Of the model, with its confidence band, and of the data."),
+    ("responses", "Frequency responses", "Of the model and of the data."),
     ("shapes", "Mode shapes", "Over the sensors, in the order of the outputs."),
     ("assurance", "Modal assurance", "Likeness of the shapes of each two modes: 1 alike, 0 orthogonal."),
     ("stabilisation", "Stabilisation", "Poles of models of ascending order; those that stay are modes."),
