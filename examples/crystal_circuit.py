@@ -31,15 +31,24 @@ print(result.summary())
 assert result.structure == "classical"
 
 # %%
-# ``netlist`` makes a branch of the mode. What is left of the measurement belongs to the electrodes.
+# ``netlist`` makes a branch of the mode. What is left of the measurement belongs to the electrodes. Models drawn from
+# the distribution of the estimate tell how sure the three elements of the branch are.
 
 branch = phc.netlist(result.system)
 L, R, C = (next(one.value for one in branch.elements if one.letter == letter) for letter in "LRC")
 rest = admittance - result.system(s)
 electrodes = np.sum(rest.imag * s.imag) / np.sum(s.imag**2)
+
+drawn = result.sample(1000, rng=1)
+inductances, poles = 0.5 / drawn.residues[:, 0, 0, 0].real, drawn.poles[:, 0]
+spread = {
+    "Lm": np.std(inductances), "Rm": np.std(-2 * poles.real * inductances),
+    "Cm": np.std(1 / (inductances * np.abs(poles) ** 2)),
+    "Cp": np.std(rest.imag - electrodes * s.imag) / np.sqrt(np.sum(s.imag**2)),
+}  # fmt: skip
 for name, value, true in (("Lm", L, Lm), ("Rm", R, Rm), ("Cm", C, Cm), ("Cp", electrodes, Cp)):
-    print(f"{name} {value:.6g}, off by {100 * (value / true - 1):+.4f} %")
-    assert abs(value / true - 1) < (0.02 if name == "Cp" else 1e-3)
+    print(f"{name} {value:.7g} +- {1.96 * spread[name]:.1g}, off by {100 * (value / true - 1):+.4f} %")
+    assert abs(value - true) < 3 * spread[name] < 2e-3 * true
 
 # %%
 # The crystal between a source and a load of 50 ohm each, as a netlist: the current of the source times 50 ohm is the
