@@ -273,6 +273,58 @@ def test_lqg_is_stable_with_every_passive_plant():
         phc.lqg(CHAIN, weight=-np.eye(10))
 
 
+@pytest.fixture(scope="module")
+def noisy_fit():
+    """Fit of three masses with ports at both ends to a short record."""
+    plant = phc.spring_chain([1.0] * 3, 300.0, ground=[300.0, 0, 0], c=0.4, ground_c=0.3, port=[0, 2])
+    rng = np.random.default_rng(0)
+    t, u = 0.05 * np.arange(300), rng.normal(size=(2, 300))
+    y = phc.forced_response(plant, t, u, intersample="zoh").outputs
+    y = y + 0.5 * y.std() * rng.normal(size=y.shape)
+    return phc.pem((u, y), 3, dt=0.05, structure="passive", ports=[(0, 0), (1, 1)])
+
+
+def test_passive_controllers_are_stable_with_every_passive_sample_of_a_fit(noisy_fit):
+    samples = noisy_fit.sample_systems(8, rng=1)
+    damping = [sample.damping_ratios.min() for sample in samples]
+    assert np.std(damping) > 0.3 * noisy_fit.stderr["damping_ratios"].min()
+    rng = np.random.default_rng(2)
+    controllers = [phc.lqg(noisy_fit.system, effort) for effort in (1e-3, 0.1)] + [
+        random_gain(rng, 2) for _ in range(3)
+    ]
+    for sample in samples:
+        assert isinstance(sample, phc.PortHamiltonian) and phc.passivity(plain(sample)).is_passive
+        for controller in controllers:
+            assert phc.damping_injection(sample, controller).poles().real.max() < 0
+    # feedback that gives energy, small enough for the estimate, is unstable with some
+    K = np.array([[0.0, 1.0], [0.0, 0.0]])
+    gains = -np.geomspace(0.1, 10.0, 401)
+    stable = [ct.feedback(plain(noisy_fit.system), gain * K).poles().real.max() < 0 for gain in gains]
+    gain = 0.97 * gains[np.argmin(stable)]
+    assert ct.feedback(plain(noisy_fit.system), gain * K).poles().real.max() < 0
+    growing = [ct.feedback(plain(sample), gain * K).poles().real.max() > 0 for sample in samples]
+    assert 0 < sum(growing) < len(samples)
+
+
+def test_sampled_systems_are_those_of_the_samples(noisy_fit):
+    samples, systems = noisy_fit.sample(3, rng=5), noisy_fit.sample_systems(3, rng=5)
+    omega = np.linspace(1.0, 40.0, 50)
+    for k, system in enumerate(systems):
+        drawn = samples.freqresp(omega, 0, 1)[k]
+        # a draw moves where it is active, by less than its own scatter
+        scatter = np.abs(samples.freqresp(omega, 0, 1) - noisy_fit.observed_system(1j * omega)[0, 1]).max()
+        assert np.abs(system(1j * omega)[0, 1] - drawn).max() < 0.5 * scatter
+        assert system.input_labels == noisy_fit.system.input_labels
+    lossless = phc.ph(phc.modes([1.0, 2.0], [1.0, 0.5]))
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(400)
+    u = rng.normal(size=400)
+    y = phc.forced_response(lossless, t, u, intersample="zoh").outputs + 0.1 * rng.normal(size=400)
+    fit = phc.pem((u, y), 2, dt=0.1, structure="lossless")
+    for d, system in zip(fit.sample(4, rng=3).d, fit.sample_systems(4, rng=3), strict=True):
+        assert system.is_lossless
+        np.testing.assert_allclose(system.d, np.sort(d))
+
+
 def test_damping_plot_shows_the_loop_at_each_factor():
     found = phc.optimal_damping(CHAIN, [2], criterion="damping")
     plot = found.plot(factors=[0.5, 1.0, 2.0], Hz=True, time_unit="s")

@@ -25,7 +25,7 @@ from .worst_frequencies import minima
 
 _INSIDE = (1e-7, 1e-5, 1e-3, 1e-1)  # of the distance: by which constraints are kept, so that rounding breaks none
 _ROUNDS = 60  # of new worst frequencies
-_FLAT = 12  # rounds of half-spaces as they are; the later ones, where the set is strongly curved, cut deeper
+_FLAT = 24  # rounds of half-spaces as they are; the later ones, where the set is strongly curved, cut deeper
 _DEEPER = 0.2  # each by so much more of the violation, at most by as much again
 _ROUNDING = 1e-13  # of the largest eigenvalue
 _SINGULAR = 1e-12  # of the size of the model: an eigenvalue of a feedthrough that is 0

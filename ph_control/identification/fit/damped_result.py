@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,10 +16,11 @@ from ..._display import Report, counted, percent
 from ..._frozen import Frozen, ReadOnlyMapping
 from ..._types import Array, ArrayLike, ComplexArray, Mask, NDArray
 from ..._units import common_unit, hertz_size, with_unit
-from ...exceptions import NotPassiveError, StructureError
+from ...exceptions import ConditioningWarning, NotPassiveError, StructureError
 from ...modal.discretization import Hold
 from ...modal.general_form import from_vectors, real_matrices
-from ...systems.port_hamiltonian import ph
+from ...reduction.nearest_passive import nearest_passive
+from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels
 from ..data.frequency_record import plain
@@ -297,6 +299,58 @@ class DampedResult(DampedReport, PEMResult):
             shaped = ModeShapes.of(poles.ravel(), residues.reshape(-1, p, m), self.quantities, self._scaling)
             shapes = shaped.shapes.reshape(-1, n, p)
         return ModalSamples(poles, residues, found[:, 2 * n + 2 * size :].reshape(len(found), p, m), shapes)
+
+    def sample_systems(self, k: int, rng: Any = None) -> list[Any]:
+        """Systems of models drawn as by `sample`, for controllers that must do for all of them.
+
+        Parameters
+        ----------
+        k : int
+            Number of systems.
+        rng : numpy.random.Generator or int, optional
+            Random numbers, or a seed of them; fresh ones by default.
+
+        Returns
+        -------
+        list of PortHamiltonian, or of control.StateSpace
+            Each as `system` is.  With driving points for all inputs, and a structure other than 'free', each is
+            passive: where rounding or the curvature of the set of such models makes a draw active, the passive model
+            next to it in the H2 norm takes its place.
+
+        Raises
+        ------
+        StructureError
+            If `k` or `rng` is not of this form, or a draw has no passive model next to it.
+
+        Notes
+        -----
+        A free fit draws active models wherever the data allow them; `nearest_passive` of the fit, or
+        ``structure="passive"``, brings in what is known.  About 0.1 s a system of
+        a few modes, where that is needed.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> y = y + 0.1 * rng.standard_normal(500)
+        >>> result = phc.pem((u, y), 1, dt=0.1, structure="classical", ports=[(0, 0)])
+        >>> loops = [phc.damping_injection(plant, 0.5) for plant in result.sample_systems(40, rng=1)]
+        >>> np.percentile([loop.damping_ratios.min() for loop in loops], [2.5, 97.5]).round(2)
+        array([0.27, 0.28])
+        """
+        draws = self.sample(k, rng)
+        ported = sorted(i for _, i in self.ports) == list(range(len(self.input_labels))) and len(self.ports) > 0
+        systems = []
+        with warnings.catch_warnings():
+            # draws that touch the bound lose digits, far beyond those of an estimate
+            warnings.simplefilter("ignore", ConditioningWarning)
+            for poles, residues, through in zip(draws.poles, draws.residues, draws.feedthrough, strict=True):
+                drawn = replace(self, poles=poles, residues=residues, feedthrough=through)
+                active = self.structure != "free" and ported and not isinstance(drawn.system, PortHamiltonian)
+                systems.append(nearest_passive(drawn, weight="h2") if active else drawn.system)
+        return systems
 
     @property
     def _scaling(self) -> Ports:

@@ -16,7 +16,8 @@ from ..._units import common_unit, with_unit
 from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm, imaginary
-from ...systems.port_hamiltonian import PortHamiltonian
+from ...systems.base import inherited_names
+from ...systems.port_hamiltonian import PortHamiltonian, modes, ph
 from ..data.experiments import as_record
 from ..data.time_record import Record
 from ..diagnosis.verdict import HypothesisTest, Outcome
@@ -318,6 +319,45 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
         place = np.arange(len(mean))
         found = draw(mean, self.covariance, k, rng, nonnegative=(place >= n) & (place < 2 * n), positive=place < n)
         return ModeSamples(found[:, :n], found[:, n : 2 * n], found[:, 2 * n :])
+
+    def sample_systems(self, k: int, rng: Any = None) -> list[PortHamiltonian]:
+        """Systems of models drawn as by `sample`, for controllers that must do for all of them.
+
+        Parameters
+        ----------
+        k : int
+            Number of systems.
+        rng : numpy.random.Generator or int, optional
+            Random numbers, or a seed of them; fresh ones by default.
+
+        Returns
+        -------
+        list of PortHamiltonian
+            Each as `system` is.
+
+        Raises
+        ------
+        StructureError
+            If `k` or `rng` is not of this form.
+
+        Notes
+        -----
+        As `sample`.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u, y + 0.1 * rng.standard_normal(500)), 1, dt=0.1)
+        >>> loops = [phc.damping_injection(plant, 0.5) for plant in result.sample_systems(40, rng=1)]
+        >>> np.percentile([loop.damping_ratios.min() for loop in loops], [2.5, 97.5]).round(2)
+        array([0.25, 0.26])
+        """
+        names = inherited_names(self.system, {}, "inputs", "outputs")
+        draws = self.sample(k, rng)
+        return [with_unit(ph(modes(d, r), **names), self.time_unit) for d, r in zip(draws.d, draws.r, strict=True)]
 
     def _orders_about(self, most: int) -> Orders:
         """Poles and shapes of models of one mode more each, this result among them."""
