@@ -663,7 +663,16 @@ def test_one_curve_needs_no_legend_and_the_title_has_its_name():
     plot = bode_plot(frenkel_kontorova(name="chain"))
     assert plot.legend is None
     assert plot.figure.get_suptitle() == "Bode plot of chain"
-    assert bode_plot(frenkel_kontorova()).figure.get_suptitle() == "Bode plot"
+    assert bode_plot(frenkel_kontorova()).figure.get_suptitle() == "Bode plot, F to v"
+    assert bode_plot(ct.tf([1], [1, 0.1, 1])).figure.get_suptitle() == "Bode plot"
+
+
+def test_units_that_the_labels_tell_are_those_of_the_gain():
+    chain = frenkel_kontorova(inputs="F [N]", outputs="v [m/s]")
+    plot = bode_plot(chain)
+    assert plot.axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
+    assert plot.figure.get_suptitle() == "Bode plot, F to v"
+    assert bode_plot(chain, gain_unit="kg/s").axes[0, 0].get_ylabel() == "Magnitude [dB re 1 kg/s]"
     assert bode_plot(frenkel_kontorova(), title="Mine").figure.get_suptitle() == "Mine"
 
 

@@ -215,6 +215,9 @@ def bode_data(
             curves[k] = replace(curve, band=around)
     observed = [one.given.observed_system if isinstance(one.given, FitResult) else one.system for one in subjects]
     title = title_of("Bode plot", subjects, label is not None)
+    if title == "Bode plot" and first.issiso():
+        source, sensor = (one[0].partition(" [")[0] for one in (first.input_labels, first.output_labels))
+        title += f", {source} to {sensor}" * (not {source, sensor} & {"u", "y", "u[0]", "y[0]"})
     return BodeData(observed, curves, measured, low, high, first.input_labels, first.output_labels, title)
 
 

@@ -17,7 +17,19 @@ from .._units import unit_for
 from ..analysis.margins import margin
 from ..exceptions import StructureError
 from .bode_data import BodeData, bode_data
-from .style import BAND, DOTS, LineStyle, Look, PlainLogFormatter, frequency_axis, gain_label, labelled, picture, plain
+from .style import (
+    BAND,
+    DOTS,
+    LineStyle,
+    Look,
+    PlainLogFormatter,
+    frequency_axis,
+    gain_label,
+    labelled,
+    picture,
+    plain,
+    told_gain_units,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -94,7 +106,8 @@ def bode_plot(
         Unit of time, for the labels of frequencies; by default that of the measurement or the fit, none where it is not
         known.
     gain_unit : str, optional
-        Unit of the response, output over input, such as "m/s/N"; the magnitude is in dB re 1 of it.
+        Unit of the response, output over input, such as "m/s/N"; the magnitude is in dB re 1 of it.  By default that
+        of names such as "force [N]" where all channels of the first system have one.
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
     data_label : str, optional
@@ -103,7 +116,7 @@ def bode_plot(
         Axes to draw on, magnitude above phase for each of p outputs and m inputs.  By default a new figure.
     **style
         `title`, `grid`, `show_legend`, `legend_loc`, `rcParams` and, for the curves, `color`, `linestyle`, `linewidth`,
-        as in `control.bode_plot`; the title is made of the names of the systems.
+        as in `control.bode_plot`; the title is made of the names of the systems, or else of the channels.
 
     Returns
     -------
@@ -176,6 +189,8 @@ def bode_plot(
                 drawn.lines[row, j] = _draw_phases(axis, numbers, row // kinds, j, unit, look, deg, wrap_phase)
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
             look.lattice(axis, minor="x")
+        told = set(told_gain_units(numbers.output_labels, numbers.input_labels))
+        gain_unit = told.pop() if gain_unit is None and len(told) == 1 else gain_unit
         gain = gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit)
         phase = "Phase [deg]" if deg else "Phase [rad]"
         _label_axes(drawn.axes, numbers, unit, unit_name, [gain if kind == "magnitude" else phase for kind in rows])

@@ -20,7 +20,18 @@ from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_ma
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from .bode_data import POWERS, band_of, decibels, timebase
-from .style import BAND, DOTS, LineStyle, Look, frequency_axis, gain_label, labelled, picture, plain
+from .style import (
+    BAND,
+    DOTS,
+    LineStyle,
+    Look,
+    frequency_axis,
+    gain_label,
+    labelled,
+    picture,
+    plain,
+    told_gain_units,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -606,13 +617,8 @@ def _turned(values: ComplexArray, cut: float) -> Array:
 def _gain_units(given: Any, numbers: FRFData) -> dict[int, str | None]:
     """Unit of the responses of each output, by its number."""
     if given is None:
-        above, below = (
-            [one.partition(" [")[2].removesuffix("]") for one in names]
-            for names in (numbers.output_labels, numbers.input_labels)
-        )
-        told = all(above) and all(below) and len(set(below)) == 1
-        units = [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]
-        return dict(zip(map(int, numbers.outputs), units if told else [None] * len(above), strict=True))
+        units = told_gain_units(numbers.output_labels, numbers.input_labels)
+        return dict(zip(map(int, numbers.outputs), units, strict=True))
     if isinstance(given, str):
         return dict.fromkeys(map(int, numbers.outputs), given)
     units = _checks.labels(given, len(numbers.outputs), "outputs")

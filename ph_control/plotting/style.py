@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, TypedDict
@@ -235,6 +235,14 @@ def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
     """Label of an axis of decibels."""
     unit = _checks.unit_text(gain_unit)
     return labelled(quantity, f"dB re 1 {unit}" if unit else "dB")
+
+
+def told_gain_units(outputs: Sequence[str], inputs: Sequence[str]) -> list[str] | list[None]:
+    """Unit of the response of each output, where names such as "force [N]" tell those of all channels."""
+    above, below = ([name.partition(" [")[2].removesuffix("]") for name in names] for names in (outputs, inputs))
+    if not (all(above) and all(below) and len(set(below)) == 1):
+        return [None] * len(outputs)
+    return [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]
 
 
 def frequency_axis(Hz: bool | None, time_unit: str | None) -> tuple[float, str]:
