@@ -62,4 +62,34 @@ phc.energy_plot(
     balances, label=["alone", "with absorber"], time_unit="s", energy_unit="J"
 ).figure.savefig("absorber_energy.png", dpi=110)  # fmt: skip
 assert balances[1].stored[-1] < 0.02 * balances[0].stored[-1]
+
+# %%
+# Which absorber is the best depends on the wind. Of a single mass without damping both answers are known: den Hartog's
+# makes the two peaks of the response equally high, Warburton's is best for gusts of all frequencies. `optimal_damping`
+# finds them, and goes on where no formula is known.
+
+single = phc.spring_chain([1.0], [], ground=1.0)
+ratio = 0.05
+formulas = {
+    "fixed points": (1 / (1 + ratio), np.sqrt(3 * ratio / (8 * (1 + ratio)))),
+    "h2": (np.sqrt(1 + ratio / 2) / (1 + ratio),
+           0.5 * np.sqrt(ratio * (1 + 3 * ratio / 4) / ((1 + ratio) * (1 + ratio / 2)))),
+}  # fmt: skip
+omega = np.linspace(0.7, 1.3, 2000)
+figure, axis = plt.subplots(layout="constrained", figsize=(7, 4))
+for criterion, label in (("fixed points", "fixed points (den Hartog)"), ("h2", "least H2 norm (Warburton)")):
+    best = phc.optimal_damping(single, [0], mass=ratio, criterion=criterion, outputs="displacement")
+    found = best.tuned_frequencies[0], best.tuned_damping_ratios[0]
+    print(f"{label}: frequency ratio {found[0]:.7f}, damping {found[1]:.7f}")
+    assert np.allclose(found, formulas[criterion], rtol=1e-6)
+    response = np.abs(best.system(1j * omega).ravel() / omega)
+    axis.plot(omega, response, label=label)
+    if criterion == "fixed points":
+        high = response[1:-1][(response[1:-1] > response[:-2]) & (response[1:-1] > response[2:])]
+        assert len(high) == 2 and abs(high[0] / high[1] - 1) < 0.01
+axis.set(xlabel="Frequency over that of the mass alone", ylabel="Displacement over static displacement",
+         title="A mass with an absorber of 5 %")  # fmt: skip
+axis.grid(alpha=0.4)
+axis.legend()
+figure.savefig("absorber_designs.png", dpi=110)
 plt.close("all")
