@@ -325,6 +325,17 @@ def test_a_mode_that_drifts_and_the_one_it_crosses_are_both_followed(missing):
         assert len({tracks.ids[truth == mode][0] for mode in range(3)}) == 3
 
 
+def test_a_mode_is_found_again_after_shapes_that_were_mixed_where_it_crossed():
+    fits, truth = crossing(3)
+    mixed = (truth == 0) & (abs(fits.table["recording"] - 100) < 5)
+    share = np.array([0.6, 0.5, 0.4, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3])[:, None]
+    shapes = np.array(fits.shapes)
+    shapes[mixed] = share * [1.0, 0.6, 0.3] + (1 - share) * [1.0, -0.4, -0.8]
+    tracks = phc.FitTable(fits.table, tuple(shapes), True).track()
+    for mode in range(3):
+        assert len(set(tracks.ids[~mixed & (truth == mode)])) == 1
+
+
 def test_with_one_output_modes_cross_by_their_trends():
     fits, truth = crossing(1, noise=1e-5)
     tracks = fits.track()

@@ -101,9 +101,11 @@ class FitTable(Report, Frozen):
         frequency_tolerance : float
             Relative distance that a frequency may have from where its mode is expected.
         least_mac : float
-            Modal assurance with the mean of the last shapes that a mode must have, where there are several outputs.
+            Least mean of the modal assurance between a shape and the last ones of its mode, where there are several
+            outputs.
         window : int
-            Number of recordings whose trend tells where a mode is expected.
+            Number of recordings whose trend tells where a mode is expected, and whose shapes it is compared with: more
+            than those in which two modes are too close to be told apart.
         gap : int
             Number of recordings in which a mode may be missing, before it is given up.
         shortest : int

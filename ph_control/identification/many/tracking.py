@@ -17,7 +17,6 @@ from ...numerics.mode_shapes import mac
 from .track_plot import Track, tracks_plot
 
 _TREND = 5  # recordings of a mode from which on they have a trend
-_SHAPES = 5  # last shapes that a new one is held against
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,11 +135,11 @@ class _Followed:
     logs: list[float] = field(default_factory=list)
     shapes: list[ComplexArray] = field(default_factory=list)
 
-    def add(self, place: int, log: float, shape: ComplexArray) -> None:
-        """Take what it is in one more recording."""
+    def add(self, place: int, log: float, shape: ComplexArray, window: int) -> None:
+        """Take what it is in one more recording; as many shapes are kept as that many recordings have."""
         self.places.append(place)
         self.logs.append(log)
-        self.shapes = [*self.shapes[1 - _SHAPES :], shape]
+        self.shapes = [*self.shapes, shape][-window:]
 
     def expected(self, place: int, window: int) -> float:
         """Logarithm of its frequency in a recording, by the median of the slopes between the last ones."""
@@ -186,7 +185,7 @@ def followed(
             if ids[row] < 0:
                 ids[row] = len(known)
                 known.append(_Followed())
-            known[ids[row]].add(place, float(logs[row]), shapes[row])
+            known[ids[row]].add(place, float(logs[row]), shapes[row], window)
     kept = [k for k, one in enumerate(known) if len(one.places) >= shortest]
     numbers = np.full(len(known) + 1, -1)
     numbers[kept] = np.arange(len(kept))
