@@ -35,7 +35,7 @@ def _calls(plant, u, y, folder):
             lambda v: phc.from_second_order(np.eye(2), np.diag([1, 2]), [1, 1], modes=1, residual_modes=v)
         ],
         "condense": [lambda v: phc.from_second_order(np.eye(2), np.eye(2), [1, 0], condense=v)],
-        "Hz": [lambda v: phc.modes_plot(plant, Hz=v), lambda v: phc.pole_zero_plot(plant, Hz=v)],
+        "Hz": [lambda v, f=f: f(plant, Hz=2 if v is None else v) for f in (phc.modes_plot, phc.pole_zero_plot)],
     } | {
         name: [lambda v, name=name: phc.bode_plot(plant, **{name: v})]
         for name in ("dB", "deg", "plot_magnitude", "plot_phase", "wrap_phase", "display_margins")
