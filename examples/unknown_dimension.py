@@ -43,7 +43,7 @@ measured = y + noise * rng.standard_normal(1200)
 orders = range(1, 9)
 within, ahead = [], []
 for order in orders:
-    result = phc.pem((u[:600], measured[:600]), order, dt=0.2, rng=0)
+    result = phc.pem((u[:600], measured[:600]), order, dt=0.2, rng=0, structure="lossless")
     rest = result.predict(u[600:], initial_state="final").outputs
     within.append(np.std(result.residuals) / noise)
     ahead.append(np.std(rest - y[600:]) / noise)
