@@ -155,6 +155,24 @@ def test_all_states_and_one(method):
     assert small.nstates == 1 and phc.passivity(small).is_passive
 
 
+@pytest.mark.parametrize("rate", [1e-10, 1e10])
+@pytest.mark.parametrize("size", [1e-12, 1e12])
+def test_the_error_bound_has_units(rate, size):
+    chain = phc.msd_chain(4)
+    other = phc.ph(chain.Q, np.sqrt(size) * chain.B, J=rate * chain.J, R=rate * chain.R)
+    for method in METHODS:
+        one, two = (phc.reduce(sys, 4, method=method).error_bound for sys in (chain, other))
+        assert two == pytest.approx(one * size / rate, rel=1e-3)
+
+
+def test_orders_of_which_no_linear_model_can_be_made_passive():
+    # frequencies decades apart: the closest passive models of one state, with their inputs as they are, have none
+    for seed in (13, 17):
+        plant, _ = passive_system(seed, states=12, hidden=True, scales=6.0, condition=3.0)
+        small = phc.reduce(plant, 1, method="h2")
+        assert small.nstates <= 5 and phc.passivity(small).is_passive
+
+
 def test_a_tolerance_chooses_the_order():
     chain = phc.msd_chain(12)
     gain = ct.linfnorm(matrices(chain))[0]

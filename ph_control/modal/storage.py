@@ -310,6 +310,8 @@ class _Rest:
     k: Array
 
     def least(self) -> Array:
+        if not len(self.k):
+            raise LinAlgError("no input weighs what is not known")
         return self._refined(solve_continuous_are(self.a, self.b, self.q, -np.diag(self.k), s=self.e))
 
     def _refined(self, Z: Array) -> Array:

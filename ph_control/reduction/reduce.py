@@ -219,23 +219,20 @@ class _Reducer:
         """The best passive model next to the best linear ones, or else next to the balanced one."""
         if order >= len(self.A):
             return self._stored
-        full = Full(self.A, self.B, self.C)
+        # in units in which the system is of size 1, so that steps downhill do not depend on those given
+        rate, size = _sizes(self.A, self.B, self.C, self.D)
+        gain = np.sqrt(rate * size)
+        full, D = Full(self.A / rate, self.B / gain, self.C / gain), self.D / size
         best: tuple[Parts, float] | None = None
         for value, model in stationary_models(full, order):
             if best and best[1] <= value:
                 break
             with suppress(StructureError):  # a model that cannot be made passive
-                found = best_passive(full, self._passive(model))
-                best = found if best is None or found[1] < best[1] else best
-        return (best or best_passive(full, self._balanced(order)))[0]
-
-    def _passive(self, model: Matrices) -> Parts:
-        """Port-Hamiltonian form of the passive model closest to one."""
-        A, B, C = model
-        m, D = self.m, self.D[: self.m]
-        family = FixedPoles(A, B, scattering=False)
-        moved = closest_passive(family, C[:m], D, h2_covariance(family, m))
-        return stored_parts(PortRows(A, B, np.vstack([moved.C, C[m:]]), self.D), "mean")
+                start = _passive(model, D, self.m)
+                found = best_passive(full, start) if len(start["Q"]) else None
+                best = found if best is None or (found and found[1] < best[1]) else best
+        best = best or best_passive(full, _in_units(self._balanced(order), 1 / rate, 1 / size))
+        return _in_units(best[0], rate, size)
 
     def _error(self, parts: Parts) -> float:
         return _difference((self.A, self.B, self.C), parts)
@@ -247,6 +244,27 @@ class _Reducer:
         if len(split.axis) != len(self.axis):
             return np.inf
         return _largest_gain(*_parallel((self.A, self.B, self.C), split.rest), np.zeros_like(self.D))
+
+
+def _passive(model: Matrices, D: Array, m: int) -> Parts:
+    """Port-Hamiltonian form of the passive model closest to one."""
+    A, B, C = model
+    family = FixedPoles(A, B, scattering=False)
+    moved = closest_passive(family, C[:m], D[:m], h2_covariance(family, m))
+    return stored_parts(PortRows(A, B, np.vstack([moved.C, C[m:]]), D), "mean")
+
+
+def _in_units(parts: Parts, rate: float, size: float) -> Parts:
+    """The same system with time and responses in other units, and the energy of its states as it was."""
+    gain = np.sqrt(rate * size)
+    factors = {"J": rate, "R": rate, "G": gain, "P": gain, "sensor_rows": gain, "S": size, "N": size,
+               "sensor_feedthrough": size}  # fmt: skip
+    return parts | {name: factor * parts[name] for name, factor in factors.items()}
+
+
+def _sizes(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
+    rate = float(np.linalg.norm(A)) or 1.0
+    return rate, float(np.linalg.norm(B) * np.linalg.norm(C)) / rate + float(np.linalg.norm(D)) or 1.0
 
 
 def _difference(full: Matrices, parts: Parts) -> float:
@@ -267,5 +285,7 @@ def _largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
     """H-infinity norm, from above."""
     if not len(A):
         return float(np.linalg.norm(D, 2))
-    gain, _ = ct.linfnorm(ct.ss(A, B, C, D), tol=_TOLERANCE)
-    return float(gain * (1 + 2 * _TOLERANCE))
+    rate, size = _sizes(A, B, C, D)
+    scale = np.sqrt(rate * size)
+    gain, _ = ct.linfnorm(ct.ss(A / rate, B / scale, C / scale, D / size), tol=_TOLERANCE)
+    return float(gain * size * (1 + 2 * _TOLERANCE))
