@@ -165,6 +165,18 @@ def test_one_dashpot_minimises_the_mean_energy():
     np.testing.assert_array_equal(np.asarray(found), found.gains)
 
 
+def test_units_of_the_states_do_not_matter():
+    # in SI a storey has 1e8 N/m and 1e5 kg: the roots of the energies are 13 decades apart
+    M, K = np.diag([2.0, 2.0, 2.0]), np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    plain = phc.from_second_order(M, K, [1.0, 0.0, 0.0], C=0.02 * K)
+    heavy = phc.from_second_order(1e5 * M, 2.5e8 * K, [1.0, 0.0, 0.0], C=0.02 * 5e6 * K)  # times 50 in frequency
+    gains = [phc.optimal_damping(sys).gains[0] for sys in (plain, heavy)]
+    assert gains[1] == pytest.approx(5e6 * gains[0], rel=1e-5)
+    free = phc.from_second_order(1e5 * M, 2.5e8 * (K - np.diag([1.0, 0.0, 0.0])), [1.0, 0.0, 0.0])
+    with pytest.raises(phc.StructureError, match="rigid"):
+        phc.lqg(free, 1.0, weight=np.eye(6))
+
+
 def test_several_dashpots_damp_the_least_damped_mode_best():
     found = phc.optimal_damping(CHAIN, ["F_1", "F_3"], criterion="damping")
     zeta = found.system.damping_ratios.min()

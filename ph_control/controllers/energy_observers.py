@@ -14,7 +14,7 @@ from ..exceptions import StructureError
 from ..systems.dissipative import parts_of
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .damping_injection import controller_of, plant, port_numbers
-from .optimal_damping import energy_basis, energy_coordinates, optimal_damping, refuse_feedthrough
+from .optimal_damping import energy_basis, energy_coordinates, optimal_damping, refuse_feedthrough, sees
 
 _ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for rounding
 
@@ -200,8 +200,8 @@ def _weight(sys: PortHamiltonian, weight: ArrayLike) -> Array:
     least, largest = (float(f(np.linalg.eigvalsh(W), initial=0.0)) for f in (np.min, np.max))
     if least < -_ROUNDING * n * _checks.EPS * largest:
         raise StructureError(f"the weight has the eigenvalue {least:.3g}; allowed are none below 0")
-    root, vectors, still = energy_basis(parts_of(sys)["Q"])
-    back = vectors / root
-    if np.abs(W @ still).max(initial=0.0) > 1e-9 * largest:
+    Q = parts_of(sys)["Q"]
+    _, back, still = energy_basis(Q)
+    if sees(W, still, Q).any():
         raise StructureError("the weight sees a rigid displacement, which has no energy; leave it out")
     return back.T @ W @ back

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array, ArrayLike
+from .._types import Array, ArrayLike, Mask
 from ..exceptions import StructureError
 from ..systems.dissipative import parts_of
 from ..systems.interconnection import interconnect, through_ports
@@ -267,10 +267,26 @@ def refuse_feedthrough(sys: PortHamiltonian, at: Sequence[int]) -> None:
 
 
 def energy_basis(Q: Array) -> tuple[Array, Array, Array]:
-    """Roots of the energies that are not 0, their directions, and those of no energy, each column one."""
-    energies, vectors = eigh(Q)
+    """Matrices `T`, `back`, `still`: `Q = T^T T`, `T back = 1`, and states of no energy, each column one.
+
+    Told apart at unit diagonal, so that units of states do not matter: in SI stiffness and mobility are far apart.
+    """
+    scale = _scale(Q)
+    energies, vectors = eigh(Q / np.outer(scale, scale))
     kept = energies > 64 * len(energies) * _checks.EPS * energies.max(initial=0.0)
-    return np.sqrt(energies[kept]), vectors[:, kept], vectors[:, ~kept]
+    root, inverse = np.sqrt(energies[kept]), vectors / scale[:, None]
+    return root[:, None] * vectors[:, kept].T * scale, inverse[:, kept] / root, inverse[:, ~kept]
+
+
+def _scale(Q: Array) -> Array:
+    diagonal = np.diag(Q)
+    return np.asarray(np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
+def sees(rows: Array, still: Array, Q: Array) -> Mask:
+    """Which rows see a state of no energy, by more than rounding."""
+    reach = np.abs(rows / _scale(Q)).max(axis=1, initial=0.0)
+    return np.asarray(np.abs(rows @ still).max(axis=1, initial=0.0) > 1e-9 * reach)
 
 
 def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:
@@ -283,10 +299,9 @@ def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, 
     """
     refuse_feedthrough(sys, at)
     part = parts_of(sys)
-    root, vectors, still = energy_basis(part["Q"])
-    T, back = root[:, None] * vectors.T, vectors / root
+    T, back, still = energy_basis(part["Q"])
     rows, through = part["sensor_rows"], part["sensor_feedthrough"]
-    unseen = np.abs(rows @ still).max(axis=1, initial=0.0) > 1e-9 * np.abs(rows).max(axis=1, initial=1e-300)
+    unseen = sees(rows, still, part["Q"])
     seen = np.where(unseen[:, None], np.nan, rows @ back)
     C = (part["G"] + part["P"]).T @ T.T
     return T @ (part["J"] - part["R"]) @ T.T, T @ (part["G"] - part["P"]), C, (seen, through)
