@@ -71,6 +71,19 @@ def test_a_system_moves_from_the_state_that_fits_all_outputs(recording, kind):
     assert rested.fit_percent[0] < found.fit_percent[0]
 
 
+def test_a_system_beside_a_fit_meets_the_samples_as_the_fit_does():
+    rng = np.random.default_rng(3)
+    plant = phc.ph(phc.modes([1.0, 2.5], [1.0, 0.3], damping=[0.01, 0.02]))
+    u = rng.standard_normal(600)
+    y = phc.forced_response(plant, 0.4 * np.arange(600), u, intersample="foh").outputs
+    y = y + 0.02 * np.std(y) * rng.standard_normal(600)
+    fit = phc.pem((u[:300], y[:300]), dt=0.4)
+    assert fit.intersample == "foh"
+    beside, alone = phc.compare((u[300:], y[300:]), plant, fit, dt=0.4), phc.compare((u[300:], y[300:]), plant, dt=0.4)
+    assert beside.fit_percent.min() > 97
+    assert alone.fit_percent[0] < 95
+
+
 def test_new_data_several_experiments_and_free_motions(recording, result):
     u, y = recording
     new = u[:, 400:], y[:, 400:]

@@ -423,3 +423,16 @@ def test_a_sample_far_out_of_the_noise_of_a_record_is_named():
     y[123] += 20
     result = phc.pem((u, y), 2, dt=1.0)
     assert result.experiments[0].outliers == (123,) and result.outcome.name == "DOUBTFUL"
+
+
+def test_a_crystal_is_damped_though_its_lossless_model_does_not_converge():
+    f = np.linspace(9.98e6, 10.05e6, 800)
+    s = 2j * np.pi * f
+    exact = 1 / (15 + s * 12.665e-3 + 1 / (s * 20e-15)) + s * 5e-12
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal(800) + 1j * rng.standard_normal(800)
+    measured = ct.frd(exact + 0.005 * np.abs(exact) * z + 2e-6 * z[::-1], s.imag)
+    result = phc.pem(measured)
+    assert result.order == 1 and result.structure == "classical"
+    values = {one.name: one.value for one in phc.netlist(result.system).elements}
+    assert values == pytest.approx({"L1": 12.665e-3, "R1": 15.0, "C1": 20e-15}, rel=0.01)

@@ -94,7 +94,8 @@ def to_unique(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     Notes
     -----
     Two canonical pairs have the same coordinates iff an element of the group of `act` takes one to the other, iff
-    their filters agree.  Full relative accuracy; O(n log n).
+    their filters agree.  Of a canonical `PortHamiltonian` they are `sys.d` and `sys.r`.  Full relative accuracy;
+    O(n log n).
 
     Examples
     --------

@@ -81,9 +81,9 @@ def stable_poles(
     And the MAC with the pole of the order before that confirms each; NaN without one, and of a single output.
 
     A pole is stable in frequency if one of the order before has the same `|p|` to `frequency_tolerance`, in damping if
-    its ratio is the same to `damping_tolerance` as well, both relative to the larger one, and in shape if besides the
-    MAC of both reaches `least_mac`.  Each pole of the order before confirms one at most: that of the most in common,
-    then the nearest.  A single output has no shape.
+    its ratio, not negative, is the same to `damping_tolerance` as well, both relative to the larger one, and in shape
+    if besides the MAC of both reaches `least_mac`.  Each pole of the order before confirms one at most: that of the
+    most in common, then the nearest.  A single output has no shape.
     """
     for name, value in (
         ("frequency_tolerance", frequency_tolerance), ("damping_tolerance", damping_tolerance), ("least_mac", least_mac)
@@ -100,6 +100,7 @@ def stable_poles(
         in_frequency = distance <= frequency_tolerance
         sizes = np.maximum(np.abs(zeta)[:, None], np.abs(earlier))
         in_damping = in_frequency & (np.abs(zeta[:, None] - earlier) <= damping_tolerance * sizes)
+        in_damping &= zeta[:, None] >= 0
         level = in_frequency.astype(np.int8) + in_damping
         alike = mac(shapes[k], shapes[k - 1]) if seen and shapes is not None else np.full(level.shape, np.nan)
         level += in_damping & (alike >= least_mac)

@@ -104,7 +104,8 @@ def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...
         first = _structure_of(free, asked)
     except KeyboardInterrupt:
         return structured(replace(free, interrupted=True), asked, findings)
-    findings = (*findings, *free.findings)
+    anew = {one.cause for one in free.findings}
+    findings = (*(one for one in findings if one.cause not in anew), *free.findings)
     settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
     if free.rival is None or first[0].structure in settled:
         return _result(free, *first, asked, findings)

@@ -22,10 +22,12 @@ from ..data.quantities import checked_quantities, quantity_of
 from ..data.time_record import LONG
 from ..diagnosis.circumstance_tests import NOISE
 from ..diagnosis.damping import REFUSED, DampingWatch, beside, lossless_test
+from ..diagnosis.verdict import Outcome
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
 from ..search.criteria import CRITERIA, HELD_OUT, criteria, preference, significant
 from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, Records, reporter
+from ..search.modal_search import likely_delays
 from ..search.order_selection import held_out_losses
 from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
@@ -197,8 +199,10 @@ def pem(
     if found.blind:
         warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
     # the test of a long record is that of all of it, where no damped modes were looked for
-    rejected = free is not None or (is_long(records) and any(one.p < REFUSED for one in result.tests))
-    usable = result.success or (free is not None and free.interrupted)
+    refused = any(one.p < REFUSED for one in result.tests)
+    undescribed = free is None and refused and result.outcome is Outcome.NOT_DESCRIBED
+    rejected = free is not None or undescribed or (is_long(records) and refused)
+    usable = result.outcome is not Outcome.INTERRUPTED or (free is not None and free.interrupted)
     if structure == "lossless" or not rejected or method != "exact" or not usable:
         return result
     whole = free is not None and all(a.samples == b.samples for a, b in zip(free.channels, records, strict=True))
@@ -208,6 +212,8 @@ def pem(
     responses = isinstance(channels[0], ResponseMatrix)
     anew = not whole or (weights is None if responses else initial_state == "estimate" and begin_at_rest(channels))
     known = free is not None and (order != "auto" if responses else not whole)
+    # lossless modes that mimic damping hide a delay, which damped ones of the wrong phase show
+    anew = anew or (free is not None and not free.interrupted and bool(likely_delays(free)))
     try:
         if free is None or (anew and not free.interrupted):
             damped = fit_channels(
@@ -220,7 +226,7 @@ def pem(
             damped = under_either_hold(free, asked, result.findings)
     except KeyboardInterrupt:
         return cut_short(result)
-    if damped.structure == "lossless":
+    if damped.structure == "lossless" or (undescribed and damped.bic > result.bic):
         return result
     return damped
 

@@ -185,7 +185,8 @@ class PEMResult(Report, Frozen):
             shapes = np.zeros(0, complex)
         if shapes.ndim != 2:
             raise StructureError(
-                f"other is {_checks.shown(other)}; pass a result, a form or an array of shapes (modes, outputs)"
+                f"other is {_checks.shown(other)}; pass a result, a form or an array of shapes (modes, outputs); of "
+                "finite elements `structural_modes.shapes[places].T`, with the rows where the sensors are"
             )
         _checks.finite("other", shapes)
         return mac(self.shapes, shapes)

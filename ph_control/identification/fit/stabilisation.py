@@ -38,7 +38,7 @@ class Stabilisation(Report, Frozen):
         Mode shapes, in units of velocity, the largest entry 1.
     stability : tuple of ndarray of int, shapes (n,)
         0 of a pole that is new, 1 if its frequency is that of a pole of the order before, 2 if its damping is as well,
-        3 if its shape is as well.
+        3 if its shape is as well.  Of a pole that grows it is 1 at most.
     mac : tuple of ndarray, shapes (n,)
         Modal assurance criterion with that pole; NaN where there is none, and of a single output.
     order : int

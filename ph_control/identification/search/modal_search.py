@@ -313,13 +313,31 @@ def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
 
 
 def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
-    """The fit with outputs that come some samples after the inputs, or before, where the modes say so.
+    """The fit with outputs that come some samples after the inputs, or before, where the modes say so."""
+    terms = _constants(found)
+    best, gain = found, TUNING.likely
+    for delay in sorted(likely_delays(found)):
+        again = anew([_delayed(one, delay) for one in found.channels], terms, None)
+        share = found.projection.rows / again.projection.rows
+        now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
+        if now > gain:
+            finding = Finding(Cause.DELAY, (float(delay),), now)
+            best, gain = replace(again, findings=(*found.findings, finding)), now
+    return best
+
+
+def _constants(found: FreeFit) -> int:
+    return max(getattr(one, "offset", 0) for one in found.projection.experiments)
+
+
+def likely_delays(found: FreeFit) -> set[int]:
+    """Samples by which outputs of recordings may come after the inputs, or before, for the poles there are.
 
     Residues turn with a delay; what the first samples of an answer are tells it.
     """
-    terms = max(getattr(one, "offset", 0) for one in found.projection.experiments)
-    if not found.projection.inputs:
-        return found
+    if not found.projection.inputs or isinstance(found.channels[0], ResponseMatrix):
+        return set()
+    terms = _constants(found)
     p, some = found.projection.p, [_first(one, _DELAYS_FROM) for one in found.channels]
 
     def late(delay: int) -> FreeProjection:
@@ -327,7 +345,7 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
         return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
 
     if not _leaves_traces(late(0)):
-        return found
+        return set()
     gains = {}
     for delay in (0, *TUNING.delays):
         at = late(delay)
@@ -336,16 +354,7 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
-    likely |= {max(gains, key=lambda delay: gains[delay])} - {0}
-    best, gain = found, TUNING.likely
-    for delay in sorted(likely):
-        again = anew([_delayed(one, delay) for one in found.channels], terms, None)
-        share = found.projection.rows / again.projection.rows
-        now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
-        if now > gain:
-            finding = Finding(Cause.DELAY, (float(delay),), now)
-            best, gain = replace(again, findings=(*found.findings, finding)), now
-    return best
+    return likely | {max(gains, key=lambda delay: gains[delay])} - {0}
 
 
 def _leaves_traces(at: FreeProjection) -> bool:

@@ -21,6 +21,7 @@ from ...plotting.validation_plot import channel_comparison_plot, response_compar
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import InTime
+from ..fit.result import PEMResult
 from ..regression.prediction import chosen_experiment
 from .measured import (
     HeldData,
@@ -234,7 +235,7 @@ def compare(
     *models: Any,
     dt: Any = None,
     method: str = "exact",
-    intersample: str = "zoh",
+    intersample: str = "auto",
     initial_state: str = "estimate",
     offset: bool = False,
     weights: Any = None,
@@ -254,8 +255,9 @@ def compare(
         Time between samples; needed with arrays, unless a model has one.
     method : {'exact', 'midpoint', 'euler'}
         How continuous-time models meet the samples; a `PEMResult` keeps its own.
-    intersample : {'zoh', 'foh'}
-        Input between samples, for continuous-time models; a `PEMResult` keeps its own.
+    intersample : {'auto', 'zoh', 'foh'}
+        Input between samples, for continuous-time models; a `PEMResult` keeps its own.  'auto' is that of the first
+        `PEMResult` among the models, which the data preferred, and 'zoh' without one.
     initial_state : {'estimate', 'zero', 'fitted'}
         State of each model at the first sample: the one that fits this record best, rest, or for a `PEMResult` the
         one found in its own record.  A free motion is always fitted.
@@ -335,6 +337,9 @@ def compare(
       model             fit  RMS error
       plant         88.88 %     0.6437
     """
+    if intersample == "auto":
+        fits = (one for one in models if isinstance(one, PEMResult) and getattr(one, "method", "exact") == method)
+        intersample = next((one.intersample for one in fits), "zoh")
     rules = Rules(method, intersample, initial_state, offset)
     if not models:
         raise StructureError("no model given; pass at least one after the data")
