@@ -149,17 +149,20 @@ def test_a_delay_is_named_and_the_order_stays(delay, samples):
 # --- noise -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none():
+@pytest.mark.parametrize("drift", [0.0, 1.0])
+def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift):
     rng = np.random.default_rng(5)
     plant = phc.ph(phc.modes([3.0, 7.0], [0.33, 0.09], damping=[0.01, 0.009]))
     u = rng.standard_normal(2000)
     y = phc.forced_response(plant, 0.05 * np.arange(2000), u, intersample="zoh").outputs
-    y = y + 0.03 * np.std(y) * rng.standard_normal(2000)
+    y = y + np.std(y) * (0.03 * rng.standard_normal(2000) + drift * np.arange(2000) / 1000)
     on_time = phc.pem((u, y), dt=0.05)
     assert "DELAY" not in causes(on_time)
-    for delay in (3, 4):  # the lossless modes tried first cannot mimic the latter
+    # one or four heavily damped modes mimic the shortest and the longest of these, and leave white residuals
+    for delay in (1, 4, 8):
         late = phc.pem((u[delay:], y[:-delay]), dt=0.05)
         assert causes(late)["DELAY"].values == (delay,)
+        assert [one.cause.name for one in late.findings].count("DRIFT") == (drift > 0)
         assert late.order == 2 and late.structure == "classical"
         np.testing.assert_allclose(late.damping_ratios, on_time.damping_ratios, rtol=0.02)
 

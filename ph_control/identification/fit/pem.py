@@ -25,6 +25,7 @@ from ..diagnosis.damping import REFUSED, DampingWatch, beside, lossless_test
 from ..diagnosis.verdict import Outcome
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
+from ..search.circumstances import Cause
 from ..search.criteria import CRITERIA, HELD_OUT, criteria, preference, significant
 from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, Records, reporter
 from ..search.modal_search import likely_delays
@@ -33,6 +34,8 @@ from ..search.path import Start, prune, reseat, restart, stop_of
 from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Conclusion, Fit, conclude
+from .damped_result import DampedResult
+from .lossless_result import LosslessResult
 from .modal_fit import (
     asked_of,
     begin_at_rest,
@@ -196,15 +199,23 @@ def pem(
         criterion, max_order, workers, rng, callback, structure,
     )  # fmt: skip
     result, free = found.result, found.free
-    if found.blind:
-        warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
+
+    def lossless() -> LosslessResult:
+        if found.blind:
+            warnings.warn(
+                found.blind, IdentifiabilityWarning, stacklevel=4
+            )  # the line that calls the decorated function
+        return result
+
     # the test of a long record is that of all of it, where no damped modes were looked for
     refused = any(one.p < REFUSED for one in result.tests)
-    undescribed = free is None and refused and result.outcome is Outcome.NOT_DESCRIBED
+    undescribed = order == "auto" and free is None and refused and result.outcome is Outcome.NOT_DESCRIBED
     rejected = free is not None or undescribed or (is_long(records) and refused)
-    usable = result.outcome is not Outcome.INTERRUPTED or (free is not None and free.interrupted)
+    # lossless modes of an order that was given too low need not settle, which says nothing of damping
+    settled = result.success or (order == "auto" and result.outcome is not Outcome.INTERRUPTED)
+    usable = settled or (free is not None and free.interrupted)
     if structure == "lossless" or not rejected or method != "exact" or not usable:
-        return result
+        return lossless()
     whole = free is not None and all(a.samples == b.samples for a, b in zip(free.channels, records, strict=True))
     channels = free.channels if free is not None and whole else as_channels(list(records))
     asked = asked_of(channels, "auto", ports, result.quantity)
@@ -212,22 +223,28 @@ def pem(
     responses = isinstance(channels[0], ResponseMatrix)
     anew = not whole or (weights is None if responses else initial_state == "estimate" and begin_at_rest(channels))
     known = free is not None and (order != "auto" if responses else not whole)
-    # lossless modes that mimic damping hide a delay, which damped ones of the wrong phase show
-    anew = anew or (free is not None and not free.interrupted and bool(likely_delays(free)))
+
+    def searched() -> DampedResult:
+        return fit_channels(
+            channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
+            criterion=criterion, callback=callback, start=free.projection.p if free is not None and known else None,
+            findings=result.findings, moving=initial_state == "estimate", weighted=weights is not None,
+        )  # fmt: skip
+
     try:
         if free is None or (anew and not free.interrupted):
-            damped = fit_channels(
-                channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
-                criterion=criterion, callback=callback,
-                start=free.projection.p if free is not None and known else None,
-                findings=result.findings, moving=initial_state == "estimate", weighted=weights is not None,
-            )  # fmt: skip
+            damped = searched()
         else:
             damped = under_either_hold(free, asked, result.findings)
+            # residues of any phase may be those of a delay, which was looked for beside lossless modes only
+            alone = order == "auto" and damped.structure == "free" and not free.interrupted
+            if alone and likely_delays(free):
+                other = searched()
+                damped = other if any(one.cause is Cause.DELAY for one in other.findings) else damped
     except KeyboardInterrupt:
         return cut_short(result)
     if damped.structure == "lossless" or (undescribed and damped.bic > result.bic):
-        return result
+        return lossless()
     return damped
 
 

@@ -45,6 +45,7 @@ _EXACT = 1e-13  # relative decrease of the loss at which the last refinement end
 _LOWEST = 0.5  # bins: what does not swing half a time is a drift
 _GROWING = 3.0  # standard errors of a decay rate beyond which a mode grows
 _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
+_MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
@@ -333,17 +334,27 @@ def _constants(found: FreeFit) -> int:
 def likely_delays(found: FreeFit) -> set[int]:
     """Samples by which outputs of recordings may come after the inputs, or before, for the poles there are.
 
-    Residues turn with a delay; what the first samples of an answer are tells it.
+    Residues turn with a delay; what the first samples of an answer are tells it.  Heavily damped modes can be a
+    rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
     """
     if not found.projection.inputs or isinstance(found.channels[0], ResponseMatrix):
         return set()
     terms = _constants(found)
     p, some = found.projection.p, [_first(one, _DELAYS_FROM) for one in found.channels]
 
-    def late(delay: int) -> FreeProjection:
+    def late(delay: int, p: ComplexArray = p) -> FreeProjection:
         rows = _records([_delayed(one, delay) for one in some], found.intersample, terms, True)
         return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
 
+    def bic(at: FreeProjection) -> float:
+        return float(at.rows * np.log(at.loss / at.rows) + at.unknowns * np.log(at.rows)) / at.rows
+
+    light = p[-p.real < _MIMICS * np.abs(p)]
+    if 0 < len(light) < len(p):
+        values = {delay: bic(late(delay, light)) for delay in TUNING.delays}
+        best = min(values, key=lambda delay: values[delay])
+        if best and values[best] < bic(late(0)):
+            return ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}  # a sample may be fed through
     if not _leaves_traces(late(0)):
         return set()
     gains = {}
