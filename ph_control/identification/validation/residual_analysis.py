@@ -438,5 +438,6 @@ def _directions(answers: list[Simulation], scales: list[Array]) -> tuple[list[ND
     if sum(one.shared.size + one.local.size for one in found) > _MOST:
         return [one.shared[:, :0] for one in found], [one.local[:, :0] for one in found]
     width = max(one.shared.shape[1] for one in found)
-    shared = [one.shared if one.shared.shape[1] else np.zeros((len(one.shared), width)) for one in found]
+    # poles come last; a free motion has no residues before them
+    shared = [np.pad(one.shared, ((0, 0), (width - one.shared.shape[1], 0))) for one in found]
     return [scale[:, None] * one for scale, one in zip(scales, shared, strict=True)], [one.local for one in found]
