@@ -603,7 +603,7 @@ def test_offset_is_suspected():
 
 def test_verdict_in_a_few_words_stands_above_the_table():
     _, u, y, _ = record_of([0.5, 1.9, 2.6], [1.0, 0.3, 0.3])
-    good, poor = phc.pem((u, y), dt=0.1), phc.pem((u, y), 1, dt=0.1)
+    good, poor = phc.pem((u, y), dt=0.1), lossless_fit((u, y), 1, dt=0.1)
     assert good.outcome.name == "CONSISTENT"
     assert poor.outcome.name == "NOT_DESCRIBED"
     assert "a higher one may fit better" in poor.message and "higher" not in good.message

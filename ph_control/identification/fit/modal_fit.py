@@ -297,7 +297,7 @@ def _judged(
         findings=findings,
         success=fit.converged and not free.interrupted,
         outcome=outcome,
-        message=_message(free, growing, tests, findings, shapes, whiteness, outcome),
+        message=_message(free, growing, tests, findings, shapes, fitted, whiteness, outcome),
         intersample="zoh" if free.per_entry else free.intersample,
     )  # fmt: skip
 
@@ -504,12 +504,17 @@ def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bo
 
 def _message(
     free: FreeFit, growing: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
-    shapes: ModeShapes, whiteness: float, outcome: Outcome,
+    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
+    if outcome is Outcome.DOUBTFUL:
+        why = "some values are far out of the noise"
+        if whiteness < WHITE:
+            why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
+        parts.append(f"Doubtful, as {why}.")
     parts += [sentence_of(one, free.intersample) for one in findings if worth_telling(one, free.intersample)]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:
@@ -531,5 +536,6 @@ def _message(
             left = "errors and tests are those of noise with their spectrum"
         parts.append(f"The residuals are not white (Ljung-Box {p_value(whiteness)}): {left}.")
     else:
-        parts.append("The residuals are white: the model explains the data.")
+        more = ": the model explains the data" * (outcome is not Outcome.DOUBTFUL)
+        parts.append(f"The residuals are white{more}.")
     return " ".join(parts)
