@@ -318,7 +318,7 @@ STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "F": [1.
         ({"C": [[1.0, 0.5], [0.0, 1.0]]}, "C is not symmetric"),
         ({"C": np.eye(3)}, r"C has shape \(3, 3\); it must be \(2, 2\)"),
         ({"C": np.nan * np.eye(2)}, "C is not finite"),
-        ({"sensors": {"speed": [1.0, 0.0]}}, "the sensors measure 'speed'; known are 'position', 'velocity'"),
+        ({"sensors": {"speed": [1.0, 0.0]}}, "the sensors measure 'speed'; known are 'position', 'displacement'"),
         ({"sensors": {"velocity": [1.0, 0.0, 0.0]}}, "the sensors of velocity have shape"),
         (
             {"M": np.diag([1.0, 0.0]), "C": np.eye(2), "condense": True},
@@ -340,12 +340,13 @@ def test_damping_and_sensors_are_those_of_the_equations_of_motion(n, ports, seed
     half = rng.standard_normal((n, rng.integers(1, n + 1)))
     C, F = 0.3 * half @ half.T, rng.standard_normal((n, ports))
     rows = {kind: rng.standard_normal((2, n)) for kind in ("acceleration", "position", "velocity")}
+    rows["displacement"] = rows["position"]
     sys = from_second_order(M, K, F, C=C, sensors=rows)
     inverse, condition = np.linalg.inv(M), np.linalg.cond(M) * np.linalg.cond(K)
     assert np.array_equal(sys.R[n:, n:], 0.5 * (C + C.T)) and not sys.R[:n].any() and not sys.is_lossless
     for s in (1.0 + 2j, 0.5, 0.1 + 10j):
         q = np.linalg.solve(s**2 * M + s * C + K, F.astype(complex))
-        factor = {"position": 1, "velocity": s, "acceleration": s**2}
+        factor = {"position": 1, "displacement": 1, "velocity": s, "acceleration": s**2}
         truth = np.vstack([s * F.T @ q, *(factor[kind] * part @ q for kind, part in rows.items())])
         assert np.max(np.abs(sys.horner(s)[:, :, 0] - truth)) < 1e4 * n * EPS * condition * np.max(np.abs(truth))
     np.testing.assert_allclose(sys.D[ports : ports + 2], rows["acceleration"] @ inverse @ F, rtol=1e-8, atol=1e-10)

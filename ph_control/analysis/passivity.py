@@ -214,6 +214,12 @@ def _state_space(sys: Any) -> ct.StateSpace:
             sys = ct.ss(sys)
         except ValueError as error:
             raise StructureError(f"{error}; passivity is tested of proper transfer functions") from None
+    if isinstance(sys, ct.FrequencyResponseData):
+        raise StructureError(
+            "this is a FrequencyResponseData, which tells nothing between its points; pass a model of it, such as "
+            "result.system of pem. At the points a scattering matrix is passive if numpy.linalg.norm(data.frdata, 2, "
+            "axis=(0, 1)) is at most 1, an impedance if the eigenvalues of its Hermitian part are not negative"
+        )
     if not isinstance(sys, ct.StateSpace):
         raise StructureError(f"this is a {type(sys).__name__}; pass a StateSpace or a TransferFunction")
     if sys.isdtime(strict=True):

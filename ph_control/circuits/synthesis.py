@@ -172,7 +172,7 @@ def _classical(matrices: dict[str, Array], conversion: Conversion) -> _Parts:
             [], "the damping of the system is not classical: its modes are not resonators "
             "kappa s/(s^2 + 2 zeta d s + d^2) side by side, so that it has no circuit of one branch for each; "
             "keep the netlist that it was read from, or take the nearest one of such modes, with their damping ratios: "
-            "phc.modes(d, r, damping=zeta)",
+            "phc.modes(d, r, damping=zeta), or of data pem(data, structure='classical')",
         )  # fmt: skip
     through, G, J = matrices["S"] + matrices["N"], matrices["G"], matrices["J"]
     if np.count_nonzero(through - np.diag(np.diag(through))):

@@ -24,7 +24,7 @@ from .rigid import FAINT, energy_parts, rigid_modes
 
 _FEW = 64  # modes that are looked at, in a large structure; more are not rigid
 
-_KINDS = ("position", "velocity", "acceleration")
+_KINDS = ("position", "displacement", "velocity", "acceleration")
 
 
 class _Structure(NamedTuple):
@@ -66,8 +66,8 @@ def from_second_order(
     C : array_like, shape (n, n), optional
         Damping matrix, symmetric positive semidefinite; default none.
     sensors : dict of array_like, shape (k, n), or array_like, optional
-        Rows of further outputs by what they measure: 'position', 'velocity', 'acceleration'.  An array alone holds
-        rows of positions.
+        Rows of further outputs by what they measure: 'position' or 'displacement', which are the same, 'velocity',
+        'acceleration'.  An array alone holds rows of positions.
     modes : int, optional
         Keep so many of the lowest modes; where the last belongs to repeated natural frequencies, all of these.
     band : (float, float), optional
@@ -273,6 +273,7 @@ def _sensor_matrices(measured: Mapping[str, Array], motion: Array, Q: Array, R: 
     A = (symplectic_form(n) - R) @ Q
     of_kind = {
         "position": (np.eye(n, 2 * n), still),
+        "displacement": (np.eye(n, 2 * n), still),
         "velocity": (np.hstack([none, inverse]), still),
         "acceleration": (inverse @ A[n:], inverse @ B[n:]),
     }
