@@ -79,6 +79,10 @@ def test_coloured_residuals_are_told_with_their_band_for_the_outputs_that_have_t
     np.testing.assert_allclose(result.experiments[0].residuals[1].std(), np.sqrt(result.noise_variance[1]), rtol=0.02)
     phc.save(result, tmp_path / "fit.json")
     assert phc.load(tmp_path / "fit.json").findings == result.findings
+    assert f"between 0 and {high:.4g} rad per unit time" in result.message
+    data = ct.TimeResponseData(0.5 * np.arange(u.shape[-1]), y, inputs=u)
+    data.time_unit = "ms"
+    assert f"between 0 and {1e3 * high / (2 * np.pi):.4g} Hz" in phc.pem(data, 2, structure="free").message
 
 
 def test_white_residuals_are_told_as_nothing():

@@ -515,7 +515,8 @@ def _message(
         if whiteness < WHITE:
             why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
         parts.append(f"Doubtful, as {why}.")
-    parts += [sentence_of(one, free.intersample) for one in findings if worth_telling(one, free.intersample)]
+    unit = free.channels[0].time_unit
+    parts += [sentence_of(one, free.intersample, unit) for one in findings if worth_telling(one, free.intersample)]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:
         parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")

@@ -17,6 +17,7 @@ from scipy.optimize import minimize_scalar
 from ..._checks import EPS
 from ..._display import p_value
 from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._units import hertz_size
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
@@ -381,8 +382,8 @@ def worth_telling(finding: Finding, intersample: str) -> bool:
     return not (default and intersample == "zoh")
 
 
-def sentence_of(finding: Finding, intersample: str) -> str:
-    """What a finding says, and what to do about it."""
+def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None) -> str:
+    """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known."""
     values, certain = finding.values, f"log-likelihood + {finding.gain:.3g}"
     shown = ", ".join(f"{value:.3g}" for value in values[:4]) + ", ..." * (len(values) > 4)
     if finding.cause is Cause.CONSTANT:
@@ -429,9 +430,12 @@ def sentence_of(finding: Finding, intersample: str) -> str:
         )
     if finding.cause is Cause.COLOURED_RESIDUALS:
         low, high, size, share = values
+        if time_unit:
+            low, high = (one / hertz_size(time_unit) for one in (low, high))
+        unit = "Hz" if time_unit else "rad per unit time"
         return (
             f"The residuals of {finding.output!r} are coloured ({certain}): {100 * share:.0f} % of their power lies "
-            f"between {low:.4g} and {high:.4g} rad per unit time, at {size:.3g} times the mean density (geometric)."
+            f"between {low:.4g} and {high:.4g} {unit}, at {size:.3g} times the mean density (geometric)."
         )
     if finding.cause is Cause.OUTLIERS:
         which = f"Values of {finding.output!r}" + f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
