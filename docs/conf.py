@@ -31,6 +31,7 @@ myst_heading_anchors = 3
 exclude_patterns = ["_build"]
 
 html_theme = "furo"
+pygments_dark_style = "github-dark"  # that of furo underlines imports like links
 html_title = f"ph_control {release}"
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]

@@ -17,7 +17,7 @@ y = phc.forced_response(plant, t, u, intersample="zoh").outputs
 y = y + 0.05 * np.std(y) * rng.standard_normal(1600)
 
 # %%
-# The last quarter of the record is held out: the models do not know it, and are asked to foretell it.
+# The last quarter of the record is held out: the models do not know it, and have to predict it.
 
 selection = phc.order_selection((u, y), 10, dt=0.25, holdout=0.25)
 print(selection)
