@@ -54,7 +54,7 @@ def labels(value: Any, count: int, what: str) -> list[str]:
 def unit_text(unit: Any) -> str:
     """Check the name of a unit; none is the empty text."""
     if not isinstance(unit, str | None):
-        raise StructureError(f"the unit {shown(unit)} is no text; give its name, such as 'm/s', or None")
+        raise StructureError(f"the unit {shown(unit)} is not a text; give its name, such as 'm/s', or None")
     return unit or ""
 
 
@@ -69,7 +69,7 @@ def real_array(
     array = np.array(raw, dtype=float) if fresh else np.asarray(raw, dtype=float)
     if ndim is not None and array.ndim != ndim:
         raise StructureError(
-            f"{name} has {array.ndim} dimensions (shape {array.shape}), needed {ndim}; "
+            f"{name} has {array.ndim} dimensions (shape {array.shape}), expected {ndim}; "
             "reshape it so that nothing is guessed"
         )
     finite(name, np.where(np.isnan(array), 0.0, array) if missing else array)
@@ -309,7 +309,7 @@ def symplectic_matrix(S: ArrayLike, size: int) -> Array:
     """Check a symplectic matrix of a given size: `S^T J S = J` relative to the size of `S`."""
     array = real_array("S", S, 2)
     if array.shape != (size, size):
-        raise StructureError(f"S has shape {array.shape}; needed ({size}, {size})")
+        raise StructureError(f"S has shape {array.shape}; expected ({size}, {size})")
     measured, allowed = symplectic_defect(array), 100 * size * EPS
     if measured > allowed:
         raise StructureError(
@@ -324,19 +324,19 @@ def transfer_coefficients(a: ArrayLike, c: ArrayLike) -> tuple[Array, Array]:
     denominator, numerator = real_array("a", a, 1), real_array("c", c, 1)
     if len(denominator) != 2 * len(numerator):
         raise StructureError(
-            f"a has {len(denominator)} entries and c has {len(numerator)}; needed (a_0 .. a_(2n-1)) and "
+            f"a has {len(denominator)} entries and c has {len(numerator)}; expected (a_0 .. a_(2n-1)) and "
             "(c_1, c_3 .. c_(2n-1)): twice as many"
         )
     if denominator[1::2].any():
         worst = 2 * int(np.abs(denominator[1::2]).argmax()) + 1
         raise StructureError(
-            f"a[{worst}] is {denominator[worst]:.6g}, needed 0: the denominator of a lossless "
+            f"a[{worst}] is {denominator[worst]:.6g}, expected 0: the denominator of a lossless "
             "system without a pole at 0 is even"
         )
     even = denominator[0::2]
     if even.size and even.min() <= 0:
         worst = 2 * int(even.argmin())
-        raise StructureError(f"a[{worst}] is {denominator[worst]:.6g}, needed > 0: a product of (s^2 + d^2), d > 0")
+        raise StructureError(f"a[{worst}] is {denominator[worst]:.6g}, expected > 0: a product of (s^2 + d^2), d > 0")
     return even, numerator
 
 
@@ -511,7 +511,7 @@ def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tup
             raise TypeError
     except (TypeError, ValueError):
         raise StructureError(
-            f"ports={shown(ports)} is no list of pairs (output, input), such as [(0, 0), (2, 1)] or [('y1', 'u1')]"
+            f"ports={shown(ports)} is not a list of pairs (output, input), such as [(0, 0), (2, 1)] or [('y1', 'u1')]"
         ) from None
     sides = []
     for k, (role, labels) in enumerate((("output", outputs), ("input", inputs))):

@@ -34,8 +34,8 @@ def refusal(make, error=phc.StructureError):
             "Q has odd size 3; a Hamiltonian needs n positions and n momenta, so its matrix is (2n, 2n); with losses "
             "R, a structure matrix J of any size can be given, such as J=[[0]] for a coil or a mass alone",
         ),
-        (np.ones(4), "Q has 1 dimensions (shape (4,)), needed 2; reshape it so that nothing is guessed"),
-        (np.ones((2, 2, 2)), "Q has 3 dimensions (shape (2, 2, 2)), needed 2; reshape it so that nothing is guessed"),
+        (np.ones(4), "Q has 1 dimensions (shape (4,)), expected 2; reshape it so that nothing is guessed"),
+        (np.ones((2, 2, 2)), "Q has 3 dimensions (shape (2, 2, 2)), expected 2; reshape it so that nothing is guessed"),
         (
             [[1.0, 3e-4], [0.0, 0.5]],
             "Q is not symmetric: max |Q - Q.T| / max |Q| = 3.0e-04, allowed 4.4e-13; pass (Q + Q.T)/2 if that is meant",

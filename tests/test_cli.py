@@ -375,8 +375,8 @@ def test_what_is_no_regular_file_is_refused(recording, tmp_path):
         (["fit", "x", "--order", "many"], "invalid order value: 'many'"),
         (["fit", "x", "--order", "9" * 5000], "invalid order value: '99999.*...9"),
         (["fit", "x", "--method", "rk4"], "invalid choice: 'rk4'"),
-        (["fit", "x", "--ordr", "3"], "--ordr is no option of this command, or too much; did you mean --order?"),
-        (["fit", "x", "--order=3", "--nonsense"], "--nonsense is no option of this command"),
+        (["fit", "x", "--ordr", "3"], "--ordr is not an option or argument of this command; did you mean --order?"),
+        (["fit", "x", "--order=3", "--nonsense"], "--nonsense is not an option or argument of this command"),
         (["fit", "x", "--dt", "abc"], "argument --dt: invalid float value: 'abc'"),
         (["fit", "x", "--seed", "-1"], "argument --seed: -1 is not between 0 and"),
         (["fit", "x", "--max-order", "1.5"], "invalid int value: '1.5'"),
@@ -392,7 +392,7 @@ def test_after_two_dashes_names_may_begin_with_one(recording, monkeypatch):
     monkeypatch.chdir(recording.parent)
     recording.rename("-odd.csv")
     assert run("fit", "--order", 2, "--", "-odd.csv").status == 0
-    assert "-odd.csv is no option" in run("fit", "-odd.csv", "x.csv").error
+    assert "-odd.csv is not an option" in run("fit", "-odd.csv", "x.csv").error
 
 
 def test_messages_speak_of_options_and_not_of_keywords(recording, monkeypatch):

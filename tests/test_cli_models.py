@@ -250,7 +250,7 @@ def test_coefficients_may_be_given_on_the_line():
         ("1 x\n1 0 4\n", "line 1: 'x' is not a number"),
         ("1e999 0\n1 0 4\n", "line 1: '1e999' is not finite"),
         ("nan\n1 0 4\n", "line 1: 'nan' is not finite"),
-        ("1,5 0\n1 0 4\n", "line 1: '1,5 0' has , and space between its numbers; write decimal points"),
+        ("1,5 0\n1 0 4\n", "line 1: '1,5 0' has , and space between its numbers; use one separator"),
         ("num 1 0\nnum 1 0 4\n", "line 2: 'num' is there twice"),
         ("mass 1 0\nden 1 0 4\n", "line 1: 'mass' is not known"),
         ("num: []\nden: 1 0 4\n", "line 1: there are no numbers"),
@@ -261,8 +261,8 @@ def test_coefficients_may_be_given_on_the_line():
         ("1 0\n0 0\n", "the denominator is zero"),
         ("1e300 0\n1e-300 0 1\n", "leave the range of doubles"),
         ("{", "not JSON, or damaged or cut short"),
-        ("{}", "holds no arrays; needed are A, B, C"),
-        ('{"mass": 1}', "holds 'mass'; needed are A, B, C"),
+        ("{}", "holds no arrays; expected A, B, C"),
+        ('{"mass": 1}', "holds 'mass'; expected A, B, C"),
         ('{"num": "x", "den": [1]}', "num does not hold real numbers"),
         ('{"num": [1, 0], "den": [1, 0, NaN]}', "den is not finite"),
         ('{"num": [1, 0], "den": [1, 0, 1e999]}', "den is not finite"),
@@ -281,11 +281,11 @@ def test_coefficients_may_be_given_on_the_line():
         (matlab(A="x", B=1, C=1), "A does not hold real numbers"),
         (matlab(A=np.array([1, "a"], dtype=object), B=1, C=1), "A does not hold real numbers"),
         (matlab(A=[[np.nan]], B=1, C=1), "A is not finite"),
-        (matlab(k=1.0), "holds 'k'; needed are A, B, C"),
-        (matlab(**STATE_SPACE)[:300], "is no .mat file, or damaged"),
+        (matlab(k=1.0), "holds 'k'; expected A, B, C"),
+        (matlab(**STATE_SPACE)[:300], "is not a .mat file, or damaged"),
         (b"MATLAB 7.3 MAT-file, Platform: GLNXA64", "version 7.3.*'-v7'"),
         (b"\x89HDF\r\n\x1a\n", "version 7.3.*'-v7'"),
-        (b"MATLAB 5.0 MAT-file" + 300 * b"\x07", "is no .mat file, or damaged"),
+        (b"MATLAB 5.0 MAT-file" + 300 * b"\x07", "is not a .mat file, or damaged"),
     ],
 )  # fmt: skip
 def test_what_is_no_model_is_said_to_be_so_in_one_line(content, message):
@@ -325,7 +325,7 @@ def test_files_that_are_none_are_said_to_be_so(tmp_path):
     assert "broken.json" in run("info", broken).error
     old = tmp_path / "old.mat"
     old.write_bytes(b"\x01\x02\x03")
-    assert "is no .mat file, or damaged" in run("info", old).error
+    assert "is not a .mat file, or damaged" in run("info", old).error
 
 
 @pytest.mark.parametrize(
@@ -335,14 +335,14 @@ def test_files_that_are_none_are_said_to_be_so(tmp_path):
         (["info", "-", "-"], "more than once for standard input"),
         (["info", "--num", "1,0"], "--num and --den belong together"),
         (["info", "--num", "x", "--den", "1"], "argument --num: 'x' is not a number"),
-        (["info", "--num", "", "--den", "1"], "there are no numbers; write such as 1,0,4"),
+        (["info", "--num", "", "--den", "1"], "there are no numbers; write for example 1,0,4"),
         (["convert", "m.json"], "name the model and the file to write; 1 given"),
         (["convert", "a", "b", "c"], "name the model and the file to write; 3 given"),
         (["convert", "m.json", "-", "--num", "1", "--den", "1"], "name the file to write only; 2 given"),
-        (["convert", "m.json", "x.xyz"], "no known suffix; end its name in one of .json, .mat, .txt, .csv"),
+        (["convert", "m.json", "x.xyz"], "no known suffix; end its name in .json, .mat, .txt, .csv"),
         (["convert", "m.json", "-", "--json"], "--json and - both want standard output"),
         (["convert", "m.json", "-", "--to", "xy"], "invalid choice: 'xy'"),
-        (["convert", "m.json", "-", "--name", "a.b"], "'a.b' is no name"),
+        (["convert", "m.json", "-", "--name", "a.b"], "'a.b' is not a name"),
         (["convert", "m.json", "no/such/folder.json"], "the folder no/such does not exist"),
     ],
 )

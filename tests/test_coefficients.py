@@ -245,8 +245,8 @@ def test_a_negative_residue_is_named():
     ("a", "c", "message"),
     [
         ([1.0, 0.0, 1.0], [1.0], "a has 3 entries and c has 1"),
-        ([1.0, 0.1], [1.0], r"a\[1\] is 0.1, needed 0"),
-        ([-1.0, 0.0], [1.0], r"a\[0\] is -1, needed > 0"),
+        ([1.0, 0.1], [1.0], r"a\[1\] is 0.1, expected 0"),
+        ([-1.0, 0.0], [1.0], r"a\[0\] is -1, expected > 0"),
         ([np.nan, 0.0], [1.0], "not finite"),
     ],
 )

@@ -418,10 +418,10 @@ def test_the_section_is_a_right_inverse_and_meets_every_orbit_once(n, seed):
 def test_noncanonical_pairs_have_no_coordinates():
     refusals = [
         (
-            r"1 and 1 differ by 0.0e\+00 of their size, needed more than 3.6e-15; merge",
+            r"1 and 1 differ by 0.0e\+00 of their size, expected more than 3.6e-15; merge",
             lambda: to_unique([1, 1], np.ones(4)),
         ),
-        (r"r = 0 at frequency 2, needed > 0.*drop", lambda: to_unique([2, 1], [0, 1, 0, 1])),
+        (r"r = 0 at frequency 2, expected > 0.*drop", lambda: to_unique([2, 1], [0, 1, 0, 1])),
         (r"d is not ascending: d\[0\] = 2, d\[1\] = 1; sort", lambda: from_unique([2, 1], [1, 1])),
         (r"not canonical: the frequencies 1 and 1", lambda: from_unique([1, 1], [1, 1])),
         (r"r = 0 at frequency 1", lambda: from_unique([1, 2], [0, 1])),

@@ -682,7 +682,7 @@ def test_the_arrays_of_a_finding_cannot_be_changed():
         ((white(50), None), 1, {"initial_state": "rest"}, "initial_state"),
         ((white(50), None), 1, {"intersample": "foh", "method": "euler"}, "intersample must be 'zoh'"),
         ((white(50), None), 1, {"dt": None}, "dt is missing"),
-        ((white(50), white(49)), 1, {}, "of one length"),
+        ((white(50), white(49)), 1, {}, "the same length"),
         ((np.r_[white(9), np.nan], None), 1, {}, "the input is not finite"),
         ((white(5000), None), ([300.0], [1.0]), {"method": "euler"}, "use method='exact'"),
         ((white(50), None), ([1e200], [1.0]), {}, "check the units of d and dt"),
@@ -698,7 +698,7 @@ def test_models_that_are_not_one_oscillating_port_are_refused():
     many = phc.ph(np.eye(4), np.eye(4)[:, 2:])
     rigid = phc.ph(ct.tf([1], [1, 0]) + ct.tf([1, 0], [1, 0, 1]))
     for model in (many, rigid):
-        with pytest.raises(phc.StructureError, match="needed one port, no rigid-body mode"):
+        with pytest.raises(phc.StructureError, match="expected one port, no rigid-body mode"):
             excitation((white(50), None), model, dt=0.1)
 
 

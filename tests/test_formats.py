@@ -405,8 +405,8 @@ def test_what_is_no_mode_is_refused_with_its_reason(tmp_path):
     path = tmp_path / "modes.uff"
     for places, reason in (
         (["1+Z", "2+Z"], "2 entries for 3 outputs"), (["1+Z", "2+Z", "1-Z"], "'1-Z'; give them different nodes"),
-        (["1+Z", "2+Z", "3+RX"], "no node and direction"), (["1+Z", "2+Z", 3], "no node and direction"),
-        ({"deck": "1+Z"}, "places names 'deck'"), (3, "1 entries"), ({"2+Z": "acc 2"}, "no node and direction"),
+        (["1+Z", "2+Z", "3+RX"], "not a node and"), (["1+Z", "2+Z", 3], "not a node and"),
+        ({"deck": "1+Z"}, "places names 'deck'"), (3, "1 entries"), ({"2+Z": "acc 2"}, "not a node and"),
     ):  # fmt: skip
         with pytest.raises(phc.StructureError, match=reason):
             phc.write_uff(result, path, places=places)

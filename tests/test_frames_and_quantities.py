@@ -86,7 +86,10 @@ def test_a_fit_takes_the_index_of_a_frame_of_one_input_and_one_output():
         ({}, "no column of the data frame is called time or t, and its index holds no times"),
         ({"dt": STEP, "fs": 10}, "dt = 0.02 contradicts fs, whose step is 0.1"),
         ({"dt": STEP}, "which column is the input and which the output? 3 are left"),
-        ({"dt": STEP, "input": "force"}, "input names 'force', which is no signal; the columns are 'F [N]', 'a1 [g]'"),
+        (
+            {"dt": STEP, "input": "force"},
+            "input names 'force', which is not a signal; the columns are 'F [N]', 'a1 [g]'",
+        ),
         ({"dt": STEP, "input": "F [N]", "output": "F [N]"}, "column 'F [N]' is chosen twice"),
         ({"dt": STEP, "input": []}, "pass input=False for a recording without input"),
         ({"time": "clock"}, "time is 'clock'; the columns are"),
@@ -134,8 +137,8 @@ def test_the_summary_says_what_was_taken_to_be_measured():
 
 
 def test_what_labels_leave_open_is_asked_for():
-    with pytest.raises(phc.StructureError, match="what is measured by 'ch 2'"):
+    with pytest.raises(phc.StructureError, match="quantity of output 'ch 2' is unknown"):
         fitted("Accel (g)", "ch 2")
     assert fitted("Accel (g)", "ch 2", quantity={"ch 2": "free"}).quantities == ("acceleration", "free")
-    with pytest.raises(phc.StructureError, match="tells of acceleration and velocity; pass quantity"):
+    with pytest.raises(phc.StructureError, match="suggests both acceleration and velocity; pass quantity"):
         fitted("velocity [m/s^2]")

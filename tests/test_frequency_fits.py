@@ -106,7 +106,7 @@ def test_noise_that_goes_with_the_gain_is_suspected_where_points_were_taken_as_e
     exact = phc.frenkel_kontorova().modes.freqresp(omega)
     noise = rng.standard_normal(300) + 1j * rng.standard_normal(300)
     data = ct.frd(exact * (1 + 0.01 * noise), omega, smooth=False)
-    suspicion = "All points were taken as equally sure"
+    suspicion = "All points have equal weights"
     alike = lossless_fit(data, 2, weights=np.ones(300))
     assert alike.outcome.name == "DOUBTFUL" and suspicion in alike.message
     assert alike.noise.kind == "constant" and alike.noise.share == 0

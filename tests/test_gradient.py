@@ -358,7 +358,7 @@ BAD = [
     ({"initial_guess": ([1.0], [-1.0], [0.0, 0.0]), "parameters": "unique"}, "r is negative"),
     ({"initial_guess": ([1e200], [1.0, 0.0], [0.0, 0.0])}, "loss of the initial guess exceeds the range of doubles"),
     ({"validation": (U, np.full(100, np.nan))}, "the validation record has no outputs"),
-    ({"validation": (U, Y[:5])}, "of one length"),
+    ({"validation": (U, Y[:5])}, "the same length"),
 ]
 
 

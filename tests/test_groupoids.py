@@ -119,7 +119,7 @@ def test_what_is_no_arrow_is_refused_with_what_was_measured():
             phc.ph(np.eye(2), [0, 0]),
         ),
         (r"not invertible: its condition number is inf", np.zeros((2, 2)), sys),
-        (r"shape \(3, 3\), needed \(2, 2\)", np.eye(3), sys),
+        (r"shape \(3, 3\), expected \(2, 2\)", np.eye(3), sys),
         (r"this is a StateSpace", np.eye(2), ct.StateSpace(-1.0, 1.0, 1.0, 0.0)),
         (r"2 ports", np.eye(2), phc.ph(np.eye(2), np.eye(2))),
         (r"only positive semidefinite: 1 of 1", np.eye(2), phc.ph(np.diag([0.0, 1.0]), [0.0, 1.0])),
@@ -293,7 +293,7 @@ def test_there_is_a_unit_at_the_system_without_states():
 
 @pytest.mark.parametrize("thing", [3, None, ct.tf([1.0, 0.0], [1.0, 0.0, 1.0]), np.eye(2)])
 def test_there_is_no_unit_at_what_is_no_port_hamiltonian_system(thing):
-    with pytest.raises(phc.StructureError, match="needed a PortHamiltonian"):
+    with pytest.raises(phc.StructureError, match="expected a PortHamiltonian"):
         PortHamiltonianGroupoid.identity(thing)
 
 

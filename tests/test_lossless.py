@@ -514,12 +514,12 @@ def test_two_exactly_equal_factors_are_a_repeated_pole():
     ],
 )
 def test_an_improper_transfer_function_is_refused(source, degrees):
-    assert violations(source) == (f"the transfer function is improper: {degrees}, needed less",)
+    assert violations(source) == (f"the transfer function is improper: {degrees}, expected less",)
 
 
 def test_an_improper_zero_pole_gain_system_is_refused():
     found = violations(scipy.signal.ZerosPolesGain([0, 0, 0], [1j, -1j], 1.0))
-    assert found == ("the system is improper: 3 zeros over 2 poles, needed less",)
+    assert found == ("the system is improper: 3 zeros over 2 poles, expected less",)
 
 
 def test_a_constant_is_refused_and_a_zero_feedthrough_is_not():
@@ -532,7 +532,7 @@ def test_a_constant_is_refused_and_a_zero_feedthrough_is_not():
 @pytest.mark.parametrize("dt", [0.1, True])
 def test_a_sampled_system_is_refused_without_the_method_of_sampling(dt):
     expected = (
-        f"the system is discrete-time (dt = {dt}), needed continuous time; pass the method by which it was sampled: "
+        f"the system is discrete-time (dt = {dt}), expected continuous time; pass the method by which it was sampled: "
         "ph(sys, method='exact'), 'midpoint' or 'euler'",
     )
     assert violations(ct.tf([1, 0], [1, 0, 1], dt)) == expected
@@ -545,7 +545,7 @@ def test_a_sampled_system_is_refused_without_the_method_of_sampling(dt):
 
 def test_a_system_with_more_inputs_than_outputs_is_refused():
     sys = ct.ss([[0, 1], [-1, 0]], np.eye(2), [[0, 1]], [[0, 0]])
-    assert violations(sys) == ("the system has 2 inputs and 1 outputs, needed as many of both: each pair is a port",)
+    assert violations(sys) == ("the system has 2 inputs and 1 outputs, expected as many of both: each pair is a port",)
     assert violations(ct.tf(sys)) == violations(sys)
 
 

@@ -308,7 +308,7 @@ STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "F": [1.
         ({"M": np.diag([0.0, 1.0]), "condense": True}, r"a force acts on .* without mass \(1, counted from 1\)"),
         (
             {"M": np.diag([1.0, 0.0]), "K": np.diag([1.0, 0.0]), "condense": True},
-            "one of their motions meets no spring",
+            "one of their motions deforms no spring",
         ),
         ({"F": [1.0, 0.0, 0.0]}, r"F has shape \(3,\); .* it must be \(2,\) or \(2, number of ports\)"),
         ({"F": np.zeros((2, 0))}, "F has no columns"),

@@ -278,10 +278,10 @@ def test_outputs_that_are_no_ports_become_sensors():
         ([(0, 0)], "no output for input 1"),
         ([(0, 0), (0, 1)], "is at 2 ports"),
         ([(0, 0), (2, 1)], "numbered from 0 to 1"),
-        ([0, 1], "no list of pairs"),
-        (3, "no list of pairs"),
+        ([0, 1], "not a list of pairs"),
+        (3, "not a list of pairs"),
         ([("y", 0), (1, 1)], "no output 'y'"),
-        (["ab", (1, 1)], "no list of pairs"),
+        (["ab", (1, 1)], "not a list of pairs"),
     ],
 )
 def test_ports_that_are_none_are_refused(ports, message):

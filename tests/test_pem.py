@@ -450,7 +450,7 @@ GOOD = np.random.default_rng(0).standard_normal((2, 100))
         ((GOOD, GOOD), {"method": "midpoint"}, phc.StructureError, "method='midpoint' is for lossless models"),
         ((GOOD, GOOD), {"ports": [("y3", "u1")]}, phc.StructureError, "no output 'y3'.*'y1', 'y2'"),
         ((GOOD, GOOD), {"ports": [(0, 0), (0, 1)]}, phc.StructureError, "output 'y1' is at 2 ports"),
-        ((GOOD, GOOD), {"ports": "y1:u1"}, phc.StructureError, "no list of pairs"),
+        ((GOOD, GOOD), {"ports": "y1:u1"}, phc.StructureError, "not a list of pairs"),
         ((GOOD, GOOD), {"quantity": ["velocity"]}, phc.StructureError, "1 entries for 2 outputs"),
         ((GOOD, GOOD), {"quantity": {"y3": "free"}}, phc.StructureError, "quantity names 'y3'"),
         ((GOOD, GOOD), {"structure": "damped"}, phc.StructureError, "structure is 'damped'"),
@@ -597,7 +597,7 @@ def test_reversed_sensor_is_suspected():
 def test_offset_is_suspected():
     _, u, y, _ = record_of([0.5, 1.9], [1.0, 0.3])
     result = phc.pem((u, y + 10 * np.std(y)), dt=0.1)
-    assert "an offset or a drift, rather; subtract the mean" in result.message
+    assert "probably an offset or a drift; subtract the mean" in result.message
     assert "offset" not in phc.pem((u, y), dt=0.1).message
 
 

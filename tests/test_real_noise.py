@@ -124,7 +124,7 @@ def test_the_order_is_that_of_the_least_error_over_what_is_held_out(outputs, inp
 def test_a_part_of_which_nothing_was_measured_cannot_be_foretold():
     u, y = recording(3, 2, 1, "white", 0, 600)
     y[:, 390:] = np.nan
-    with pytest.raises(phc.IdentificationError, match="foretell"):
+    with pytest.raises(phc.IdentificationError, match="to predict"):
         phc.pem((u, y), dt=1.0, criterion="holdout")
 
 

@@ -348,7 +348,7 @@ HEAVY = sparse.diags_array([0.0] * 3 + [1.0] * 96, format="csc")
         ({"band": (1, 0)}, "band"),
         ({"band": (0, 1, 2)}, "band"),
         ({"band": (-1, 1)}, "band"),
-        ({"eigensolver": print}, "with modes="),
+        ({"eigensolver": print}, "needs modes="),
         ({"modes": 3, "eigensolver": "arpack"}, "must be a function"),
         ({"modes": 3, "residual_modes": "yes"}, "residual_modes"),
         ({"modes": 3, "K": sparse.triu(K9, format="csc")}, "one triangle"),

@@ -103,7 +103,7 @@ def test_every_picture_is_drawn_on_axes_of_ones_own(picture, shape):
     assert plot.figure is figure and plot.axes.tolist() == axes.tolist()
     assert figure.get_suptitle() == ""
     assert all(axis.lines for axis in axes.ravel())
-    with pytest.raises(StructureError, match=r"ax has 7 axes[;,] (needed|but there are poles for)"):
+    with pytest.raises(StructureError, match=r"ax has 7 axes[;,] (expected|but there are poles for)"):
         picture(ax=plt.subplots(7)[1])
 
 

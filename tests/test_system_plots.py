@@ -244,11 +244,11 @@ def test_measured_steps_at_several_inputs_have_a_trace_each():
         ([1.0, 2.0], "data is a list; pass the measured response as control.TimeResponseData"),
         (
             ct.TimeResponseData(np.arange(3.0), np.zeros((1, 3)), inputs=np.full((1, 3), 5.0), issiso=True),
-            "is no unit step: it lies between 5 and 5, allowed 1 +- 0.01; divide the outputs by its height, or use",
+            "is not a unit step: it is between 5 and 5, allowed 1 +- 0.01; divide the outputs by its height, or use",
         ),
         (
             ct.TimeResponseData(np.arange(3.0), np.zeros((2, 3)), inputs=np.ones((1, 3))),
-            "outputs of shape (2, 3); needed those of 1 outputs for a step at each of 1 inputs",
+            "outputs of shape (2, 3); expected those of 1 outputs for a step at each of 1 inputs",
         ),
         (ct.TimeResponseData(np.arange(3.0), np.zeros((1, 3)), issiso=True), None),
     ],
@@ -674,7 +674,7 @@ def test_keywords_of_pictures_are_refused_before_anything_is_drawn(keywords):
 def test_a_unit_that_is_no_text_is_refused(unit):
     chain = phc.frenkel_kontorova()
     for draw in (phc.bode_plot, phc.modes_plot):
-        with pytest.raises(StructureError, match="is no text; give its name"):
+        with pytest.raises(StructureError, match="is not a text; give its name"):
             draw(chain, gain_unit=unit)
 
 

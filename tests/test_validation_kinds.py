@@ -483,7 +483,7 @@ def test_options_of_the_path_are_those_of_a_fit_and_no_others():
             phc.order_selection(data, 2, dt=STEP, **{name: 1})
     with pytest.raises(StructureError, match="quantity is 'force'"):
         phc.order_selection(data, 2, dt=STEP, quantity="force")
-    with pytest.raises(IdentificationError, match="observed outputs to fit and 0 to foretell"):
+    with pytest.raises(IdentificationError, match="observed outputs to fit and 0 to predict"):
         phc.order_selection((data[0], np.where(np.arange(150) < 100, data[1], np.nan)), 2, dt=STEP, holdout=0.2)
 
     def stop(progress):

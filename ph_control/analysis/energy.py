@@ -198,7 +198,7 @@ def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
         array = array[:, 0]
     if array.ndim != 2 or array.shape[0] != rows:
         raise StructureError(
-            f"the {what} of the response have shape {array.shape}; needed one trace of {rows} rows: of a system with "
+            f"the {what} of the response have shape {array.shape}; expected one trace of {rows} rows: of a system with "
             "several ports, forced_response with all inputs gives it"
         )
     if array.shape[1] != samples:

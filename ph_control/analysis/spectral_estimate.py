@@ -156,8 +156,8 @@ def _record(data: Any) -> tuple[Array, Array, float]:
         )
     if data.u is None or data.ninputs != 1 or data.noutputs != 1 or data.ntraces > 1:
         raise StructureError(
-            f"the record has {data.ninputs} inputs, {data.noutputs} outputs and {max(1, data.ntraces)} traces; needed "
-            "one of each: select them first"
+            f"data have {data.ninputs} inputs, {data.noutputs} outputs and {max(1, data.ntraces)} traces; expected "
+            "one of each: select first"
         )
     time, step = _checks.time_vector(data.t, name="the time of the record")
     u = _checks.real_array("the input of the record", data.u.reshape(-1))
@@ -176,7 +176,7 @@ def _segment_length(samples: int, segments: Any) -> int:
     half = samples // (_checks.whole_number("segments", segments, 1) + 1)
     if 2 * half < _SHORTEST:
         raise StructureError(
-            f"{segments} segments of a record of {samples} samples have {2 * half} samples each, needed {_SHORTEST}; "
+            f"{segments} segments of a record of {samples} samples have {2 * half} samples each, expected {_SHORTEST}; "
             f"use at most {2 * samples // _SHORTEST - 1} segments"
         )
     return 2 * half
@@ -229,7 +229,7 @@ def response_matrix_estimate(
     """
     steps = {step for _, _, step in records}
     if len(steps) > 1:
-        raise StructureError(f"the records have steps {', '.join(f'{one:g}' for one in sorted(steps))}; needed one")
+        raise StructureError(f"the records have steps {', '.join(f'{one:g}' for one in sorted(steps))}; expected one")
     step, shortest = steps.pop(), min(u.shape[1] for u, _, _ in records)
     impact = all(_rests(u) for u, _, _ in records)
     length = shortest if impact else _segment_length(shortest, segments)

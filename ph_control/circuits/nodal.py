@@ -177,7 +177,7 @@ def _inductances(coils: list[Element], elements: Sequence[Element]) -> Array:
     if not least > len(coils) * _checks.EPS:
         raise StructureError(
             f"the coupled inductors have no positive definite inductance: the least eigenvalue of their couplings is "
-            f"{least:.3g}, needed > 0; make the couplings smaller"
+            f"{least:.3g}, expected > 0; make the couplings smaller"
         )
     return np.asarray(root[:, None] * coupling * root)
 

@@ -37,7 +37,7 @@ def content_of(source: str | os.PathLike[str] | Any) -> tuple[str, str]:
     raw = read_bytes(source)
     name = source_name(source)
     if b"\0" in raw:
-        raise FileFormatError(f"{name} is no text; a netlist is a text file, as SPICE programs read it")
+        raise FileFormatError(f"{name} is not text; a netlist is a text file, as SPICE programs read it")
     try:
         return raw.decode("utf-8-sig"), name
     except UnicodeDecodeError:
@@ -113,7 +113,7 @@ def _node(word: str) -> str:
 def _value(letter: str, word: str, where: str) -> float:
     match = _NUMBER.fullmatch(word.lower())
     if match is None:
-        raise FileFormatError(f"{where}: {word!r} is no number; write 4700, 4.7k, 4.7e3; m is 1e-3, meg 1e6")
+        raise FileFormatError(f"{where}: {word!r} is not a number; write 4700, 4.7k, 4.7e3; m is 1e-3, meg 1e6")
     value = float(match[1]) * _SUFFIXES.get(match[2] or "", 1.0)
     if match[2] and match[2] not in ("meg", "mil"):  # rounded once, as 4.7e3 would be
         exponent = round(math.log10(_SUFFIXES[match[2]]))

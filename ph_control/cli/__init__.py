@@ -15,12 +15,12 @@ from .outcome import EXIT_CODES, guarded
 COMMANDS = {
     "demo": "identify three known plants from noisy recordings, compare with the truth",
     "fit": "identify a model from recordings or frequency responses",
-    "fit-many": "identify a model from each of many recordings, follow their modes",
-    "info": "show what a model is, and whether it is lossless",
+    "fit-many": "identify a model from each recording, and track modes",
+    "info": "show the modes and the structure of a model",
     "convert": "turn a model into another form or file format",
-    "reduce": "make a smaller model of a model, port-Hamiltonian again",
+    "reduce": "reduce a model to fewer states, still port-Hamiltonian",
     "netlist": "write a circuit of a model as SPICE text",
-    "compare": "hold models against recordings",
+    "compare": "compare models with recordings",
     "plot": "draw models: bode, step, impulse, modes, poles, energy, fit",
 }
 
@@ -84,5 +84,5 @@ def _parser() -> Parser:
     parser.add_argument("--traceback", action="store_true", help="show where in the program an error arose")
     group = parser.add_argument_group("commands")
     group.description = "\n".join(f"{name:9} {text}" for name, text in COMMANDS.items())
-    group.add_argument("command", choices=tuple(COMMANDS), metavar="COMMAND", help="one of these")
+    group.add_argument("command", choices=tuple(COMMANDS), metavar="COMMAND", help="a command of the list above")
     return parser

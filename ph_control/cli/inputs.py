@@ -96,7 +96,7 @@ def _refuse_contradictions(options: Namespace) -> None:
                        ("inputs", "no_input")):  # fmt: skip
         if getattr(options, one) is not None and getattr(options, other) not in (None, False):
             spelt = other.replace("_", "-")
-            raise StructureError(f"--{one} and --{spelt} contradict one another; give one of them")
+            raise StructureError(f"--{one} and --{spelt} contradict each other; give only one")
 
 
 def _channels(options: Namespace) -> tuple[Any, Any]:
@@ -165,7 +165,7 @@ def _in_tables(sources: Sequence[Source], options: Namespace) -> Measurements:
 # --- models ----------------------------------------------------------------------------------------------------------
 
 _ADVICE = (
-    "needed are A, B, C (and D) of a state space, num and den of a transfer function, Q and B (and R, J, P, S, N) of a "
+    "expected A, B, C (and D) of a state space, num and den of a transfer function, Q and B (and R, J, P, S, N) of a "
     "port-Hamiltonian system, or d and r of modes"
 )
 _AS_TEXT = (
@@ -346,7 +346,7 @@ def system_of(fields: Mapping[str, Any], source: str, name: str) -> Any:
         given = array(known)
         if given.size == 0 or given.size != max(given.shape, default=1):
             raise FileFormatError(
-                f"{source}: {known} has shape {given.shape}; needed is one row of numbers: systems with one input and "
+                f"{source}: {known} has shape {given.shape}; expected one row of numbers: systems with one input and "
                 "one output"
             )
         return given.reshape(-1)

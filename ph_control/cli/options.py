@@ -46,7 +46,7 @@ class Parser(argparse.ArgumentParser):
             known = [name for action in self._actions for name in action.option_strings]
             close = difflib.get_close_matches(extra[0].split("=")[0], known, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
-            self.error(f"{extra[0]} is no option of this command, or too much{hint}")
+            self.error(f"{extra[0]} is not an option or argument of this command{hint}")
         return found
 
     def error(self, message: str) -> NoReturn:
@@ -78,7 +78,7 @@ def within(kind: Callable[[str], float], low: float, high: float) -> Callable[[s
 def system_name(text: str) -> str:
     """Name of a system."""
     if not text or "." in text:
-        raise argparse.ArgumentTypeError(f"{text!r} is no name; it needs a letter, and must have no dots")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a name; it needs a letter, and must have no dots")
     return text
 
 
@@ -87,7 +87,7 @@ def numbers(text: str) -> list[float]:
     try:
         return list_of_numbers(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{error}; write such as 1,0,4") from None
+        raise argparse.ArgumentTypeError(f"{error}; write for example 1,0,4") from None
 
 
 def pair(text: str) -> tuple[float, float]:
@@ -102,7 +102,7 @@ def names(text: str) -> list[str]:
     """Names between commas; one that has a comma itself stands in double quotes."""
     found = [one.strip() for one in next(csv.reader([text], skipinitialspace=True), [])]
     if not found or not all(found):
-        raise argparse.ArgumentTypeError(f"{text!r} is no list of names, such as force1,force2")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of names, such as force1,force2")
     return found
 
 
@@ -123,7 +123,7 @@ def list_of_numbers(text: str) -> list[float]:
     if len(signs) > 1:
         # a decimal comma would make two numbers of one
         listed = " and ".join(sorted(sign or "space" for sign in signs))
-        raise ValueError(f"{inside!r} has {listed} between its numbers; write decimal points, and one of them")
+        raise ValueError(f"{inside!r} has {listed} between its numbers; use one separator, and decimal points")
     return [_number(word) for word in _SEPARATOR.split(inside)]
 
 
@@ -142,17 +142,17 @@ def _number(word: str) -> float:
 
 def add_json(parser: argparse._ActionsContainer) -> None:
     """How the answer is given."""
-    parser.add_argument("--json", action="store_true", help="print the answer as JSON, numbers in full")
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON, with all digits")
 
 
 def add_written(parser: argparse._ActionsContainer) -> None:
     """What commands that write files take, and how they answer."""
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+    parser.add_argument("--overwrite", action="store_true", help="replace existing files")
     add_json(parser)
 
 
 def add_labels(parser: Parser) -> None:
-    """Models, and how they are called."""
+    """Models, and their names."""
     parser.add_argument("models", nargs="*", metavar="MODEL", help="models, as ph-control info reads them")
     parser.add_argument(
         "--label", action="append", metavar="NAME", help="name of a model, in order (default: the file)"
@@ -170,18 +170,18 @@ def add_recording(parser: Parser) -> None:
     table.add_argument("--output", metavar="COLUMN", help="column of the output")
     table.add_argument("--inputs", type=names, metavar="LIST", help="columns of several inputs, such as force1,force2")
     table.add_argument("--outputs", type=names, metavar="LIST", help="columns of several outputs")
-    table.add_argument("--no-input", action="store_true", help="nothing drove the record: a free motion")
+    table.add_argument("--no-input", action="store_true", help="the recording is a free motion, without an input")
     table.add_argument("--time", metavar="COLUMN", help="column of the time")
-    table.add_argument("--no-time", action="store_true", help="no column is the time; needs --dt")
+    table.add_argument("--no-time", action="store_true", help="the table has no time column; needs --dt")
     table.add_argument("--dt", type=float, metavar="STEP", help="time between samples, without a time column")
     table.add_argument(
         "--time-unit", metavar="UNIT",
         help="unit of time: ns, us, ms, s, min or h (default: that in the name of its column)",
     )  # fmt: skip
-    table.add_argument("--delimiter", metavar="CHARACTER", help="what separates the columns (default: found out)")
-    table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: found out)")
+    table.add_argument("--delimiter", metavar="CHARACTER", help="column separator (default: detected)")
+    table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: detected)")
     table.add_argument(
-        "--header", action=argparse.BooleanOptionalAction, help="whether the first row holds names (default: found out)"
+        "--header", action=argparse.BooleanOptionalAction, help="whether the first row holds names (default: detected)"
     )
     response = parser.add_argument_group(
         "frequency responses",

@@ -134,7 +134,9 @@ def emit(content: str | bytes) -> None:
         if isinstance(content, str):
             sys.stdout.write(content)
         elif sys.stdout.isatty():
-            raise PHControlError("standard output is a terminal, and this is no text: send it to a file, or name one")
+            raise PHControlError(
+                "standard output is a terminal, and this output is binary: redirect it, or name a file"
+            )
         else:
             sys.stdout.flush()
             sys.stdout.buffer.write(content)

@@ -434,7 +434,7 @@ def _refuse_undamped(loop: _Loop, theta: Array) -> None:
         w = float(np.abs(p[np.flatnonzero(still)[0]]))
         which = f"the mode at {w:.6g} rad/time" if w > _EDGE * np.abs(p).max() else "a rigid mode"
         raise StructureError(
-            f"{which} is damped by no device: none of their ports moves in it, or a tuned mass damper moves with it; "
+            f"{which} cannot be damped by any device: no port moves in it, or a tuned mass damper moves with it; "
             "add a port that moves, or a dashpot"
         )
 

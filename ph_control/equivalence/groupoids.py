@@ -103,7 +103,7 @@ class PortHamiltonianGroupoid(_Arrow):
         if smallest <= tolerance or np.diag(moved).min(initial=np.inf) <= 0:
             raise StructureError(
                 f"{refused}J^T L J Q L^-1 is not positive definite: smallest eigenvalue after scaling {smallest:.3g}, "
-                f"needed > {tolerance:.1e}"
+                f"expected > {tolerance:.1e}"
             )
 
     @cached_property
@@ -430,7 +430,7 @@ def _invertible(name: str, M: ArrayLike, size: int) -> Array:
     """Check an invertible matrix of given size."""
     array = _checks.real_array(name, M, 2)
     if array.shape != (size, size):
-        raise StructureError(f"{name} has shape {array.shape}, needed ({size}, {size})")
+        raise StructureError(f"{name} has shape {array.shape}, expected ({size}, {size})")
     condition = _condition(array)
     if not condition * _checks.EPS < 1:
         raise StructureError(

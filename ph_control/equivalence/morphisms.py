@@ -460,8 +460,8 @@ def refuse_other_coordinates(sys: PortHamiltonian, what: str, *, one_port: bool)
     refuse_losses(sys, f"{what} are")
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(
-            f"this is a {type(sys).__name__}, needed a PortHamiltonian: {what} are those of its states; convert it by "
-            "ph(sys)"
+            f"this is a {type(sys).__name__}, expected a PortHamiltonian: {what} are those of its states; convert it "
+            "by ph(sys)"
         )
     if one_port and sys.ninputs != 1:
-        raise StructureError(f"the system has {sys.ninputs} ports, needed 1: {what} are those of one port")
+        raise StructureError(f"the system has {sys.ninputs} ports, expected 1: {what} are those of one port")

@@ -164,12 +164,12 @@ def _canonical(d: Array, r: Array, remedy: str) -> None:
         k = int(gaps.argmin())
         raise StructureError(
             f"the pair is not canonical: the frequencies {d[k]:.17g} and {d[k + 1]:.17g} differ by {gaps[k]:.1e} "
-            f"of their size, needed more than {close:.1e}; {remedy}"
+            f"of their size, expected more than {close:.1e}; {remedy}"
         )
     if r.size and r.min() <= 0:
         k = int(r.argmin())
         raise StructureError(
-            f"the pair is not canonical: r = {r[k]:.6g} at frequency {d[k]:.6g}, needed > 0; no input reaches this "
+            f"the pair is not canonical: r = {r[k]:.6g} at frequency {d[k]:.6g}, expected > 0; no input reaches this "
             "mode, drop it"
         )
 

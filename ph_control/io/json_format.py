@@ -163,7 +163,7 @@ class Fields:
 
     def error(self, key: str, found: Any, needed: str) -> FileFormatError:
         """Error about one field."""
-        return FileFormatError(f"{self.place}: {key} is {_describe(found)}, needed {needed}")
+        return FileFormatError(f"{self.place}: {key} is {_describe(found)}, expected {needed}")
 
     def _typed(self, key: str, kind: type[Value], needed: str) -> Value:
         value = self.take(key)
@@ -205,7 +205,7 @@ class Fields:
         if len(shape) != entries.ndim or any(a not in (None, b) for a, b in zip(shape, entries.shape, strict=True)):
             needed = ", ".join("any" if length is None else str(length) for length in shape)
             raise FileFormatError(
-                f"{self.place}: {key} has shape {entries.shape}, needed ({needed}); the file is damaged or incomplete"
+                f"{self.place}: {key} has shape {entries.shape}, expected ({needed}); the file is damaged or incomplete"
             )
         words = () if finite else _NON_FINITE
         for entry in entries.flat if entries.dtype == object else ():

@@ -33,7 +33,7 @@ def is_matlab(content: bytes, name: str) -> bool:
 def read_matlab(content: bytes, name: str) -> dict[str, Any]:
     """Variables of a `.mat` file: arrays, and structures as mappings; of what is no number a text in its place."""
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise FileFormatError(f"{name} is of version 7.3, which is not read; save it in MATLAB with the option '-v7'")
+        raise FileFormatError(f"{name} is of version 7.3, not supported; save it in MATLAB with the option '-v7'")
     try:
         # the header of level 5, which the files of MATLAB 4 do not have, ends in the mark of its byte order
         order = {b"IM": "<", b"MI": ">"}[content[126:128]]
@@ -41,13 +41,13 @@ def read_matlab(content: bytes, name: str) -> dict[str, Any]:
             return dict(_variables(content[128:], order))
     except _MatlabObject:
         raise FileFormatError(
-            f"{name} holds a MATLAB object, which only MATLAB reads; there: [A,B,C,D] = ssdata(sys); save('model.mat', "
-            "'A','B','C','D','-v7')"
+            f"{name} holds a MATLAB object, which only MATLAB reads; run there [A,B,C,D] = ssdata(sys); "
+            "save('model.mat', 'A','B','C','D','-v7')"
         ) from None
     except Exception as error:
         # a damaged file ends in errors of every kind, also of modules below the reader
         raise FileFormatError(
-            f"{name} is no .mat file, or damaged ({type(error).__name__}); save it anew in MATLAB with the option '-v7'"
+            f"{name} is not a .mat file, or damaged ({type(error).__name__}); save it in MATLAB with the option '-v7'"
         ) from None
 
 

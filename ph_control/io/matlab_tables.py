@@ -110,7 +110,9 @@ def read_mat(
     complete = [*zip(inputs, u, strict=True), *([] if clock is None else [("the time", clock)])]
     for label, values in complete:
         if np.isnan(values).any():
-            raise FileFormatError(f"{name}: {label} has missing values, and only outputs may; cut the recording there")
+            raise FileFormatError(
+                f"{name}: {label} has missing values, allowed in outputs only: cut the recording there"
+            )
     if clock is None:
         assert step is not None
         grid = step * np.arange(samples, dtype=float)
@@ -190,7 +192,7 @@ def read_frequency_mat(
     ((label, f, column),) = variables.named("frequency", [frequency])
     hertz = _real(np.ravel(f) if column is None else f[:, column], label, name)
     if not len(hertz) or not np.isfinite(hertz).all():
-        raise FileFormatError(f"{name}: {label} needs finite frequencies; export it anew")
+        raise FileFormatError(f"{name}: {label} needs finite frequencies; export it again")
     blocks, outputs, inputs = [], [], 1
     for label, value, column in variables.named("response", response):
         block = _entries(value if column is None else value[:, [column]], len(hertz), label, name)
@@ -201,7 +203,7 @@ def read_frequency_mat(
     if len({block.shape[1] for block in blocks}) != 1:
         raise StructureError(f"{name}: the responses have several numbers of inputs; read those of one number")
     if any(np.isinf(block).any() for block in blocks):
-        raise FileFormatError(f"{name}: the response has infinite values; replace them by NaN, which is missing")
+        raise FileFormatError(f"{name}: the response has infinite values; replace them by NaN for missing values")
     entries: ComplexArray = np.concatenate(blocks)
     return response_matrix(size * hertz, entries, [f"u[{k}]" for k in range(inputs)], outputs, name)
 
@@ -214,7 +216,7 @@ class _Variables:
 
     def __init__(self, content: bytes, name: str) -> None:
         if not is_matlab(content, name):
-            raise FileFormatError(f"{name} is no .mat file; save it in MATLAB with the option '-v7'")
+            raise FileFormatError(f"{name} is not a .mat file; save it in MATLAB with the option '-v7'")
         self.name = name
         self._found = dict(_flat(read_matlab(content, name), ""))
         if not any(isinstance(value, np.ndarray) for value in self._found.values()):
@@ -290,7 +292,7 @@ def _channels(variables: list[tuple[str, Array, int | None]], count: int | None,
             raise FileFormatError(f"{name}: {label} has {value.ndim} dimensions; samples by channels are needed")
         table = _real(value, label, name)
         if np.isinf(table).any():
-            raise FileFormatError(f"{name}: {label} has infinite values; replace them by NaN, which is missing")
+            raise FileFormatError(f"{name}: {label} has infinite values; replace them by NaN for missing values")
         if column is not None:
             channels = {f"{label}[{column}]": table[:, column]}
         else:
@@ -315,6 +317,6 @@ def _entries(value: Any, count: int, label: str, name: str) -> ComplexArray:
     if array.ndim == 2 and array.shape[1] == count:
         return array[:, None, :]
     raise StructureError(
-        f"{name}: {label} has shape {array.shape}, and there are {count} frequencies; needed are as many rows, or an "
+        f"{name}: {label} has shape {array.shape}, and there are {count} frequencies; expected as many rows, or an "
         "array (outputs, inputs, frequencies)"
     )

@@ -112,13 +112,13 @@ def _network(text: str, name: str) -> Any:
             # a damaged file ends in errors of every kind
             reason = str(error).split(".")[0][:100] or type(error).__name__
             raise FileFormatError(
-                f"{name} is no Touchstone file, or damaged ({reason}); its suffix tells the number of ports, as .s2p"
+                f"{name} is not a Touchstone file, or damaged ({reason}); the suffix gives the number of ports (.s2p)"
             ) from None
     if not len(found[1]):
-        raise FileFormatError(f"{name} holds no frequencies; export the measurement anew")
+        raise FileFormatError(f"{name} holds no frequencies; export the measurement again")
     if not all(np.isfinite(part).all() for part in found):
         raise FileFormatError(
-            f"{name} holds numbers that are not finite, or beyond the range of doubles; export it anew"
+            f"{name} holds numbers that are not finite, or beyond the range of doubles; export it again"
         )
     return network
 

@@ -185,7 +185,7 @@ def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[s
             "universal files are read by pyuff, which is not installed: pip install 'ph_control[formats]'"
         ) from None
     if b"    -1" not in content:
-        raise FileFormatError(f"{name} is no universal file: no line of it is '    -1'; export it as UFF or UNV")
+        raise FileFormatError(f"{name} is not a universal file: no line of it is '    -1'; export it as UFF or UNV")
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         copy = Path(folder, "copy.uff")  # the reader takes names of files only
@@ -197,10 +197,10 @@ def _data_sets(content: bytes, name: str, number: int) -> list[tuple[int, dict[s
         except Exception as error:
             # a damaged file ends in errors of every kind
             raise FileFormatError(
-                f"{name} is no universal file, or damaged ({str(error)[:80] or type(error).__name__}); export it anew"
+                f"{name} is not a universal file, or damaged ({str(error)[:80] or type(error).__name__}); export again"
             ) from None
     if not content.rstrip(b" \r\n\t\0\x1a").endswith(b"    -1"):
-        raise FileFormatError(f"{name} is cut short: its last data set does not end in '    -1'; copy it anew")
+        raise FileFormatError(f"{name} is cut short: its last data set does not end in '    -1'; copy it again")
     return found
 
 
@@ -214,7 +214,7 @@ def _function(fields: dict[str, Any], place: str) -> _Function | None:
         if not in_time and kind != _FREQUENCY_RESPONSE and not (kind == _GENERAL and axis == _FREQUENCY and is_complex):
             return None
         if len(values) < count or count < 1:
-            raise FileFormatError(f"{place} has {len(values)} values, and its header says {count}; export it anew")
+            raise FileFormatError(f"{place} has {len(values)} values, and its header says {count}; export it again")
         even = int(fields["abscissa_spacing"]) == 1
         abscissa = (
             _printed_grid(float(fields["abscissa_min"]), float(fields["abscissa_inc"]), count) if even
@@ -229,16 +229,16 @@ def _function(fields: dict[str, Any], place: str) -> _Function | None:
     except FileFormatError:
         raise
     except Exception as error:
-        raise FileFormatError(f"{place} is damaged ({type(error).__name__}); export it anew") from None
+        raise FileFormatError(f"{place} is damaged ({type(error).__name__}); export it again") from None
     if in_time and is_complex:
         raise FileFormatError(f"{place} is a recording of complex values; export the measured signal")
     if not np.isfinite(abscissa).all():
         raise FileFormatError(
-            f"{place}: its {'times' if in_time else 'frequencies'} are not all finite; export it anew"
+            f"{place}: its {'times' if in_time else 'frequencies'} are not all finite; export it again"
         )
     infinite = np.isinf(values)
     if infinite.any():
-        raise FileFormatError(f"{place}: value {int(np.argmax(infinite)) + 1} is infinite; export it anew")
+        raise FileFormatError(f"{place}: value {int(np.argmax(infinite)) + 1} is infinite; export it again")
     quantity = _QUANTITIES.get(measured)
     return _Function(in_time, measured == _FORCE, by_force, quantity, response, reference, case, abscissa, values)
 
@@ -328,7 +328,9 @@ def _recordings(
             continue
         u, y = (np.array([one.values for one in side.values()], float) for side in (driving, moving))
         if np.isnan(u).any():
-            raise FileFormatError(f"{name}: an input has missing values, and only outputs may; cut the recording there")
+            raise FileFormatError(
+                f"{name}: an input has missing values, allowed in outputs only: cut the recording there"
+            )
         data = recording(_uniform(channels[0].abscissa, name), u, y, list(driving), list(moving), name, "s")
         forced = all(one.is_force for one in driving.values())
         yield place, _with_quantity(data, [(label, one.quantity, forced) for label, one in moving.items()])

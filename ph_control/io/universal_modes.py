@@ -190,7 +190,7 @@ def _nodes_of(labels: Sequence[str], places: Any) -> tuple[list[int], list[int],
     for one, part in zip(found, parts, strict=True):
         if part is None:
             raise StructureError(
-                f"{_checks.shown(one)} is no node and direction of a translation; pass such places, places=['3+Z', ..]"
+                f"{_checks.shown(one)} is not a node and translation direction; pass such as places=['3+Z', ..]"
             )
     known = [(int(part[1]), _AXES.index(part[3])) for part in parts if part]
     twice = next((k for k, one in enumerate(known) if one in known[:k]), None)
@@ -232,7 +232,7 @@ def modes_in(data_sets: Sequence[Mapping[str, Any]], name: str) -> UniversalMode
     try:
         found = [one for fields in data_sets for one in _mode(fields)]
     except (KeyError, ValueError, TypeError, IndexError) as error:
-        raise FileFormatError(f"{name} has a damaged mode shape ({type(error).__name__}); export it anew") from None
+        raise FileFormatError(f"{name} has a damaged mode shape ({type(error).__name__}); export it again") from None
     if not found:
         return None
     places = sorted({place for _, _, shape in found for place in shape})
@@ -241,7 +241,7 @@ def modes_in(data_sets: Sequence[Mapping[str, Any]], name: str) -> UniversalMode
     poles, modal_a = (np.array([one[k] for one in found], complex) for k in (0, 1))
     shapes = np.array([[shape.get(place, 0.0) for place in places] for _, _, shape in found], complex)
     if not places or not all(np.isfinite(array).all() for array in (poles, shapes, modal_a)):
-        raise FileFormatError(f"{name} has mode shapes that are not finite, or all 0; export them anew")
+        raise FileFormatError(f"{name} has mode shapes that are not finite, or all 0; export them again")
     labels = tuple(f"{node}+{_AXES[axis]}" for node, axis in places)
     return UniversalModes(_checks.readonly(poles), _checks.readonly(shapes), _checks.readonly(modal_a), labels)
 

@@ -21,8 +21,8 @@ def sampling_rule(sys: Any, method: str | None, intersample: str) -> Hold:
     if method is None:
         raise NotLosslessError(
             [
-                f"the system is discrete-time (dt = {sys.dt}), needed continuous time; pass the method by which it was "
-                "sampled: ph(sys, method='exact'), 'midpoint' or 'euler'"
+                f"the system is discrete-time (dt = {sys.dt}), expected continuous time; pass the method by which it "
+                "was sampled: ph(sys, method='exact'), 'midpoint' or 'euler'"
             ]
         )
     check_method(method)

@@ -135,7 +135,7 @@ def separate(
     given : tuple of ndarray, optional
         `(Q, B)` if the modes come from matrices; without, they are exact.
     energy : tuple of ndarray, optional
-        The energy coordinates of `Q`, needed with `given`.
+        The energy coordinates of `Q`, required with `given`.
     rtol : float, optional
         Instead of error bounds: frequencies closer than `rtol * d` are one, and a residue `d |nu|^2` of at most
         `rtol` times the largest is zero.

@@ -155,7 +155,7 @@ def _refuse_other_than_ports(sys: Any) -> None:
     outputs, inputs = (sys.outputs, sys.inputs) if isinstance(sys, scipy.signal.lti) else (sys.noutputs, sys.ninputs)
     if outputs != inputs:
         raise NotLosslessError(
-            [f"the system has {inputs} inputs and {outputs} outputs, needed as many of both: each pair is a port"]
+            [f"the system has {inputs} inputs and {outputs} outputs, expected as many of both: each pair is a port"]
         )
     if inputs == 0:
         raise StructureError("the system has no inputs; a port-Hamiltonian system needs at least one port")
@@ -223,7 +223,7 @@ def _all_unseen(hidden: list[tuple[float, float, str]], whole: float) -> None:
     if residue > _UNSEEN * whole:
         raise StructureError(
             f"the system is too ill-conditioned to tell whether it is lossless: the residue of {label} is "
-            f"{residue:.3g}, but known only within {error:.1e}, needed within {_UNSEEN * whole:.1e}; "
+            f"{residue:.3g}, but known only within {error:.1e}, expected within {_UNSEEN * whole:.1e}; "
             "give it in better scaled states, or as zeros, poles and gain"
         )
 

@@ -339,7 +339,7 @@ def from_polynomials(num: Array, den: Array) -> PoleResidueForm:
         raise NotLosslessError(
             [
                 f"the transfer function is improper: numerator of degree {len(num) - 1} over degree {len(den) - 1}, "
-                "needed less"
+                "expected less"
             ]
         )
     while len(num) and num[-1] == 0 and den[-1] == 0:
@@ -400,7 +400,7 @@ def from_zeros_poles(z: ComplexArray, p: ComplexArray, gain: float) -> PoleResid
     """Poles and residues of `gain prod(s - z) / prod(s - p)`, by products: no polynomial is formed."""
     zeros, poles = list(z), list(p)
     if len(zeros) > len(poles):
-        raise NotLosslessError([f"the system is improper: {len(zeros)} zeros over {len(poles)} poles, needed less"])
+        raise NotLosslessError([f"the system is improper: {len(zeros)} zeros over {len(poles)} poles, expected less"])
     close = 8 * max(1, len(poles)) * _checks.EPS
     for zero in tuple(zeros):
         match = [pole for pole in poles if abs(pole - zero) <= close * abs(zero)]

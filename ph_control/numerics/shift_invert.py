@@ -342,7 +342,7 @@ def _normalised(pencil: Pencil, squares: Array, shapes: Array) -> Eigenpairs:
         mass = float(shape @ (pencil.M @ shape))
         if not mass > 0:
             raise StructureError(
-                f"M is indefinite, or a mode has no mass: one found has the modal mass {mass:.3g}, needed > 0; check "
+                f"M is indefinite, or a mode has no mass: one found has the modal mass {mass:.3g}, expected > 0; check "
                 "the signs in M, and whether all that can move has mass"
             )
         shape /= np.sqrt(mass)

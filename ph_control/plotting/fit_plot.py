@@ -208,7 +208,7 @@ class Outputs:
         if stop - start < 2:
             raise StructureError(
                 f"detail from {ends[0]:.6g} to {ends[1]:.6g} holds {max(0, stop - start)} samples of the record, which "
-                f"reaches from {time[0]:.6g} to {time[-1]:.6g}; needed at least 2"
+                f"reaches from {time[0]:.6g} to {time[-1]:.6g}; expected at least 2"
             )
         return slice(start, stop)
 
@@ -220,7 +220,7 @@ def _checked(time: ArrayLike, measured: ArrayLike, predicted: ArrayLike) -> Outp
     if not len(t) == len(y) == len(p):
         raise StructureError(
             f"the time has {len(t)} samples, the measured output {len(y)} and the predicted output {len(p)}; "
-            "they must be of one length"
+            "they must have the same length"
         )
     if np.any(np.diff(t) <= 0):
         k = int(np.argmax(np.diff(t) <= 0))

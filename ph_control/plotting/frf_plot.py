@@ -508,7 +508,9 @@ def _bands(
 ) -> dict[tuple[int, int], tuple[Array, Array]]:
     """Ends of the decibels and degrees of models drawn around a result, shapes (2, N), of each response drawn."""
     if not hasattr(model, "sample"):
-        raise StructureError(f"confidence is True, but a {type(model).__name__} is no result of a fit; leave it out")
+        raise StructureError(
+            f"confidence is True, but a {type(model).__name__} is not the result of a fit; leave it out"
+        )
     models, found = model.sample(_DRAWS, 0), {}
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):

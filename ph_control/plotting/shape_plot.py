@@ -358,7 +358,7 @@ def _checked_shapes(found: Any) -> ComplexArray:
             f"shapes are a {type(found).__name__}; pass a result, a modal form, or an array of shapes (modes, sensors)"
         ) from None
     if c.ndim != 2 or not c.size:
-        raise StructureError(f"shapes have shape {c.shape}; needed (modes, sensors), one of each at least")
+        raise StructureError(f"shapes have shape {c.shape}; expected (modes, sensors), one of each at least")
     _checks.finite("shapes", c)
     return c
 

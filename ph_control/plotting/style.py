@@ -214,7 +214,7 @@ def _given_axes(ax: Any, shape: tuple[int, int], meaning: str) -> tuple[Figure, 
     axes = np.array(ax, dtype=object)
     if axes.size != np.prod(shape):
         raise StructureError(
-            f"ax has {axes.size} axes; needed {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
+            f"ax has {axes.size} axes; expected {np.prod(shape)}, of shape {shape}{meaning and ': ' + meaning}"
         )
     wrong = [one for one in axes.flat if not isinstance(one, Axes)]
     if wrong:

@@ -277,14 +277,14 @@ def _measured(data: Any, sys: Any, kind: str, label: str | None) -> Trace:
     shape = sys.noutputs, sys.ninputs
     if outputs is None or (len(outputs), outputs.shape[1] if outputs.ndim == 3 else 1) != shape:
         raise StructureError(
-            f"the data have outputs of shape {np.shape(data.y)}; needed those of {shape[0]} outputs for a {kind} at "
+            f"the data have outputs of shape {np.shape(data.y)}; expected those of {shape[0]} outputs for a {kind} at "
             f"each of {shape[1]} inputs"
         )
     if kind == "step" and inputs is not None:
         heights = np.einsum("iik->ik", inputs.reshape(sys.ninputs, sys.ninputs, -1))
         if np.abs(heights - 1.0).max() > _UNIT_STEP:
             raise StructureError(
-                f"the input of the data is no unit step: it lies between {heights.min():.4g} and {heights.max():.4g}, "
+                f"the input of the data is not a unit step: it is between {heights.min():.4g} and {heights.max():.4g}, "
                 f"allowed 1 +- {_UNIT_STEP}; divide the outputs by its height, or use compare(data, model)"
             )
     return Trace(label or "data", np.asarray(data.time, float), outputs.reshape(*shape, -1))
@@ -311,7 +311,7 @@ def _instants(timepts: Any) -> Array:
     t = _checks.real_array("the time vector", timepts, 1)
     if len(t) < 2 or t[0] < 0 or (np.diff(t) <= 0).any():
         raise StructureError(
-            f"the time vector has {len(t)} entries; needed at least 2, ascending, and none before 0, when the response "
+            f"the time vector has {len(t)} entries; expected at least 2, ascending, none before 0, when the response "
             "begins"
         )
     return t

@@ -93,7 +93,7 @@ def _weight(weight: Any, default: str) -> Any:
     if omega.ndim != 1 or omega.shape != values.shape or not len(omega) or omega.min() < 0 or values.min() < 0:
         raise StructureError(
             f"the weight has frequencies of shape {omega.shape} and values of shape {values.shape}, the least "
-            f"{min(omega.min(initial=0), values.min(initial=0)):.3g}; needed one shape (K,), and none negative"
+            f"{min(omega.min(initial=0), values.min(initial=0)):.3g}; expected one shape (K,), and none negative"
         )
     return omega, values
 

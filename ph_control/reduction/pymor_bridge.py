@@ -46,7 +46,7 @@ def to_pymor(sys: Any) -> Any:
     """
     if not isinstance(sys, ct.StateSpace) or sys.isdtime(strict=True):
         raise StructureError(
-            f"this is a {type(sys).__name__}, needed a StateSpace in continuous time: ph(sys), or control.ss(sys)"
+            f"this is a {type(sys).__name__}, expected a StateSpace in continuous time: ph(sys), or control.ss(sys)"
         )
     iosys = _iosys()
     if isinstance(sys, PortHamiltonian):
@@ -90,7 +90,7 @@ def from_pymor(model: Any) -> ct.StateSpace:
     iosys = _iosys()
     if not isinstance(model, iosys.LTIModel) or model.sampling_time:
         raise StructureError(
-            f"this is a {type(model).__name__}, needed an LTIModel or PHLTIModel of pyMOR in continuous time"
+            f"this is a {type(model).__name__}, expected an LTIModel or PHLTIModel of pyMOR in continuous time"
         )
     if isinstance(model, iosys.PHLTIModel):
         J, R, G, P, S, N, E, Q = (_dense(one) for one in model.to_matrices())

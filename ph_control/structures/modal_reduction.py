@@ -184,7 +184,7 @@ def refuse_massless(M: Any, C: Any, F: Array, condense: bool) -> None:
     mass = M.diagonal()
     if mass.min() < 0:
         raise StructureError(
-            f"M is indefinite: entry {int(mass.argmin()) + 1} of its diagonal is {mass.min():.3g}, needed >= 0"
+            f"M is indefinite: entry {int(mass.argmin()) + 1} of its diagonal is {mass.min():.3g}, expected >= 0"
         )
     without = np.flatnonzero(mass == 0)
     if not len(without):

@@ -162,7 +162,7 @@ def from_second_order(
             eigensolver=eigensolver,
         )  # fmt: skip
     if eigensolver is not None:
-        raise StructureError("an eigensolver is used with modes= or band= only; give one of these")
+        raise StructureError("an eigensolver needs modes= or band=; give one of them")
     if any(sparse.issparse(matrix) for matrix in (M, K, C)):
         raise StructureError(
             "M, K or C is sparse, and all modes would need dense matrices; give modes= (how many of the lowest) or "
@@ -188,7 +188,7 @@ def _of_few_modes(
 ) -> PortHamiltonian:  # fmt: skip
     """System in modal coordinates: the modes wanted, then residual modes."""
     if modes is not None and band is not None:
-        raise StructureError("modes and band are both given; give one of them")
+        raise StructureError("modes and band are both given; give only one")
     mass = sparse_matrix("M", M)
     n = mass.shape[0]
     stiffness, damping = sparse_matrix("K", K, n), None if C is None else sparse_matrix("C", C, n)
@@ -318,7 +318,7 @@ def _with_mass(M: Array, C: Array | None, K: Array, F: Array, condense: bool) ->
         raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
     if not condense:
         raise StructureError(
-            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, needed > "
+            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, expected > "
             f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
             f"{remedy}"
         )
@@ -350,8 +350,8 @@ def _condensed(whole: _Structure, kept: Indices, massless: Indices) -> _Structur
     if smallest <= tolerance:
         raise StructureError(
             f"the degrees of freedom without mass ({_listed(massless)}, counted from 1) cannot be eliminated: the "
-            f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, needed > "
-            f"{tolerance:.1e}; one of their motions meets no spring"
+            f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, expected > "
+            f"{tolerance:.1e}; one of their motions deforms no spring"
         )
     follow = -_inverse(inner) @ coupling.T
     motion = np.zeros((len(M), len(kept)))

@@ -233,7 +233,7 @@ def _derivative(sys: Any) -> Any:
     """`s G(s)` of a one-port, in the class of `G`."""
     _continuous(sys, "give Q and B, or a continuous-time StateSpace or TransferFunction")
     if not sys.issiso():
-        raise StructureError(f"the system has {sys.ninputs} inputs and {sys.noutputs} outputs; needed one of each")
+        raise StructureError(f"the system has {sys.ninputs} inputs and {sys.noutputs} outputs; expected one of each")
     if isinstance(sys, ct.TransferFunction):
         return ct.tf(np.append(sys.num_list[0][0], 0.0), sys.den_list[0][0])
     if np.any(sys.D):

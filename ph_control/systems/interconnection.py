@@ -615,7 +615,7 @@ def _port(system: PortHamiltonian, port: Any, which: str) -> int:
     whole = isinstance(port, int | np.integer) and not isinstance(port, bool)
     if not whole or not 0 <= port < system.ninputs:
         raise StructureError(
-            f"{_checks.shown(port)} is no port of the {which} system; its {system.ninputs} are counted from 0, with "
+            f"{_checks.shown(port)} is not a port of the {which} system; its {system.ninputs} are counted from 0, with "
             f"inputs {', '.join(system.input_labels)}"
         )
     return int(port)

@@ -103,8 +103,8 @@ def lifted_size(m: Any, n: int) -> int:
     """Check the degrees of freedom of a lifted system: a whole number of at least n, and not beyond all memory."""
     if not isinstance(m, int | np.integer) or isinstance(m, bool) or not n <= m <= max(n, _LARGEST):
         raise StructureError(
-            f"m is {_checks.shown(m)}, the system has n = {n} degrees of freedom; needed a whole number of at least n "
-            f"and at most {_LARGEST}: take hidden modes off with minreal first, if there are any"
+            f"m is {_checks.shown(m)}, the system has n = {n} degrees of freedom; expected a whole number from n "
+            f"to {_LARGEST}: remove hidden modes with minreal first, if there are any"
         )
     return int(m)
 

@@ -588,7 +588,7 @@ def ph(
         Numbers or names of the output at the port of each input; the other outputs become sensors. Default: output k
         belongs to input k.
     method : {'exact', 'midpoint', 'euler'}, optional
-        How a discrete-time system was sampled; needed for such a system, and for no other.
+        How a discrete-time system was sampled; required for such a system, and for no other.
     intersample : {'zoh', 'foh'}
         What its input did between samples; 'midpoint' with 'foh' is the bilinear (Tustin) transformation.
     **names

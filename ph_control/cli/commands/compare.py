@@ -1,6 +1,6 @@
-"""Hold models, fitted or not, lossless or not, against recordings or frequency responses.
+"""Compare models of any kind with recordings or frequency responses.
 
-The answer is how many percent of what was measured each explains. A fit to the recording that a model was made from
+The answer is the fit of each model in percent. A fit to the recording that a model was made from
 flatters it; use another one.
 
 Examples
@@ -35,7 +35,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("--at-least", type=float, metavar="PERCENT", help="exit status 1 if the best fit is below")
     add_meeting(parser, ("estimate", "zero", "fitted"))
     parser.add_argument("--plot", metavar="FILE", help="measured and simulated outputs, and the errors (png, svg, pdf)")
-    parser.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
+    parser.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to draw (default 1)")
     add_recording(parser)
     add_model(parser)
     add_written(parser)

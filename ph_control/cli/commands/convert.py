@@ -1,4 +1,4 @@
-"""Turn a port-Hamiltonian model into another form, and into another file format, which is told by the suffix.
+"""Turn a port-Hamiltonian model into another form, and into another file format, chosen by the suffix.
 
 .json, .mat (A, B, C, D, with losses also Q, G, J, R, P, S, N; or num, den), .txt and .csv (coefficients of the transfer
 function, or modes). Standard output gets JSON. Exit status 1 if the model has no port-Hamiltonian form.
@@ -41,7 +41,7 @@ def add_options(parser: Parser) -> None:
     add_files(parser, "file")
     listed = "; ".join(f"{form}: {meaning}" for form, meaning in FORMS.items())
     parser.add_argument("--to", choices=tuple(FORMS), help=f"form ({listed}); default: as it is, or ph; tf for texts")
-    parser.add_argument("--format", choices=FORMATS, help="format of the file (default: told by its suffix)")
+    parser.add_argument("--format", choices=FORMATS, help="file format (default: from the suffix)")
     parser.add_argument("--name", type=system_name, help="name of the system that is written")
     add_written(parser)
 
@@ -64,9 +64,7 @@ def format_of(target: str) -> str:
         return "json"
     suffix = Path(target).suffix.lstrip(".").lower()
     if suffix not in FORMATS:
-        raise StructureError(
-            f"{target} has no known suffix; end its name in one of .{', .'.join(FORMATS)}, or pass --format"
-        )
+        raise StructureError(f"{target} has no known suffix; end its name in .{', .'.join(FORMATS)}, or pass --format")
     return suffix
 
 

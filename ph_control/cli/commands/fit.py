@@ -62,7 +62,7 @@ def add_options(parser: Parser) -> None:
     out.add_argument("--report", metavar="FILE", help="summary, tables and pictures on one page (html)")
     out.add_argument("--plot", metavar="FILE", help="measured, predicted and residual (png, svg, pdf)")
     out.add_argument("--bode", metavar="FILE", help="Bode picture of the model and the measurement (png, svg, pdf)")
-    out.add_argument("--experiment", type=int, default=1, metavar="N", help="which of several to draw (default 1)")
+    out.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to draw (default 1)")
     out.add_argument("--name", type=system_name, help="name of the model (default: that of the recording)")
     add_written(out)
 
@@ -75,32 +75,32 @@ def add_fitted(parser: Parser) -> None:
     model.add_argument("--criterion", choices=CRITERIA, default="bic", help="what auto minimises (default bic)")
     model.add_argument(
         "--structure", choices=STRUCTURES, default="auto",
-        help="what is assumed of losses and sensors (default auto: the simplest that is not rejected)",
+        help="assumption about losses and sensors (default auto: the simplest that the data do not reject)",
     )  # fmt: skip
     model.add_argument(
         "--ports", type=ports, metavar="LIST", help="driving points, such as y1:u1,y2:u2: labels of output and input"
     )
     model.add_argument(
         "--quantity", type=quantities, metavar="LIST",
-        help="velocity, displacement, acceleration or free: of all outputs, or of each (default: what the file tells, "
-        "by its labels and units too, else velocity)",
+        help="velocity, displacement, acceleration or free: of all outputs, or of each (default: from the file, "
+        "its labels or units, else velocity)",
     )  # fmt: skip
     add_meeting(model, ("estimate", "zero"), ("auto", *INTERSAMPLE))
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
-        help="estimate no constant (default: one, or one that drifts, where the data show it)",
+        help="do not estimate an offset (default: an offset or a drift where the data show it)",
     )  # fmt: skip
     parser.set_defaults(offset="auto")
     model.add_argument(
         "--representation", choices=REPRESENTATIONS, default="observable",
-        help="whether modes without weight may move (observable, default) or not",
+        help="allow free motion of modes with zero weight (observable, default) or not",
     )  # fmt: skip
     model.add_argument("--guess", metavar="MODEL", help="model to start from, in place of the search")
     model.add_argument(
         "--seed", type=within(int, 0, inf), metavar="N", help="seed of further starts (default: always the same)"
     )
     model.add_argument(
-        "--timeout", type=within(float, 1e-3, 1e9), metavar="SECONDS", help="end the search then, with the best so far"
+        "--timeout", type=within(float, 1e-3, 1e9), metavar="SECONDS", help="stop the search then, keep the best model"
     )
     model.add_argument("--workers", type=int, default=1, metavar="N", help="processes, -1 for all (default 1)")
 
@@ -125,7 +125,7 @@ def ports(text: str) -> list[tuple[str | int, str | int]]:
     """Pairs of an output and an input between commas, each with a colon between: labels, or numbers from 0."""
     pairs = [word.strip().rpartition(":") for word in text.split(",")]
     if not all(output and input for output, _, input in pairs):
-        raise argparse.ArgumentTypeError(f"{text!r} is no list of ports; write such as y1:u1,y2:u2")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of ports; write for example y1:u1,y2:u2")
     return [(_label(output), _label(input)) for output, _, input in pairs]
 
 

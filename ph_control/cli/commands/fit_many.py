@@ -1,4 +1,4 @@
-"""Identify a model from each of many recordings, in processes or on a Dask cluster, and follow their modes.
+"""Identify a model from each of many recordings, in processes or on a Dask cluster, and track the modes.
 
 Files are named one by one or by patterns in quotes. The table has one row for each recording and mode, and says which
 mode of the other recordings it is. With --store a run that was ended at any moment goes on where it was. Status 1 if
@@ -41,7 +41,7 @@ def add_options(parser: Parser) -> None:
     add_fitted(parser)
     where = parser.add_argument_group("where it is done")
     where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://host:8786")
-    where.add_argument("--store", metavar="FOLDER", help="keep results there; what is there is not fitted again")
+    where.add_argument("--store", metavar="FOLDER", help="folder of results; skip recordings that have one there")
     out = parser.add_argument_group("what is written")
     out.add_argument("--table", metavar="FILE", help="a row for each recording and mode (CSV); - for standard output")
     out.add_argument("--plot", metavar="FILE", help="frequencies and dampings over the recordings (png, svg, pdf)")

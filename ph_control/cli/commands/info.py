@@ -1,4 +1,4 @@
-"""Show what a model is: its modes, and whether it is lossless, or has losses.
+"""Show the modes of a model, and whether it is lossless, passive or neither.
 
 Models are JSON files written by this package or with fields such as A, B, C, D, .mat files with such variables, and
 texts with the numerator and the denominator of a transfer function. Exit status 1 if a model has no

@@ -1,6 +1,6 @@
 """Draw models, several in one picture.
 
-The format is told by the suffix: .png, .svg, .pdf. Bode, step, impulse and poles take systems that are not lossless
+The suffix chooses the format: .png, .svg, .pdf. Bode, step, impulse and poles take systems that are not lossless
 too; fit takes the result of a fit (ph-control fit --result).
 
 Examples
@@ -44,7 +44,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("kind", choices=tuple(_PICTURES), metavar="KIND", help=", ".join(_PICTURES))
     add_labels(parser)
     parser.add_argument("-o", "--out", required=True, metavar="FILE", help="picture to write; - for standard output")
-    parser.add_argument("--format", metavar="NAME", help="png, svg, pdf (default: told by the suffix)")
+    parser.add_argument("--format", metavar="NAME", help="png, svg or pdf (default: from the suffix)")
     parser.add_argument("--title", help="title of the picture")
     parser.add_argument("--hz", action="store_true", help="frequencies in Hz (bode, modes, poles)")
     parser.add_argument("--omega", type=pair, metavar="LOW,HIGH", help="ends of the frequency axis (bode)")
@@ -55,7 +55,7 @@ def add_options(parser: Parser) -> None:
         help="end of the time axis (step, impulse, energy)",
     )
     parser.add_argument(
-        "--band", type=float, metavar="LEVEL", help="shade where this share of the models around a fit is, such as 0.95"
+        "--band", type=float, metavar="LEVEL", help="shade the confidence band of a fit at this level, such as 0.95"
     )
     parser.add_argument("--unit", help="unit of the response, or of the energy")
     parser.add_argument("--experiment", type=int, metavar="N", help="which of several experiments (fit; default 1)")

@@ -1,6 +1,6 @@
-"""Reduce a model to fewer states, port-Hamiltonian again, and write it: .json, .mat, .txt or .csv, told by the suffix.
+"""Reduce a model to fewer states, still port-Hamiltonian, and write it as .json, .mat, .txt or .csv, by the suffix.
 
-Of a fit the model. Exit status 1 if the model is not passive.
+Of a fit, its model is reduced. Exit status 1 if the model is not passive.
 
 Examples
 --------
@@ -28,9 +28,9 @@ USAGE = "MODEL FILE [options]"
 def add_options(parser: Parser) -> None:
     """Declare the options."""
     add_files(parser, "file")
-    parser.add_argument("--order", type=int, metavar="N", help="number of states, at most")
+    parser.add_argument("--order", type=int, metavar="N", help="largest number of states")
     parser.add_argument(
-        "--tolerance", type=float, metavar="X", help="the fewest states with an error of this part of the largest gain"
+        "--tolerance", type=float, metavar="X", help="fewest states with an error below this part of the largest gain"
     )
     parser.add_argument(
         "--band", type=pair, metavar="LOW,HIGH", help="keep the natural frequencies between these, rad per unit time"
@@ -38,7 +38,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument(
         "--method", choices=("modal", "balanced", "h2"), default="modal", help="what to keep (default: modal)"
     )
-    parser.add_argument("--format", choices=FORMATS, help="format of the file (default: told by its suffix)")
+    parser.add_argument("--format", choices=FORMATS, help="file format (default: from the suffix)")
     add_written(parser)
 
 

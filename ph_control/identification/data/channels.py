@@ -177,7 +177,7 @@ def several(one: Any) -> Recording | ResponseMatrix:
 def recording_of_pair(u: Any, y: Any, dt: Any, output_needed: bool = True) -> Recording:
     """Recording of signals (T,) or (channels, T); of a free motion without `u`, of no known output without `y`."""
     if u is None and y is None:
-        raise StructureError("the record has neither input nor output; pass (u, y), or (None, y) if nothing drove it")
+        raise StructureError("the record has neither input nor output; pass (u, y), or (None, y) for a free motion")
     if y is None and output_needed:
         raise StructureError("the record has no output; pass (u, y), missing samples of y as NaN")
     if dt is None:
@@ -215,7 +215,7 @@ def _signals(role: str, value: Any, missing: bool = False) -> Sequence[Array] | 
         return [signal(f"the {role}", value, missing=missing)]
     if shape[0] > shape[1]:
         raise StructureError(
-            f"the {role}s have shape {shape}, more channels than samples; needed is one row for each {role}, "
+            f"the {role}s have shape {shape}, more channels than samples; expected one row for each {role}, "
             f"(channels, T): pass the transpose, {'uy'[role == 'output']}.T"
         )
     if not hasattr(type(value), "__array__") and not isinstance(value, list | tuple):
@@ -243,12 +243,12 @@ def recording(
 ) -> Recording:  # fmt: skip
     """Put checked signals together, of one length each; without `time` they begin at 0."""
     if not len(outputs):
-        raise StructureError("the record has no outputs; needed at least one, missing samples as NaN")
+        raise StructureError("the record has no outputs; pass at least one, with missing samples as NaN")
     time = Clock(range(len(outputs[0])), dt) if time is None else time
     parts = [("input", one) for one in inputs] + [("output", one) for one in outputs] + [("time", time)]
     for (one, here), (other, there) in pairwise((name, len(values)) for name, values in parts):
         if here != there:
-            raise StructureError(f"the {one} has {here} samples and the {other} {there}; they must be of one length")
+            raise StructureError(f"the {one} has {here} samples, the {other} {there}; they must have the same length")
     refuse_short(len(time))
     for name, values in parts[:-1]:
         refuse_out_of_range(f"the {name}", values)

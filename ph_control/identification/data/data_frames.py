@@ -94,7 +94,7 @@ def recording(
     y = [signal(f"the output (column {label!r})", table[label], missing=True) for label in outputs]
     lengths = {label: len(x) for label, x in zip([*inputs, *outputs], [*u, *y], strict=True)}
     if len(set(lengths.values())) > 1:
-        raise StructureError(f"the columns differ in length, {_checks.shown(lengths)}; they must be of one length")
+        raise StructureError(f"the columns differ in length, {_checks.shown(lengths)}; they must have the same length")
     refuse_short(len(y[0]))
     start, step, unit = table.clock(dt, len(y[0]))
     told = checked_unit(time_unit)
@@ -199,7 +199,7 @@ class _Table:
         refuse_short(len(recorded))
         if samples not in (None, len(recorded)):
             raise StructureError(
-                f"{name} has {len(recorded)} instants for {samples} samples; they must be of one length"
+                f"{name} has {len(recorded)} instants for {samples} samples; they must have the same length"
             )
         grid, step = uniform_time(name, recorded, dt)
         return float(grid[0]), step, unit
@@ -220,7 +220,7 @@ class _Table:
             named = " and ".join(f"{role}=" for role in missing)
             raise StructureError(
                 f"which column is the {' and which the '.join(missing)}? {len(rest)} are left beside the time "
-                f"and what is named; say which with {named} ({_listing(self.labels)})"
+                f"and the named columns; choose with {named} ({_listing(self.labels)})"
             )
         for role, label in zip(missing, rest, strict=False):
             chosen[role] = [label]
@@ -232,7 +232,7 @@ class _Table:
         found = [str(one) for one in (wanted if isinstance(wanted, list | tuple) else [wanted])]
         for label in found:
             if label not in self.signals:
-                raise StructureError(f"{role} names {label!r}, which is no signal; {_listing(self.labels)}")
+                raise StructureError(f"{role} names {label!r}, which is not a signal; {_listing(self.labels)}")
         if not found:
             hint = "; pass input=False for a recording without input" * (role == "input")
             raise StructureError(f"{role} is an empty list; name at least one column{hint}")

@@ -190,11 +190,9 @@ def as_record(data: Any, dt: float | None = None, *, input_needed: bool = True, 
     found = (data,) if isinstance(data, Record) else as_experiments(data, dt, output_needed=output_needed)
     record = found[0]
     if len(found) > 1 or not isinstance(record, Record):
-        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; needed one record in time")
+        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; pass one time record")
     if input_needed and not record.driven:
-        raise StructureError(
-            "the record has no input; needed one that varies (a free motion is estimated along with it)"
-        )
+        raise StructureError("the record has no input; pass one that varies (a free motion is estimated along with it)")
     return record
 
 

@@ -45,7 +45,7 @@ def quantity_of_label(label: str) -> str | None:
     named |= set() if measured is None else {measured}
     if len(named) > 1:
         raise StructureError(
-            f"the label {label!r} tells of {' and '.join(sorted(named))}; pass quantity, or rename the output"
+            f"the label {label!r} suggests both {' and '.join(sorted(named))}; pass quantity, or rename the output"
         )
     return named.pop() if named else None
 
@@ -70,7 +70,7 @@ def quantity_of(data: Any) -> Any:
     if found and asked:
         label, quantity = next(iter(found.items()))
         raise StructureError(
-            f"what is measured by {asked[0]!r}? {label!r} is {quantity}, but that label does not tell; pass "
+            f"the quantity of output {asked[0]!r} is unknown ({label!r} is {quantity}); pass "
             f"quantity={{{asked[0]!r}: ...}} with one of {', '.join(map(repr, QUANTITIES))}"
         )
     return found or "velocity"

@@ -209,7 +209,7 @@ def signal(name: str, value: Any, *, missing: bool = False) -> Array:
         array = array.reshape(-1)
     if array.ndim != 1:
         raise StructureError(
-            f"{name} has shape {array.shape}; needed one signal of shape (T,); several experiments are a list of "
+            f"{name} has shape {array.shape}; expected one signal of shape (T,); several experiments are a list of "
             "tuples, [(u1, y1), (u2, y2)]"
         )
     bad = np.isinf(array) if missing else ~np.isfinite(array)

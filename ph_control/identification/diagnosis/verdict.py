@@ -126,13 +126,13 @@ class FitVerdict:
         parts = []
         if not self.driven and self.n:
             parts.append(
-                "Without an input the weights r leave no trace: they are 1 by convention, and only frequencies and "
-                "initial states are learned."
+                "Without an input the weights r cannot be estimated: they are 1 by convention; only frequencies and "
+                "initial states are estimated."
             )
         if self.silent and self.driven and self.n and not self.blind:
             parts.append(
-                "All weights are zero: the model does not respond to the input, and what fits is free motion only."
-                + (" The residues asked for are all negative: check the polarity of the sensor." * self.reversed_sign)
+                "All weights are zero: the model does not respond to the input and fits free motion only."
+                + (" Unconstrained, all residues are negative: check the polarity of the sensor." * self.reversed_sign)
             )
         if self.interrupted:
             parts.append(CUT_SHORT)
@@ -143,23 +143,23 @@ class FitVerdict:
         if self.order > self.n:
             parts.append(
                 f"The record shows {counted(self.n, 'mode')}, the residual is at rounding level; the other "
-                f"{self.order - self.n} of the {self.order} asked for have r = 0 and placeholder frequencies."
+                f"{self.order - self.n} of the {self.order} requested have r = 0 and placeholder frequencies."
             )
         if self.at_limit:
             parts.append(
-                f"The BIC still falls at the largest order tried ({self.order}): more modes would fit "
-                "better yet, as they do where one damped mode is mimicked by many lossless ones; raise max_order or "
-                "doubt the model."
+                f"The BIC still decreases at the largest order tried ({self.order}): more modes would fit "
+                "better, as when many lossless modes imitate a damped one; raise max_order or "
+                "question the model."
             )
         if self.drifting and not self.blind:
             named = named_modes([l + 1 for l in self.drifting]).capitalize()
             parts.append(
-                f"{named} would complete less than a period in the record: an offset or a drift, rather; subtract the "
-                "mean or the trend first."
+                f"{named} would complete less than one period in the record: probably an offset or a drift; subtract "
+                "the mean or the trend first."
             )
         if self.active and not self.blind:
             asked = (
-                "there the record asks for a residue that no lossless model with input and output at the same port has."
+                "the record needs a residue that no lossless model with input and output at the same port has."
                 if self._unexplained or self.contradiction
                 else "noise hides whether the input reaches it."
             )
@@ -170,26 +170,26 @@ class FitVerdict:
             parts.append(self.contradiction)
         elif self.refused:
             parts.append(
-                f"Against modes with damping and residues of any phase the lossless model is refused (likelihood ratio "
+                f"Modes with damping and residues of any phase reject the lossless model (likelihood ratio "
                 f"{self.refused.likelihood_ratio:.4g} for {self.refused.dof} degrees of freedom, "
-                f"{p_value(self.refused.p)}): its standard errors do not hold."
+                f"{p_value(self.refused.p)}): its standard errors are not valid."
             )
         parts += self.circumstances
         if self._unexplained:
             parts.append(
-                f"The residuals are not white (Ljung-Box {p_value(self.whiteness)}): something is left unexplained."
+                f"The residuals are not white (Ljung-Box {p_value(self.whiteness)}): the model misses part of the data."
             )
         if self.alike and (self._unexplained or self.contradiction):
             parts.append(
-                "All points were taken as equally sure: noise that goes with the gain looks like this too; if yours "
-                "does, pass weights=1/(standard deviation)**2 of each point."
+                "All points have equal weights, and noise proportional to the gain looks like this too; if yours "
+                "is, pass weights=1/(standard deviation)**2 of each point."
             )
         if not self.outcome.leaves_a_model:
             if self.order_given and not self.contradiction:
                 parts.append("The order was given; a higher one may fit better: try order='auto'.")
             parts.append(self._refusal())
             if self.from_rest and not self.contradiction:
-                parts.append("The plant was taken to start at rest; if it may not have, use initial_state='estimate'.")
+                parts.append("The plant was assumed to start at rest; otherwise use initial_state='estimate'.")
         if self.spare < _FEW and not self.noiseless:
             parts.append(
                 f"The record has only {counted(self.spare, 'sample')} more than the model has unknowns: "
@@ -199,8 +199,8 @@ class FitVerdict:
             parts.append(self._standing_out())
         if self.share:
             parts.append(
-                f"The noise grows with the gain, by {100 * self.share:.2g} % of it: this was estimated, and each point "
-                "has the weight that belongs to it."
+                f"The noise grows with the gain, by an estimated {100 * self.share:.2g} % of it, and each point "
+                "is weighted accordingly."
             )
         if len(parts) == (not self.driven and self.n > 0) + bool(self.share):
             parts.append(

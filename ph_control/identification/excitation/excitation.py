@@ -57,7 +57,7 @@ def excitation(
     order : int, pair (d, r), ModalForm, PortHamiltonian or PEMResult
         Model at which to judge; or a number of modes n, whose frequencies may lie anywhere.
     dt : float, optional
-        Time between samples; needed with arrays.
+        Time between samples; required with arrays.
     method : {'exact', 'midpoint', 'euler'}
         How the model meets the samples.
     intersample : {'zoh', 'foh'}
@@ -241,7 +241,7 @@ def _model(order: Any, method: str, intersample: str) -> ModalForm:
     if model.nports != 1 or len(model.rigid) or not len(model.d):
         raise StructureError(
             f"the model has {model.nports} ports, {len(model.rigid)} rigid-body modes and {len(model.d)} oscillating "
-            "ones; needed one port, no rigid-body mode, and at least one that oscillates"
+            "ones; expected one port, no rigid-body mode, and at least one that oscillates"
         )
     return model
 

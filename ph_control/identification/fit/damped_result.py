@@ -628,5 +628,5 @@ def _recording(data: Any, dt: Any, outputs: int) -> Recording:
         data = (u, np.zeros((outputs, u.shape[1])))
     found: Any = as_channels(data, dt if isinstance(data, tuple) else None)
     if len(found) > 1 or isinstance(found[0], ResponseMatrix):
-        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; needed one record in time")
+        raise StructureError(f"data is a {type(data).__name__} of {len(found)} experiments; pass one time record")
     return replace(found[0], y=np.full_like(found[0].y, np.nan)) if blind else found[0]

@@ -169,7 +169,7 @@ def gradient_descent(
     order : int
         Number of modes n.
     dt : float, optional
-        Time between samples; needed with arrays.
+        Time between samples; required with arrays.
     parameters : {'natural', 'unique'}
         Coordinates: `(d, v)`, or `(d, r)` with `r >= 0`, sorted so that `d` ascends.  Steps that leave `d > 0` or
         `r >= 0` are projected back.
@@ -232,7 +232,7 @@ def gradient_descent(
     n = _order(record, _checks.whole_number("order", order, 1))
     after = None if validation is None else as_record(validation, record.dt)
     if after is not None and not after.observed.any():
-        raise StructureError("the validation record has no outputs to hold the model against; pass (u, y) with outputs")
+        raise StructureError("the validation record has no outputs to compare the model with; pass (u, y) with outputs")
     problem = EulerProblem.of(record, after, n, parameters == "natural")
     start = _random_start(problem, rng) if initial_guess is None else _given_start(problem, initial_guess)
     best, losses, validations = _descend(problem, start, rate, steps, optimizer == "adam")

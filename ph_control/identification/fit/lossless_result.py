@@ -80,7 +80,7 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
     identifiability : Information
         What the data tell of each parameter: rank, blind combinations, condition.
     whiteness : float
-        p-value of the Ljung-Box test on the residuals; small means that something is left unexplained.
+        p-value of the Ljung-Box test on the residuals; small means that the model leaves part of the data unexplained.
     order_table : tuple of OrderRow
         The forward path: loss and criteria for each order tried.
     starts : tuple of Start

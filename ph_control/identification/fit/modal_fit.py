@@ -202,7 +202,7 @@ def asked_of(channels: Channels, structure: str, ports: Any, quantity: Any) -> A
     assumed = ports is None and len(outputs) == len(inputs) == 1 and quantities != ("free",)
     pairs = ((0, 0),) if assumed else () if ports is None else _checks.port_pairs(ports, outputs, inputs)
     if structure == "passive" and not pairs:
-        raise StructureError("a passive structure needs driving points: name them, ports=[(output, input), ..]")
+        raise StructureError("structure='passive' needs driving points: name them, ports=[(output, input), ..]")
     return Asked(structure, pairs, quantities, assumed)
 
 

@@ -84,7 +84,7 @@ def pem(
     order : int or 'auto'
         Number of modes n; 'auto' takes the one that `criterion` prefers.
     dt : float, or sequence of float, one for each experiment, optional
-        Time between samples; needed with arrays.
+        Time between samples; required with arrays.
     method : {'exact', 'midpoint', 'euler'}
         How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator,
         which a lossless model is fitted to.

@@ -138,7 +138,7 @@ def fit_many(
         raise TypeError(f"unexpected keyword argument {unknown[0]!r}; options of pem are {', '.join(sorted(_OPTIONS))}")
     rng = pem_options.get("rng")
     if rng is not None and not _checks.is_whole(rng):
-        raise StructureError(f"rng is {_checks.shown(rng)}; needed a whole number, the seed of each fit")
+        raise StructureError(f"rng is {_checks.shown(rng)}; expected a whole number, the seed of each fit")
     found, total = _listed(recordings)
     fit = FitAndKeep(pem_options, reader, None if store is None else _folder(store))
     modes: dict[int, Modes] = {}
@@ -170,7 +170,7 @@ def _listed(recordings: Any) -> tuple[Any, int | None]:
     pair = isinstance(recordings, tuple) and any(isinstance(one, np.ndarray) for one in recordings)
     if single or pair or not np.iterable(recordings):
         raise StructureError(
-            f"recordings is {_checks.shown(recordings)}; needed a list, or another iterable, of recordings: pass "
+            f"recordings is {_checks.shown(recordings)}; expected a list, or another iterable, of recordings: pass "
             "[data] for one"
         )
     if not isinstance(recordings, list | tuple):

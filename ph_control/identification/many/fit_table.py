@@ -135,7 +135,7 @@ class FitTable(Report, Frozen):
         """
         for name, value in (("frequency_tolerance", frequency_tolerance), ("least_mac", least_mac)):
             if not (isinstance(value, int | float | np.number) and 0 < value < 1):
-                raise StructureError(f"{name} is {_checks.shown(value)}; needed a number between 0 and 1")
+                raise StructureError(f"{name} is {_checks.shown(value)}; expected a number between 0 and 1")
         for name, count in (("window", window), ("gap", gap), ("shortest", shortest)):
             _checks.whole_number(name, count, 0 if name == "gap" else 1)
         ids = followed(self.table, self.shapes, frequency_tolerance, least_mac, window, gap, shortest)

@@ -400,12 +400,12 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         return f"The input between samples was {between} ({certain} over the other)."
     if finding.cause is Cause.DELAY:
         samples = int(values[0])
-        which, remedy = ("after", f"u[:-{samples}], y[{samples}:]") if samples > 0 else (
-            "before", f"u[{-samples}:], y[:{samples}]"
+        which, remedy = ("later", f"u[:-{samples}], y[{samples}:]") if samples > 0 else (
+            "earlier", f"u[{-samples}:], y[:{samples}]"
         )  # fmt: skip
         return (
-            f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} what the input would cause "
-            f"({certain}): a delay of the recording; {remedy} belong together."
+            f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} than the response to the input "
+            f"({certain}): the recording has a delay; fit {remedy}."
         )
     if finding.cause in REJECTED.values():
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
@@ -413,20 +413,20 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
     if finding.cause is Cause.GAIN_NOISE:
         sizes = sorted({f"{100 * one:.2g} %" for one in (min(values), max(values))}, key=len)
         return (
-            f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): this was estimated, and each "
-            "point has the weight that belongs to it."
+            f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): each "
+            "point is weighted by this estimate."
         )
     if finding.cause is Cause.REAL_POLE:
         rate, share = values
         return (
-            f"Of what the modes leave, {100 * share:.0f} % is like a first-order lag: a real pole at {-rate:.3g}, a "
-            f"time constant of {1 / rate:.3g}. Modes are pairs of complex poles: take the lag out of the data, or, of "
-            "recordings, pass its response to each input as one more input, which sets poles and predictions right."
+            f"A first-order lag explains {100 * share:.0f} % of the residual: a real pole at {-rate:.3g}, a "
+            f"time constant of {1 / rate:.3g}. Modes are pairs of complex poles: remove the lag from the data or, for "
+            "recordings, pass its response to each input as a further input, which corrects poles and predictions."
         )
     if finding.cause is Cause.COLOURED_NOISE:
         return (
             f"The noise is coloured ({certain}): an autoregression with the coefficient{'s' * (len(values) != 1)} "
-            f"{shown} describes it. Standard errors take it as white."
+            f"{shown} describes it. Standard errors assume white noise."
         )
     if finding.cause is Cause.COLOURED_RESIDUALS:
         low, high, size, share = values
@@ -443,12 +443,12 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
     if finding.output:
         return (
             f"The residuals of {finding.output!r} grow with the response, as with {100 * values[0]:.2g} % more input "
-            f"({certain}): forces that were not measured, or noise of the recorded input, with which residues come out "
-            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % where inputs are white."
+            f"({certain}): unmeasured forces, or noise on the recorded input, which makes residues "
+            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % for white inputs."
         )
     return (
-        f"The input as recorded has noise of about {100 * values[0]:.2g} % of its size ({certain}), which the plant "
-        "did not feel: record the input with less noise, or command it."
+        f"The recorded input has noise of about {100 * values[0]:.2g} % of its size ({certain}) that did not act on "
+        "the plant: record the input with less noise, or pass the commanded input."
     )
 
 
@@ -456,6 +456,5 @@ def far_out(which: str, places: Sequence[str]) -> str:
     """That some values stand out of the noise, and what to do about it."""
     listed = ", ".join(places[:_LISTED]) + f" and {len(places) - _LISTED} more" * (len(places) > _LISTED)
     return (
-        f"{which} far out of the noise of all others (counted from 0): {listed}. If they are errors of measurement, "
-        "mark them with NaN."
+        f"{which} far outside the noise (counted from 0): {listed}. If they are measurement errors, mark them with NaN."
     )

@@ -395,7 +395,7 @@ class Formulation:
             )
         if model.nports != 1 or not len(model.d):
             raise StructureError(
-                f"initial_guess has {model.nports} ports and {len(model.d)} oscillating modes; needed one port "
+                f"initial_guess has {model.nports} ports and {len(model.d)} oscillating modes; expected one port "
                 "and a mode"
             )
         if model.d.max() > self.problem.ceiling:

@@ -36,7 +36,7 @@ def foretelling_order(
         seen = counts > 0
         if not seen.any():
             raise IdentificationError(
-                "with a third of the data held out there are 0 observed outputs to foretell; choose by 'bic'"
+                "with a third of the data held out there are 0 observed outputs to predict; choose by 'bic'"
             )
         variances = np.maximum(losses[seen], np.finfo(float).tiny) / counts[seen]
         values[n] = float(np.sum(counts[seen] * np.log(variances)))

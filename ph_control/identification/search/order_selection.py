@@ -173,7 +173,7 @@ def order_selection(
         Largest number of modes, or those to choose from; by default 10, or what the data can carry if that is less.
         The path begins with no mode at all, order 0.
     dt : float, or sequence of float, one for each experiment, optional
-        Time between samples; needed with arrays.
+        Time between samples; required with arrays.
     holdout : float
         Part of the data to be foretold by models fitted to the rest: 0 for none, at most 0.9.  Of each record it is
         the end, of a frequency response points all over it.
@@ -280,7 +280,7 @@ def _wanted(orders: Any, problem: Problem) -> list[int]:
         return list(range(_checks.whole_number("orders", orders, 1) + 1))
     wanted = sorted({_checks.whole_number("one of the orders", n, 0) for n in orders})
     if not wanted or wanted[-1] == 0:
-        raise StructureError("orders asks for no mode; the largest must be at least 1")
+        raise StructureError("orders has no order above 0; the largest must be at least 1")
     return wanted
 
 
@@ -351,7 +351,7 @@ def held_out_losses(
     if not rest.ahead or not rest.training.samples:
         raise IdentificationError(
             f"with {part:.3g} of the data held out there are {rest.training.samples} observed outputs to fit and "
-            f"{rest.ahead} to foretell; hold out another part, or choose by 'bic'"
+            f"{rest.ahead} to predict; hold out another part, or choose by 'bic'"
         )
     largest = min(max(orders), rest.training.carried)
     path: list[Step] = []

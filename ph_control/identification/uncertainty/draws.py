@@ -281,9 +281,9 @@ class ModeSamples(Draws):
             _checks.in_range(name, getattr(self, name))
         shapes = self.d.shape, self.r.shape, self.initial_state.shape
         if shapes[0] != shapes[1] or shapes[2][0] != shapes[0][0]:
-            raise StructureError(f"d, r, initial_state have shapes {shapes}; needed (k, n), (k, n), (k, s)")
+            raise StructureError(f"d, r, initial_state have shapes {shapes}; expected (k, n), (k, n), (k, s)")
         if (self.d <= 0).any() or (self.r < 0).any():
-            raise StructureError(f"the least of d is {self.d.min():.3g}, of r {self.r.min():.3g}; needed > 0, >= 0")
+            raise StructureError(f"the least of d is {self.d.min():.3g}, of r {self.r.min():.3g}; allowed > 0, >= 0")
 
     @property
     def natural_frequencies(self) -> Array:

@@ -46,7 +46,9 @@ class ModalSamples(Draws):
         k, n, p, m = self.residues.shape
         found = self.poles.shape, self.feedthrough.shape, self.shapes.shape
         if found != ((k, n), (k, p, m), (k, n, p)):
-            raise StructureError(f"poles, feedthrough, shapes have shapes {found}; needed (k, n), (k, p, m), (k, n, p)")
+            raise StructureError(
+                f"poles, feedthrough, shapes have shapes {found}; expected (k, n), (k, p, m), (k, n, p)"
+            )
         super().__post_init__()
 
     @property

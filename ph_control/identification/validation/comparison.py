@@ -252,7 +252,7 @@ def compare(
         Models of the inputs and outputs of the data: matched by their labels where these are the same, else in order.
         Those in discrete time must have the step of the record.
     dt : float, or sequence of float, one for each experiment, optional
-        Time between samples; needed with arrays, unless a model has one.
+        Time between samples; required with arrays, unless a model has one.
     method : {'exact', 'midpoint', 'euler'}
         How continuous-time models meet the samples; a `PEMResult` keeps its own.
     intersample : {'auto', 'zoh', 'foh'}

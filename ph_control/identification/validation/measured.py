@@ -90,7 +90,7 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
     for k, record in enumerate(records, start=1):
         if not record.observed.any():
             name = f"experiment {k}" if several else "the record" if isinstance(record, InTime) else "the response"
-            raise StructureError(f"{name} has no outputs; there is nothing to hold a model against")
+            raise StructureError(f"{name} has no outputs to compare a model with")
     if not any(np.nan_to_num(record.measured).any() for record in records):
         where = "throughout" if several else "throughout the record"
         raise StructureError(f"the output is zero {where}; no share of it can be explained")

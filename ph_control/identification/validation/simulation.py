@@ -454,7 +454,7 @@ def _sampled_phases(system: Any, label: str, record: FrequencyRecord | ResponseM
     nyquist = np.pi / system.dt
     if record.omega[-1] > nyquist * (1 + _ROUNDING):
         raise StructureError(
-            f"model {label!r} is discrete-time with dt = {system.dt:g}, and says nothing above its Nyquist frequency "
+            f"model {label!r} is discrete-time with dt = {system.dt:g}, and is not defined above its Nyquist frequency "
             f"{nyquist:.6g}; the response reaches {record.omega[-1]:.6g}: leave these points out"
         )
     return np.asarray(record.omega * system.dt)
