@@ -36,7 +36,8 @@ body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto
        background: #fff; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #c9ccd1; }
 pre { white-space: pre-wrap; background: #f4f5f7; padding: .8rem; font-size: .85rem; }
-table { border-collapse: collapse; display: block; overflow-x: auto; } th, td { padding: .2rem .8rem; }
+table { border-collapse: collapse; display: block; overflow-x: auto; }
+th, td { padding: .2rem .8rem; white-space: nowrap; }
 tr:nth-child(even) { background: #f4f5f7; } figure { margin: 1rem 0; } img { max-width: 100%; height: auto; }
 figcaption { color: #5a6472; font-size: .9rem; }
 @media print { h2, figure { break-inside: avoid; } body { margin: 0; } }
