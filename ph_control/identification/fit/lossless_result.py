@@ -243,7 +243,7 @@ class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
 
     @property
     def rank_deficiency(self) -> int:
-        """Number of combinations of parameters that the data do not show at all."""
+        """Number of parameter combinations that the data do not determine."""
         return self.identifiability.deficiency
 
     @property

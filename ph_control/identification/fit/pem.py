@@ -86,7 +86,7 @@ def pem(
     dt : float, or sequence of float, one for each experiment, optional
         Time between samples; required with arrays.
     method : {'exact', 'midpoint', 'euler'}
-        How the model meets the samples; 'exact' for real recordings, the others for data made by such an integrator,
+        Discretisation of the model; 'exact' for real recordings, the others for data made by such an integrator,
         which a lossless model is fitted to.
     intersample : {'auto', 'zoh', 'foh'}
         Input between samples: held, or linear; 'auto' takes what the data prefer, and 'zoh' where they cannot tell.
@@ -96,9 +96,9 @@ def pem(
         Whether a constant is added to the output of each record, and estimated; 'auto' adds one, or one that drifts,
         where that explains more than a slow mode does.
     quantity : {'velocity', 'displacement', 'acceleration', 'free'}, or sequence or dict of these, optional
-        What was measured: of all outputs, of each, or by label; 'free' is any other sensor.  Default: what the data
-        tell by an attribute `quantity`, a dict as `read_uff` gives it, or by labels and units such as `Accel (g)`;
-        'velocity' where no output tells.
+        Measured quantity: of all outputs, of each, or by label; 'free' is any other sensor.  Default: what the data
+        give by an attribute `quantity`, a dict as `read_uff` gives it, or by labels and units such as `Accel (g)`;
+        'velocity' where no output has such a label.
     representation : {'observable', 'controllable'}
         Whether a mode without weight may still move at the output, as in the observable form, or not, as in every state
         of the controllable one; of lossless models of one input and output.
@@ -149,8 +149,8 @@ def pem(
     Given the frequencies, the residues `kappa = r d >= 0` and what belongs to each experiment solve a linear problem;
     only `d` is refined (variable projection, Levenberg-Marquardt).  The loss has many minima in `d`, each about
     `2 pi / (T dt)` wide, so modes are added one by one, each where a local fit around the bins of the Fourier transform
-    explains most of what is left, and all are refined jointly.  Where what is left still shows more than noise would,
-    modes are seated anew and a few other paths are tried.  O(T n^2) an iteration; memory does not grow with T n.
+    explains most of the residual, and all are refined jointly.  Where the residual still exceeds noise,
+    modes are relocated and a few other paths are tried.  O(T n^2) an iteration; memory does not grow with T n.
 
     A mode that is not significant among all the places where noise could have shown one is dropped from an automatic
     choice.  Parts of one record given as two experiments have two initial states to estimate.
