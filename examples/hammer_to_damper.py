@@ -23,7 +23,10 @@ force = np.where((t > 0.01) & (t < 0.02), 800 * np.sin(np.pi * (t - 0.01) / 0.01
 velocity = phc.forced_response(frame, t, force, intersample="foh")
 acceleration = (frame.A @ velocity.states + frame.B * force)[-1] / 40.0  # of the momentum of the top
 noise = 0.01 * acceleration.std() * np.random.default_rng(0).standard_normal(t.size)
-result = phc.pem((force, acceleration + noise), dt=1 / 500, quantity="acceleration", ports=[(0, 0)])
+signals = {"force [N]": force, "acceleration [m/s²]": acceleration + noise}
+recording = phc.recording(signals, input="force [N]", output="acceleration [m/s²]", fs=500)
+recording.time_unit = "s"
+result = phc.pem(recording, ports=[(0, 0)])
 print(result.summary())
 assert result.order == 3 and result.structure in ("classical", "passive")
 assert np.all(np.abs(result.hertz - frame.hertz) < 4 * result.stderr["natural_frequencies"] / (2 * np.pi))
