@@ -598,7 +598,12 @@ def test_an_output_that_takes_nothing_is_an_error():
 
 
 def test_the_interrupt_key_ends_a_process_with_status_130():
-    code = "import sys; from ph_control.cli import main; print('here', flush=True); sys.exit(main(['fit', '-']))"
+    # a process that a shell sent to the background ignores the key, and its children do, too
+    code = (
+        "import signal, sys; from ph_control.cli import main; "
+        "signal.signal(signal.SIGINT, signal.default_int_handler); print('here', flush=True); "
+        "sys.exit(main(['fit', '-']))"
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )

@@ -6,6 +6,7 @@ import _thread
 import io
 import os
 import re
+import signal
 import sys
 import threading
 import time
@@ -89,6 +90,10 @@ class ProgressLine:
         return self._report if self._watched else None
 
     def __enter__(self) -> ProgressLine:
+        ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        if ignored and self.timeout is not None and threading.current_thread() is threading.main_thread():
+            # a shell has sent the process to the background, where the key is ignored; the bell must not be
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         for one in self._threads:
             one.start()
         return self

@@ -22,7 +22,7 @@ _LONGEST = 64  # samples of the past that noise may depend on
 _SAMPLES_EACH = 20  # of the residuals for each of them
 _LEAST = 0.1  # of the noise about a mode that is taken to be left beside what was fitted there
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
-_ASTRAY = 10.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
+_ASTRAY = 4.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
 _GRID = 4096  # frequencies of a spectrum
 _EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
 
@@ -39,8 +39,9 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     """The same modes with what their residuals are like, refined in rows of white noise.
 
     The innovations filter of an output takes inputs and outputs of any modes to inputs and outputs of the same modes.
-    Of a free motion the rows stay as they are, and of responses all.  They also stay where the modes would be lost:
-    what a short hit leaves of an input known at its samples only has no spectrum that all of the record shares.
+    Of a free motion the rows stay as they are, and of responses all.  They also stay where modes would be lost, or
+    begin to grow: what a short hit leaves of an input known at its samples only, or what no linear model explains, has
+    no spectrum that all of the record shares.
     """
     at = free.projection
     records = [one for one in at.experiments if isinstance(one, FreeRecord)]
@@ -53,6 +54,8 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
         return free
     rows = [row for one in records for row in _filtered(one, [each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
+    if np.count_nonzero(found.p.real > 0) > np.count_nonzero(at.p.real > 0):
+        return free
     if FreeProjection(at.experiments, found.p, at.fed).loss > _ASTRAY * at.loss:
         return free
     counts = np.zeros(len(noise))
