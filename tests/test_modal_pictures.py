@@ -391,7 +391,7 @@ def test_modal_forms_have_shapes_and_many_modes_are_shared_out():
     "call, words",
     [
         (lambda: phc.shape_plot("text"), "shapes are a str"),
-        (lambda: phc.shape_plot([1.0, 2.0]), r"shapes have shape \(2,\); needed"),
+        (lambda: phc.shape_plot([1.0, 2.0]), r"shapes have shape \(2,\); expected"),
         (lambda: phc.shape_plot([[1.0, np.nan]]), "shapes is not finite"),
         (lambda: phc.shape_plot(np.eye(3), [1.0, 2.0]), r"positions have shape \(2,\); those of 3 sensors"),
         (lambda: phc.shape_plot(np.eye(3), np.ones((3, 4))), "positions have shape"),

@@ -431,7 +431,7 @@ GOOD = np.random.default_rng(0).standard_normal((2, 100))
         ((np.zeros(100), GOOD[1]), {"initial_state": "zero"}, phc.IdentificationError, "the input is constant"),
         ((GOOD[0], np.zeros(100)), {}, phc.IdentificationError, "the output is zero throughout"),
         (GOOD, {"order": 25}, phc.IdentificationError, "order 25 has 100 unknowns.*largest order.*24"),
-        ((GOOD[0], GOOD[1, :-1]), {}, phc.StructureError, "input has 100 samples and the output 99"),
+        ((GOOD[0], GOOD[1, :-1]), {}, phc.StructureError, "input has 100 samples, the output 99"),
         (GOOD, {"order": 0}, phc.StructureError, "order is 0"),
         (GOOD, {"order": 2.5}, phc.StructureError, "order is 2.5"),
         (GOOD, {"order": True}, phc.StructureError, "order is True"),

@@ -1011,7 +1011,7 @@ def replaced(array, index, value):
         (damaged(lambda t, u, y: (t, u, y), segments=0), "segments is 0"),
         (damaged(lambda t, u, y: (t, u, y), segments=2.5), "segments is 2.5"),
         (damaged(lambda t, u, y: (t, u, y), intersample="linear"), "intersample is 'linear'; it must be one of 'zoh'"),
-        (damaged(lambda t, u, y: (t, None, y)), "the record has 0 inputs, 1 outputs"),
+        (damaged(lambda t, u, y: (t, None, y)), "data have 0 inputs, 1 outputs"),
         (lambda: spectral_estimate((1, 2)), "data is a tuple; pass a record as control.TimeResponseData"),
     ],
 )

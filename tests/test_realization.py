@@ -724,7 +724,7 @@ def test_margins_of_systems_that_are_not_canonical_name_what_is_wrong():
 def test_bad_input_is_refused_with_what_was_measured_and_what_to_do():
     system = phc.modes([1.0, 2.0], [1.0, 1.0])
     for m in (1, -1, 2.0, True, None, "3"):
-        with pytest.raises(phc.StructureError, match=rf"m is {m!r}, .*n = 2 .*at least n.*minreal"):
+        with pytest.raises(phc.StructureError, match=rf"m is {m!r}, .*n = 2 .*from n to .*minreal"):
             lift(system, m)
     with pytest.raises(phc.StructureError, match=r"padding has shape \(1,\); m - n = 2"):
         lift(system, 4, padding=[3.0])
