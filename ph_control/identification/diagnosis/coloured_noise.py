@@ -49,6 +49,8 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
         return free
     noise = noise_of(free, records)
     findings = tuple(one.finding for one in noise if one.finding is not None)
+    if not findings:
+        return free
     free = replace(free, findings=(*free.findings, *findings))
     if not at.inputs:
         return free

@@ -94,8 +94,11 @@ def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]
     found = _under_either_hold(free, asked, findings)
     if found.whiteness >= WHITE or not found.success:
         return found
+    whitened = beside_coloured_noise(free)
+    if whitened is free:
+        return found
     rival = None if free.rival is None else beside_coloured_noise(free.rival)
-    return _under_either_hold(replace(beside_coloured_noise(free), rival=rival), asked, findings)
+    return _under_either_hold(replace(whitened, rival=rival), asked, findings)
 
 
 def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> DampedResult:
