@@ -94,10 +94,13 @@ def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]
     found = _under_either_hold(free, asked, findings)
     if found.whiteness >= WHITE or not found.success:
         return found
-    whitened = beside_coloured_noise(free)
-    if whitened is free:
-        return found
-    rival = None if free.rival is None else beside_coloured_noise(free.rival)
+    try:
+        whitened = beside_coloured_noise(free)
+        if whitened is free:
+            return found
+        rival = None if free.rival is None else beside_coloured_noise(free.rival)
+    except KeyboardInterrupt:
+        return cut_short(found)
     return _under_either_hold(replace(whitened, rival=rival), asked, findings)
 
 
