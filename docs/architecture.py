@@ -1,6 +1,6 @@
-"""Draw docs/architecture.svg: the folders of the package in their order, and three ways of data through them.
+"""Draw docs/architecture.svg: the folders of the package in their order, and the data flow of three calls.
 
-Run `python docs/architecture.py` after a folder has come or gone; tests/test_layout.py says when.
+Run `python docs/architecture.py` after a folder has come or gone; tests/test_layout.py detects this.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from pathlib import Path
 
 # from the top down, as in the picture: a file imports from folders below its own only
 FOLDERS = {
-    "cli.commands": "one module a command",
+    "cli.commands": "one module per command",
     "cli": "the command line",
     "identification.validation": "models on new data",
     "identification.many": "many recordings, tracking",
@@ -17,22 +17,22 @@ FOLDERS = {
     "identification.structure": "fits with a structure",
     "identification.diagnosis": "tests of a fit, verdict",
     "identification.search": "order, initial estimates",
-    "identification.excitation": "what an input can show",
+    "identification.excitation": "parameters that inputs excite",
     "identification.uncertainty": "noise, covariance, draws",
     "identification.regression": "residuals and Jacobians",
     "identification.data": "records and responses",
     "circuits": "Foster, Cauer, SPICE netlists",
-    "io": "CSV, JSON, .mat",
-    "plotting": "numbers, then pictures",
+    "io": "tables, UFF, JSON, .mat",
+    "plotting": "data, then plots",
     "controllers": "damping, observers, LQG",
     "reduction": "smaller and passive models",
     "analysis": "time responses, energy, margins",
     "equivalence": "coordinates, morphisms",
     "structures": "mass, damping, stiffness",
-    "systems": "classes that are StateSpaces",
+    "systems": "subclasses of StateSpace",
     "modal": "poles and residues: the core",
     "symplectic": "Williamson, Darboux",
-    "numerics": "what LAPACK lacks",
+    "numerics": "beyond LAPACK and numpy",
     "ph_control": "validation, errors, display",
 }
 
@@ -83,7 +83,7 @@ def picture() -> str:
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="Helvetica, sans-serif">'
     )
-    title = "<title>Folders of ph_control in their order, and the way of data through three calls</title>"
+    title = "<title>Folders of ph_control in their order, and the data flow of three calls</title>"
     return "\n".join([head, title, *parts, "</svg>", ""])
 
 
