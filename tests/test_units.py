@@ -211,3 +211,18 @@ def test_what_an_input_shows_is_told_in_the_unit_of_the_record():
     found = phc.excitation(data, ([0.5, 2.0], [1.0, 0.25]))
     text = "".join([found.summary(), str(found), *found.remedies])
     assert "step 0.1 ms: one bin is 0.1257 rad/ms" in text and "d [rad/ms]" in text and "time" not in text
+
+
+def test_pictures_of_many_recordings_say_hz_only_where_the_unit_of_time_is_known():
+    t, rng = 0.1 * np.arange(400), np.random.default_rng(0)
+    chain = phc.ph(phc.modes([1.0, 2.5], [1.0, 0.5]))
+    records = [phc.forced_response(chain, t, rng.standard_normal(400), intersample="zoh") for _ in range(2)]
+    for unit, label in ((None, "1/time"), ("s", "Hz")):
+        for record in records:
+            record.time_unit = unit
+        fits = phc.fit_many(records)
+        axes = fits.plot().axes[:, 0]
+        assert {axis.get_ylabel() for axis in axes} == {f"Frequency [{label}]", "Damping ratio [%]"}
+        assert f"mode {label} +-" in " ".join(str(fits).split())
+        assert f"first {label}" in str(fits.track())
+    plt.close("all")

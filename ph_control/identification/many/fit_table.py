@@ -34,6 +34,8 @@ class FitTable(Report, Frozen):
         Mode shape of each row, of as many entries as there are outputs; empty where there is no mode.
     complete : bool
         Whether all recordings are in it; not after an interruption.
+    frequency_unit : str
+        Unit of `hertz`: "Hz", or "1/time" where a recording does not tell its unit of time.
 
     Notes
     -----
@@ -50,6 +52,7 @@ class FitTable(Report, Frozen):
     table: NDArray[np.void]
     shapes: tuple[ComplexArray, ...]
     complete: bool
+    frequency_unit: str = "Hz"
 
     def __len__(self) -> int:
         return len(self.table)
@@ -139,7 +142,7 @@ class FitTable(Report, Frozen):
         for name, count in (("window", window), ("gap", gap), ("shortest", shortest)):
             _checks.whole_number(name, count, 0 if name == "gap" else 1)
         ids = followed(self.table, self.shapes, frequency_tolerance, least_mac, window, gap, shortest)
-        return ModeTracks(self.table, ids)
+        return ModeTracks(self.table, ids, self.frequency_unit)
 
     def plot(self, **kwargs: Any) -> ct.ControlPlot:
         """Natural frequencies and damping ratios against the recordings, modes followed as by `track()`.
@@ -165,7 +168,8 @@ class FitTable(Report, Frozen):
         rows = np.arange(len(self.table))
         if len(rows) > _SHOWN:
             rows = np.concatenate([rows[: _SHOWN // 2], rows[-_SHOWN // 2 :]])
-        lines = aligned([["recording", "mode", "Hz", "+-", "damping %", "+-", "fit %", "structure", "message"],
+        unit = self.frequency_unit
+        lines = aligned([["recording", "mode", unit, "+-", "damping %", "+-", "fit %", "structure", "message"],
                          *(_cells(self.table[k]) for k in rows)])  # fmt: skip
         if len(rows) < len(self.table):
             lines.insert(1 + _SHOWN // 2, f"  ... {len(self.table) - len(rows)} more ...")
@@ -197,7 +201,9 @@ def table_of(modes: Mapping[int, Modes], complete: bool) -> FitTable:
         "damping_ratio": "f8", "damping_ratio_stderr": "f8", "fit_percent": "f8", "structure": f"U{widths[8]}",
         "order": "i4", "message": f"U{widths[10]}", "result": f"U{widths[11]}",
     }  # fmt: skip
-    return FitTable(np.array(rows, dtype=list(kinds.items())), tuple(shapes), complete)
+    known = all(one.time_unit for one in modes.values() if one.order > 0)
+    table = np.array(rows, dtype=list(kinds.items()))
+    return FitTable(table, tuple(shapes), complete, "Hz" if known else "1/time")
 
 
 def _cells(row: Any) -> list[str]:

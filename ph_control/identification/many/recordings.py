@@ -71,6 +71,7 @@ class Modes:
     numbers: Array = None  # type: ignore[assignment]  # (n, 4): hertz and damping ratio, each with its standard error
     shapes: ComplexArray = None  # type: ignore[assignment]  # (n, p)
     file: str = ""
+    time_unit: str | None = None
 
     @classmethod
     def of(cls, result: PEMResult, name: str, file: str) -> Modes:
@@ -81,7 +82,7 @@ class Modes:
             result.stderr["damping_ratios"],
         ])  # fmt: skip
         parts = result.order, result.structure, float(result.fit_percent), numbers, np.array(result.shapes), file
-        return cls(name, result.verdict, *parts)
+        return cls(name, result.verdict, *parts, result.time_unit)
 
 
 @dataclass(frozen=True)

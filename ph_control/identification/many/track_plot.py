@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 from ... import _checks
 from ..._types import Array
-from ...plotting.style import BAND, DOTS, FrameStyle, Look, picture
+from ...plotting.style import BAND, DOTS, FrameStyle, Look, labelled, picture
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -26,7 +26,7 @@ _PANELS = 5  # of frequencies
 
 @dataclass(frozen=True)
 class Track:
-    """Recordings of a mode, ascending, its frequencies in Hz, its damping ratios, and their standard errors."""
+    """Recordings of a mode, ascending, its frequencies, its damping ratios, and their standard errors."""
 
     recording: Array
     hertz: Array
@@ -36,7 +36,7 @@ class Track:
 
 
 def tracks_plot(
-    tracks: Sequence[Track], loose: Track, *, relative: bool, level: float, ax: Any = None,
+    tracks: Sequence[Track], loose: Track, unit: str, *, relative: bool, level: float, ax: Any = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:  # fmt: skip
     """Frequencies above damping ratios of all modes, with bands; what belongs to none as dots."""
@@ -56,7 +56,7 @@ def tracks_plot(
             one, middle = tracks[k], float(np.median(tracks[k].hertz))
             size = 100 / middle if relative else 1.0
             shown, error = size * (one.hertz - middle * relative), size * width * one.hertz_stderr
-            named = {"color": f"C{k % 10}", "label": f"mode {k} ({middle:.4g} Hz)"}
+            named = {"color": f"C{k % 10}", "label": f"mode {k} ({middle:.4g} {unit})"}
             drawn.lines[row, 0] += _curve(above[row], one.recording, shown, error, named)
             part = 100 * one.damping_ratio, 100 * width * one.damping_ratio_stderr
             drawn.lines[count, 0] += _curve(below, one.recording, *part, named)
@@ -66,7 +66,8 @@ def tracks_plot(
                 axis.plot(loose.recording, loose.hertz, **DOTS)
             if count > 1:
                 axis.set_ylim(limits)
-            axis.set_ylabel("Change of natural frequency [%]" if relative else _LABELS[count > 1])
+            quantity = "Natural frequency" if count == 1 else "Frequency"
+            axis.set_ylabel("Change of natural frequency [%]" if relative else labelled(quantity, unit))
         below.plot(loose.recording, 100 * loose.damping_ratio, **DOTS)
         below.set_ylabel("Damping ratio [%]")
         below.set_xlabel("Recording")
@@ -76,9 +77,6 @@ def tracks_plot(
         heading = f"Modes over recordings, with {100 * level:g} % bands"
         few = len(tracks) <= _NAMED or look.show_legend
         return drawn.finished(heading, drawn.legend_of_all() if few else False)
-
-
-_LABELS = ("Natural frequency [Hz]", "Frequency [Hz]")
 
 
 def _groups(tracks: Sequence[Track]) -> list[list[int]]:

@@ -29,6 +29,8 @@ class ModeTracks(Report, Frozen):
         The table of the fits.
     ids : ndarray of int, shape (rows,)
         Number of the mode that each row belongs to, from 0 in the order of their first recordings; -1 for none.
+    frequency_unit : str
+        Unit of `hertz`, as that of the table of the fits.
 
     Notes
     -----
@@ -49,6 +51,7 @@ class ModeTracks(Report, Frozen):
 
     table: NDArray[np.void]
     ids: Indices
+    frequency_unit: str = "Hz"
 
     def __len__(self) -> int:
         return int(self.ids.max(initial=-1)) + 1
@@ -58,7 +61,8 @@ class ModeTracks(Report, Frozen):
 
     def __str__(self) -> str:
         """Headline, and a line for each mode."""
-        rows = [["mode", "recordings", "first Hz", "last Hz", "change %", "damping %", "seen in"]]
+        unit = self.frequency_unit
+        rows = [["mode", "recordings", f"first {unit}", f"last {unit}", "change %", "damping %", "seen in"]]
         for k in range(len(self)):
             one = self[k]
             first, last = one["hertz"][0], one["hertz"][-1]
@@ -111,12 +115,12 @@ class ModeTracks(Report, Frozen):
         ...     return u, y + 0.01 * rng.standard_normal(400)
         >>> plot = phc.fit_many([recording(d) for d in (1.0, 1.01)], dt=0.1).track().plot()
         >>> [axis.get_ylabel() for axis in plot.axes[:, 0]]
-        ['Natural frequency [Hz]', 'Damping ratio [%]']
+        ['Natural frequency [1/time]', 'Damping ratio [%]']
         >>> plt.close(plot.figure)
         """
         loose = self.table[(self.ids < 0) & (self.table["mode"] >= 0)]
         lines = [_line(self[k]) for k in range(len(self))]
-        return tracks_plot(lines, _line(loose), relative=relative, level=level, **kwargs)
+        return tracks_plot(lines, _line(loose), self.frequency_unit, relative=relative, level=level, **kwargs)
 
 
 def _line(rows: NDArray[np.void]) -> Track:
