@@ -226,3 +226,13 @@ def test_pictures_of_many_recordings_say_hz_only_where_the_unit_of_time_is_known
         assert f"mode {label} +-" in " ".join(str(fits).split())
         assert f"first {label}" in str(fits.track())
     plt.close("all")
+
+
+def test_an_envelope_and_a_tuned_damper_are_told_in_the_unit_of_the_system():
+    plot = phc.step_plot(phc.modes([1.0, 1e6], [1.0, 0.1]), time_unit="s")
+    assert "at d = 1e+06 rad/s, too fast" in plot.legend.get_texts()[-1].get_text()
+    plt.close(plot.figure)
+    plant = phc.spring_chain([1.0], [], ground=1.0)
+    assert "rad/time and" in str(phc.optimal_damping(plant, mass=0.1))
+    plant.time_unit = "s"
+    assert "rad/s and" in str(phc.optimal_damping(plant, mass=0.1))

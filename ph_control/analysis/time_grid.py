@@ -9,6 +9,7 @@ import numpy as np
 from .. import _checks
 from .._display import counted
 from .._types import Array
+from .._units import rate
 from ..exceptions import ResolutionWarning
 
 _PER_PERIOD = 20  # samples in the shortest period of a default time vector
@@ -49,10 +50,11 @@ def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:
         )
 
 
-def listed(d: Array) -> str:
+def listed(d: Array, time_unit: str | None = None) -> str:
     """Text that names modes in a warning."""
     shown = ", ".join(f"{value:.4g}" for value in d[:3])
-    return f"{counted(len(d), 'mode')} at d = {shown}{', …' if len(d) > 3 else ''} rad per unit time"
+    unit = rate(time_unit) if time_unit else "rad per unit time"
+    return f"{counted(len(d), 'mode')} at d = {shown}{', …' if len(d) > 3 else ''} {unit}"
 
 
 def printed_step(t: Array) -> float:

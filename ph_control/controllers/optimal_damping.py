@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from .. import _checks
 from .._frozen import Frozen
 from .._types import Array, ArrayLike, Mask
+from .._units import rate
 from ..exceptions import StructureError
 from ..systems.dissipative import parts_of
 from ..systems.interconnection import interconnect, through_ports
@@ -105,8 +106,8 @@ class OptimalDamping(Frozen):
             table = zip(self.masses, self.stiffnesses, frequencies, 100 * ratios, strict=True)
             for k, (m, stiffness, frequency, percent) in enumerate(table, 1):
                 rows[k] += (
-                    f"   mass {m:.6g}   stiffness {stiffness:.6g}   on a fixed base {frequency:.6g} rad/time and "
-                    f"{percent:.4g} %"
+                    f"   mass {m:.6g}   stiffness {stiffness:.6g}   on a fixed base {frequency:.6g} "
+                    f"{rate(self.plant.time_unit)} and {percent:.4g} %"
                 )
         return "\n".join(rows)
 

@@ -161,13 +161,13 @@ def _transient_plot(
 ) -> ct.ControlPlot:  # fmt: skip
     look = Look.of(style)
     numbers = transient_data(sysdata, kind, timepts, timepts_num, **options)
-    time_label = labelled("Time", unit_for(time_unit, sysdata, options["data"]))
+    time_unit = unit_for(time_unit, sysdata, options["data"])
     rows, columns = len(numbers.output_labels), len(numbers.input_labels)
     with look.context():
         size = (max(6.4, 3.8 * columns), 3.4 if rows == 1 else 2.2 * rows)
         drawn = picture(look, ax, (rows, columns), size, sharex=True)
         for (i, j), axis in np.ndenumerate(drawn.axes):
-            drawn.lines[i, j] = _draw_responses(axis, numbers, i, j, look)
+            drawn.lines[i, j] = _draw_responses(axis, numbers, i, j, look, time_unit)
             axis.axhline(0.0, **ZERO)
             axis.set_xlim(0.0, numbers.end)
             look.lattice(axis)
@@ -176,7 +176,7 @@ def _transient_plot(
         for axis, label in zip(drawn.axes[0], numbers.input_labels * (columns > 1), strict=False):
             axis.set_title(plain(f"From {label}"), loc="left")
         for axis in drawn.axes[-1]:
-            axis.set_xlabel(time_label)
+            axis.set_xlabel(labelled("Time", time_unit))
         # an envelope must be told apart from a response
         alone = all(trace.resolved and trace.joined for trace in numbers.traces)
         return drawn.finished(numbers.title, look.legend(drawn.axes[0, -1], 2 if alone else 1))
@@ -426,7 +426,7 @@ def _band(subject: Subject, modes: ModalForm | None, trace: Trace, models: Any, 
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
-def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Look) -> list[Any]:
+def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Look, time_unit: str | None) -> list[Any]:
     lines: list[Any] = []
     for k, trace in enumerate(numbers.traces):
         line = _draw_trace(axis, trace, i, j, look.curve(k))
@@ -434,7 +434,7 @@ def _draw_responses(axis: Axes, numbers: TransientData, i: int, j: int, look: Lo
         lines.append(line)
         if not trace.resolved:
             t, slow = extremes(trace.time, trace.slow[i, j])
-            warning = plain(f"envelope with {listed(trace.fast)}, too fast for these instants")
+            warning = plain(f"envelope with {listed(trace.fast, time_unit)}, too fast for these instants")
             shade: dict[str, Any] = {"facecolor": to_rgba(colour, 0.12), "edgecolor": to_rgba(colour, 0.45)}
             low, high = slow - trace.reach[i, j], slow + trace.reach[i, j]
             axis.fill_between(t, low, high, label=warning, **shade, **_ENVELOPE)
