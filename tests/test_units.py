@@ -236,3 +236,16 @@ def test_an_envelope_and_a_tuned_damper_are_told_in_the_unit_of_the_system():
     assert "rad/time and" in str(phc.optimal_damping(plant, mass=0.1))
     plant.time_unit = "s"
     assert "rad/s and" in str(phc.optimal_damping(plant, mass=0.1))
+
+
+def test_a_unit_of_the_gain_that_the_measurement_tells_is_that_of_the_model():
+    model = ct.tf([1.0, 0.0], [1.0, 0.1, 1.0])
+    data = ct.frd(
+        model(1j * np.linspace(0.5, 2.0, 50)), np.linspace(0.5, 2.0, 50), inputs="force [N]", outputs="v [m/s]"
+    )
+    plot = phc.bode_plot(model, data=data)
+    assert plot.axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
+    assert phc.bode_plot(model).axes[0, 0].get_ylabel() == "Magnitude [dB]"
+    circle = phc.circle_plot(phc.pem(data, 1))
+    assert circle.axes[0, 0].get_xlabel() == "Real part [m/s/N]"
+    plt.close("all")

@@ -28,7 +28,7 @@ from .style import (
     labelled,
     picture,
     plain,
-    told_gain_units,
+    told_gain_unit,
 )
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def bode_plot(
         known.
     gain_unit : str, optional
         Unit of the response, output over input, such as "m/s/N"; the magnitude is in dB re 1 of it.  By default that
-        of names such as "force [N]" where all channels of the first system have one.
+        of names such as "force [N]" where all channels of the first system, or of the measurement, have one.
     label : str or sequence of str, optional
         Legend entries of the systems; by default their names, and "model" for a single `PortHamiltonian` without one.
     data_label : str, optional
@@ -189,8 +189,7 @@ def bode_plot(
                 drawn.lines[row, j] = _draw_phases(axis, numbers, row // kinds, j, unit, look, deg, wrap_phase)
             _draw_limits(axis, [limit / unit for limit in numbers.nyquist], unit_name)
             look.lattice(axis, minor="x")
-        told = set(told_gain_units(numbers.output_labels, numbers.input_labels))
-        gain_unit = told.pop() if gain_unit is None and len(told) == 1 else gain_unit
+        gain_unit = told_gain_unit(numbers, data) if gain_unit is None else gain_unit
         gain = gain_label(gain_unit) if dB else labelled("Magnitude", gain_unit)
         phase = "Phase [deg]" if deg else "Phase [rad]"
         _label_axes(drawn.axes, numbers, unit, unit_name, [gain if kind == "magnitude" else phase for kind in rows])

@@ -28,7 +28,19 @@ from .frf_plot import (
     measured_by,
     model_source,
 )
-from .style import DOTS, ZERO, FrameStyle, LineStyle, Look, frequency_axis, labelled, panels, picture, plain
+from .style import (
+    DOTS,
+    ZERO,
+    FrameStyle,
+    LineStyle,
+    Look,
+    frequency_axis,
+    labelled,
+    panels,
+    picture,
+    plain,
+    told_gain_units,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -289,7 +301,8 @@ def circle_plot(
             if source.shape != (1, 1):
                 name = plain(f"{one.input_label} to {one.output_label}")
                 axis.text(0.03, 0.03, name, transform=axis.transAxes, fontsize="x-small", color="0.35")
-            axis.set(xlabel=labelled("Real part", gain_unit), ylabel=labelled("Imaginary part", gain_unit))
+            told = told_gain_units([one.output_label], [one.input_label])[0] if gain_unit is None else gain_unit
+            axis.set(xlabel=labelled("Real part", told), ylabel=labelled("Imaginary part", told))
         return drawn.finished("Nyquist curve at each resonance", drawn.legend_of_all())
 
 

@@ -245,6 +245,16 @@ def told_gain_units(outputs: Sequence[str], inputs: Sequence[str]) -> list[str] 
     return [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]
 
 
+def told_gain_unit(*sources: Any) -> str | None:
+    """Unit of all responses of the first of these whose names of channels tell one."""
+    for one in sources:
+        names = [getattr(one, name, None) or [] for name in ("output_labels", "input_labels")]
+        told = set(told_gain_units(*names))
+        if len(told) == 1 and None not in told:
+            return told.pop()
+    return None
+
+
 def frequency_axis(Hz: bool | None, time_unit: str | None) -> tuple[float, str]:
     """Size of the unit of frequency in rad per unit time, and its name.
 
