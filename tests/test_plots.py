@@ -679,7 +679,22 @@ def test_units_that_the_labels_tell_are_those_of_the_gain():
 def test_labels_replace_names():
     chain = frenkel_kontorova(name="chain")
     assert legend_texts(bode_plot([chain, chain], label=["before", "after"]).axes[0, 0]) == ["before", "after"]
-    assert legend_texts(bode_plot([chain, chain]).axes[0, 0]) == ["chain", "chain"]
+    assert legend_texts(bode_plot([chain, chain]).axes[0, 0]) == ["chain #1", "chain #2"]
+
+
+def test_systems_of_one_name_are_told_apart_by_step_or_size():
+    chain = ct.ss(frenkel_kontorova(name="chain"))
+    short = ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, name="chain")
+    plot = bode_plot([chain, short, ct.c2d(chain, 0.1), ct.ss(short.A, short.B, short.C, 0, name="other")])
+    assert legend_texts(plot.axes[0, 0])[:4] == ["chain (4 states)", "chain (1 state)", "chain (dt = 0.1)", "other"]
+
+
+def test_names_are_shown_without_what_python_control_adds_to_them():
+    tower = spring_chain([1.0, 1.0], 4.0, ground=1.0, c=0.1, port=[0, 1], name="tower")
+    assert "$" in tower[0, 1].name
+    assert bode_plot(tower[0, 1]).figure.get_suptitle() == "Bode plot of tower"
+    unnamed = ct.c2d(ct.tf([1, 0], [1, 0.1, 1]), 0.1)
+    assert bode_plot(unnamed).figure.get_suptitle() == "Bode plot"
 
 
 def test_a_new_figure_is_made_unless_axes_are_given():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -17,6 +18,7 @@ from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 
 _DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
+_UNNAMED = re.compile(r"sys\[\d+\]")  # what python-control calls a system without a name
 _TITLE = 70  # letters that fit above a picture; the legend has the names as well
 
 
@@ -94,20 +96,40 @@ def is_damped(given: Any) -> bool:
 
 
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
-    """Names of systems; a fit is called one, unless its system was named."""
+    """Names of systems, all different; a fit is called one, unless its system was named."""
     names = [
         f"fit ({counted(one.order, 'mode')})"
         if isinstance(one, FitResult) and sys._generic_name_check()
-        else str(sys.name)
+        else _base_name(sys)
         for one, sys in zip(given, systems, strict=True)
     ]
-    if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and systems[0]._generic_name_check():
+    if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and _is_unnamed(systems[0]):
         return ["model"]
-    # a system and what was sampled of it have the same name
-    return [
+    # a system has the name of what it was sampled, reduced or drawn from
+    names = [
         f"{name} (dt = {sys.dt})" if names.count(name) > 1 and sys.isdtime(strict=True) else name
         for name, sys in zip(names, systems, strict=True)
     ]
+    sizes = [getattr(sys, "nstates", None) for sys in systems]
+    names = [
+        f"{name} ({counted(size, 'state')})" if size and _differs(name, names, sizes) else name
+        for name, size in zip(names, sizes, strict=True)
+    ]
+    return [f"{name} #{names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
+def _differs(name: str, names: list[str], sizes: list[int | None]) -> bool:
+    """Whether systems of this name are of different sizes."""
+    return len({size for other, size in zip(names, sizes, strict=True) if other == name}) > 1
+
+
+def _base_name(sys: Any) -> str:
+    """Name of a system without what python-control adds to it, as in `plant$sampled` or `plant$indexed`."""
+    return str(sys.name).partition("$")[0] or str(sys.name)
+
+
+def _is_unnamed(sys: Any) -> bool:
+    return _UNNAMED.fullmatch(_base_name(sys)) is not None
 
 
 def timebase(sys: Any) -> float:
@@ -118,7 +140,7 @@ def timebase(sys: Any) -> float:
 def title_of(kind: str, subjects: list[Subject], relabelled: bool) -> str:
     """Title of a picture, with the names of its systems where they are few and have some."""
     systems = [one.system for one in subjects]
-    named = [sys.name for sys in systems if not (relabelled or sys._generic_name_check())]
+    named = [_base_name(sys) for sys in systems if not (relabelled or _is_unnamed(sys))]
     title = f"{kind} of " + ", ".join(dict.fromkeys(named))
     return title if 0 < len(named) == len(systems) <= 3 and len(title) <= _TITLE else kind
 
