@@ -697,6 +697,20 @@ def test_names_are_shown_without_what_python_control_adds_to_them():
     assert bode_plot(unnamed).figure.get_suptitle() == "Bode plot"
 
 
+def test_a_measurement_of_a_narrow_band_fills_the_picture():
+    resonator = phc.ph(phc.modes([99.9, 100.1], [0.01, 0.01], damping=1e-4))
+    omega = np.linspace(99.0, 101.0, 50)
+    low, high = bode_plot(resonator, data=ct.frd(resonator(1j * omega), omega)).axes[1, 0].get_xlim()
+    assert 85 < low <= 99 and 101 <= high < 115
+    # a mode beyond the measurement is shown with what surrounds it
+    low, high = (
+        bode_plot(phc.ph(phc.modes([99.9, 500.0], [0.01, 0.01])), data=ct.frd(resonator(1j * omega), omega))
+        .axes[1, 0]
+        .get_xlim()
+    )
+    assert high >= 1000
+
+
 def test_a_new_figure_is_made_unless_axes_are_given():
     before = len(plt.get_fignums())
     first = bode_plot(frenkel_kontorova())

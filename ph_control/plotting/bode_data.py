@@ -205,7 +205,7 @@ def bode_data(
     first = subjects[0].system
     models = models_around(confidence, subjects, "magnitude_band", "phase_band")
     measured = _measurement(data, first, segments, intersample, data_label)
-    extents = np.concatenate([_extent(one.system) for one in subjects])
+    extents = np.concatenate([_extent(one.system, measured) for one in subjects])
     grid, low, high = _frequencies(extents, measured, omega, omega_limits, unit)
     curves = [_curve(one, grid, low, high, omega_num) for one in subjects]
     for k, (one, curve, drawn) in enumerate(zip(subjects, curves, models, strict=True)):
@@ -338,12 +338,21 @@ def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Arra
     return 10.0 ** np.array([low, high]) * unit
 
 
-def _extent(sys: Any) -> Array:
-    """Ends of what the picture must show: twice as far as the poles and zeros are, or as far as tabulated data are."""
+def _extent(sys: Any, measured: Curve | None) -> Array:
+    """Ends of what the picture must show: twice as far as the poles and zeros are, or as far as tabulated data are.
+
+    Poles and zeros within a measurement ask for no more than it covers.
+    """
     if isinstance(sys, ct.FrequencyResponseData):
         return _tabulated(sys, "").omega[[0, -1]]
     marks = features(sys)[0]
-    return np.array([marks.min() / 2.0, 2.0 * marks.max()]) if len(marks) else marks
+    if not len(marks):
+        return marks
+    ends, wider = marks[[0, -1]], np.array([0.5, 2.0])
+    if measured is not None:
+        beyond = [ends[0] < measured.omega[0], ends[1] > measured.omega[-1]]
+        wider = np.where(beyond, wider, 1.0)
+    return np.asarray(ends * wider, float)
 
 
 def features(sys: Any) -> tuple[Array, Array]:
