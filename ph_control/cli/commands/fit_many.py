@@ -88,12 +88,12 @@ def _reading() -> set[str]:
 
 def recording_of(reading: Mapping[str, Any], path: Path) -> Any:
     """Data of a file, with weights where a column of them was named."""
-    from ...identification.data.experiments import as_channels, as_experiments, has_several_channels
+    from ...identification.data.experiments import as_measured
 
     found = measurements([str(path)], Namespace(**reading))
     if found.weights is None:
         return found.whole
-    return list((as_channels if has_several_channels(found.data) else as_experiments)(found.data, **found.keywords))
+    return list(as_measured(found.data, **found.keywords))
 
 
 @contextmanager

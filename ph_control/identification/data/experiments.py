@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -83,7 +83,7 @@ def as_experiments(
     (0.1, 0.2, False, [True, False, True, True])
     """
     take = partial(_experiment, output_needed=output_needed)
-    return _each_experiment(data, dt, weights, lambda *one: tuple(map(single, take(*one))))
+    return _each_experiment(data, dt, weights, lambda *one: map(single, take(*one)))
 
 
 def as_channels(
@@ -126,47 +126,28 @@ def as_channels(
     >>> one
     <Recording: 5 samples, step 0.1, 3 outputs from 2 inputs>
     """
-    found = _each_experiment(data, dt, weights, lambda *one: tuple(map(several, _experiment(*one))))
-    return matched(found, all(map(_has_labels, data if _are_several(data) else [data])))
+    return matched(_each_experiment(data, dt, weights, lambda *one: map(several, _experiment(*one))), _are_named(data))
 
 
-def has_several_channels(data: Any) -> bool:
-    """Whether data have more than one input or output in any experiment, right or wrong."""
-    if isinstance(data, TimeResponseData | FrequencyResponseData):
-        return bool(max(data.ninputs, data.noutputs) > 1)
-    if isinstance(data, Recording | ResponseMatrix):
-        return max(len(data.input_labels), len(data.output_labels)) > 1
-    if isinstance(data, tuple) and len(data) == 2 and not any(map(_is_experiment, data)):
-        return any(len(shape) == 2 and min(shape) > 1 for shape in map(shape_of, data))
-    if isinstance(data, list | tuple):
-        return any(map(has_several_channels, data)) or _differ(list(map(_named, data)))
-    return False
+def as_measured(data: Any, dt: Any = None, *, weights: Any = None) -> tuple[Any, ...]:
+    """Experiments as `as_experiments` makes them of one input and one output, and `as_channels` of more in any.
+
+    Experiments that differ in the names of their inputs or outputs have several channels together; columns of data
+    frames are taken by their places.
+    """
+    found = _each_experiment(data, dt, weights, _experiment)
+    sides = [one.input_labels for one in found], [one.output_labels for one in found]
+    different = _are_named(data) and not any(map(is_data_frame, data if _are_several(data) else [data]))
+    together = max(len({name for labels in side for name in labels}) for side in sides)
+    if (different and together > 1) or max(len(labels) for side in sides for labels in side) > 1:
+        return matched(tuple(map(several, found)), _are_named(data))
+    return tuple(map(single, found))
 
 
-def _differ(names: list[tuple[Any, Any] | None]) -> bool:
-    """Whether experiments, all named, have inputs or outputs of different names; a free motion has no input."""
-    if not all(names):
-        return False
-    inputs, outputs = ({name for one in names if one for name in one[k]} for k in (0, 1))
-    return max(len(inputs), len(outputs)) > 1
-
-
-def _is_experiment(data: Any) -> bool:
-    kinds = TimeResponseData | FrequencyResponseData | Recording | ResponseMatrix | Record | FrequencyRecord
-    return isinstance(data, kinds | tuple) or is_data_frame(data)
-
-
-def _named(data: Any) -> tuple[Any, Any] | None:
-    """Names of the input and the output of an experiment that has one of each, and names."""
-    if isinstance(data, TimeResponseData | FrequencyResponseData):
-        return (tuple(data.input_labels or ()), tuple(data.output_labels or ())) if data.output_labels else None
-    return (data.input_labels, data.output_labels) if isinstance(data, Record | FrequencyRecord) else None
-
-
-def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., tuple[Any, ...]]) -> tuple[Any, ...]:
-    """What `take(data, dt, weights, first)` makes of one experiment, or of each in a list, of which `first` is one."""
+def _each_experiment(data: Any, dt: Any, weights: Any, take: Callable[..., Iterable[Any]]) -> tuple[Any, ...]:
+    """What `take(data, dt, weights, first)` makes of an experiment, or of each in a list, `first` being one of them."""
     if not _are_several(data):
-        return take(data, dt, weights, None)
+        return tuple(take(data, dt, weights, None))
     if len(data) == 0:
         raise StructureError(f"data is an empty {type(data).__name__}; pass at least one experiment: {_KINDS}")
     if weights is not None and not isinstance(weights, list | tuple):
@@ -242,11 +223,13 @@ def _is_spectral(data: Any) -> bool:
     return isinstance(data, FrequencyResponseData | FrequencyRecord | ResponseMatrix)
 
 
-def _has_labels(data: Any) -> bool:
-    """Whether the channels of an experiment have names of their own."""
-    if isinstance(data, TimeResponseData):
-        return bool(data.output_labels) and bool(data.input_labels or not data.ninputs)
-    return not isinstance(data, list | tuple)
+def _are_named(data: Any) -> bool:
+    """Whether the channels of all experiments have names of their own, which a pair has not."""
+    every = data if _are_several(data) else [data]
+    if any(isinstance(one, list | tuple) for one in every):
+        return False
+    responses = [one for one in every if isinstance(one, TimeResponseData)]
+    return all(one.output_labels and (one.input_labels or not one.ninputs) for one in responses)
 
 
 def _refuse_mixture(data: Any, dt: Any, weights: Any, first: Any) -> None:

@@ -52,28 +52,42 @@ class Asked:
     assumed: bool = False  # whether the ports are those that a lossless fit takes for granted
 
 
+@dataclass(frozen=True)
+class Options:
+    """Options of `pem` that fits of either kind have."""
+
+    order: int | str
+    intersample: str
+    offset: bool | str
+    max_order: int
+    criterion: str
+    callback: Callback | None
+    moving: bool  # whether records may start in motion
+    weighted: bool  # whether weights were given
+
+
 def fit_channels(
-    channels: Channels, asked: Asked, order: int | str, *, intersample: str, offset: bool | str, max_order: int,
-    criterion: str, moving: bool = True, callback: Callback | None = None, start: ComplexArray | None = None,
-    findings: tuple[Finding, ...] = (), weighted: bool = True,
+    channels: Channels, asked: Asked, options: Options, start: ComplexArray | None = None,
+    findings: tuple[Finding, ...] = (),
 ) -> DampedResult:  # fmt: skip
     """Free residues first, then the structure that is asked for, or the simplest that is not rejected."""
     _refuse_still(channels)
+    order, offset = options.order, options.offset
     wanted = order if isinstance(order, str) else _checks.whole_number("order", order, 1)
     if isinstance(wanted, str) and wanted != "auto":
         raise StructureError(f"order is {wanted!r}; it must be 'auto' or a whole number of at least 1")
-    _checks.choice("intersample", intersample, ("auto", *INTERSAMPLE))
+    _checks.choice("intersample", options.intersample, ("auto", *INTERSAMPLE))
     if not isinstance(offset, str) or offset != "auto":
         _checks.flags(offset=offset)
-    most = _checks.whole_number("max_order", max_order, 1)
+    most = _checks.whole_number("max_order", options.max_order, 1)
     search = partial(
-        free_fit, channels, quantities=asked.quantities, intersample=intersample, offset=offset, max_order=most,
-        criterion=criterion, reports=reporter(most if isinstance(wanted, str) else wanted, callback),
-        weighted=weighted,
+        free_fit, channels, quantities=asked.quantities, intersample=options.intersample, offset=offset,
+        max_order=most, criterion=options.criterion, weighted=options.weighted,
+        reports=reporter(most if isinstance(wanted, str) else wanted, options.callback),
     )  # fmt: skip
     # before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues
-    resting = moving and begin_at_rest(channels)
-    free = search(wanted, start=start, moving=moving and not resting)
+    resting = options.moving and begin_at_rest(channels)
+    free = search(wanted, start=start, moving=options.moving and not resting)
     if resting and free.order and not free.interrupted:
         other = search(free.order, start=free.projection.p, moving=True)
         if other.criteria.bic < free.criteria.bic:

@@ -15,8 +15,8 @@ from ..._types import Array
 from ..._workers import check_workers
 from ...exceptions import IdentifiabilityWarning, StructureError
 from ...modal.discretization import METHODS
-from ..data.channels import ResponseMatrix
-from ..data.experiments import as_channels, has_several_channels
+from ..data.channels import Recording, ResponseMatrix
+from ..data.experiments import as_channels, as_measured
 from ..data.parts import GLANCE, is_long, stages
 from ..data.quantities import checked_quantities, quantity_of
 from ..data.time_record import LONG
@@ -35,14 +35,7 @@ from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Conclusion, Fit, conclude
 from .damped_result import DampedResult
-from .lossless_result import LosslessResult
-from .modal_fit import (
-    asked_of,
-    begin_at_rest,
-    fit_channels,
-    starting_poles,
-    under_either_hold,
-)
+from .modal_fit import Options, asked_of, begin_at_rest, fit_channels, starting_poles, under_either_hold
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 
 
@@ -179,73 +172,75 @@ def pem(
     _checks.choice("criterion", criterion, CRITERIA)
     _checks.choice("structure", structure, ("auto", *STRUCTURES))
     quantity = quantity_of(data) if quantity is None else quantity
-    several = structure not in ("auto", "lossless") or has_several_channels(data)
+    take = as_measured if structure in ("auto", "lossless") and quantity != "free" else as_channels
+    records: Any = take(data, dt, weights=weights)
+    several = isinstance(records[0], Recording | ResponseMatrix)
     if not several and not isinstance(quantity, str):
-        (quantity,) = checked_quantities(quantity, as_channels(data, dt, weights=weights)[0].output_labels)
+        (quantity,) = checked_quantities(quantity, records[0].output_labels)
+    options = Options(
+        order, intersample, offset, max_order, criterion, callback, initial_state == "estimate", weights is not None
+    )
     if several or quantity == "free":
         _refuse_lossless_options(structure, method, representation)
         _checks.choice("initial_state", initial_state, ("estimate", "zero"))
-        channels = as_channels(data, dt, weights=weights)
+        channels = records if several else as_channels(data, dt, weights=weights)
         asked = asked_of(channels, structure, ports, quantity)
-        return fit_channels(
-            channels, asked, order, intersample=intersample, offset=offset, max_order=max_order, criterion=criterion,
-            callback=callback, start=starting_poles(initial_guess), moving=initial_state == "estimate",
-            weighted=weights is not None,
-        )  # fmt: skip
+        return fit_channels(channels, asked, options, starting_poles(initial_guess))
     if ports is not None:
-        _checks.port_pairs(ports, *_labels_of(data, dt, weights))
-    found, records = _lossless_fit(
-        data, order, dt, method, intersample, initial_state, offset, quantity, representation, initial_guess, weights,
-        criterion, max_order, workers, rng, callback, structure,
+        _checks.port_pairs(ports, records[0].output_labels, max((one.input_labels for one in records), key=len))
+    check_workers(workers)
+    random = None if rng is None else _checks.random_generator(rng)
+    posed = Formulation.of(
+        records, method=method, intersample=intersample, initial_state=initial_state, offset=offset, quantity=quantity,
+        representation=representation,
     )  # fmt: skip
-    result, free = found.result, found.free
+    guess = posed.guess(initial_guess)
+    largest = posed.largest_order(order, max_order, guess)
+    posed.check_signals()
+    damped = structure == "auto" and method == "exact"
+    asking = LosslessSearch(options, largest, guess, damped, workers, random, representation, quantity, method)
+    found = asking.concluded(posed)
+    try:
+        other = _instead(found, records, options, ports) if damped else None
+    except KeyboardInterrupt:
+        return cut_short(found.result)
+    if other is not None:
+        return other
+    if found.blind:
+        warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
+    return found.result
 
-    def lossless() -> LosslessResult:
-        if found.blind:
-            warnings.warn(
-                found.blind, IdentifiabilityWarning, stacklevel=4
-            )  # the line that calls the decorated function
-        return result
 
+def _instead(found: Conclusion, records: Records, options: Options, ports: Any) -> DampedResult | None:
+    """Damped modes in place of a lossless model that they reject; None where it stands."""
+    result, free, automatic = found.result, found.free, options.order == "auto"
     # the test of a long record is that of all of it, where no damped modes were looked for
     refused = any(one.p < REFUSED for one in result.tests)
-    undescribed = order == "auto" and free is None and refused and result.outcome is Outcome.NOT_DESCRIBED
-    rejected = free is not None or undescribed or (is_long(records) and refused)
+    undescribed = automatic and free is None and refused and result.outcome is Outcome.NOT_DESCRIBED
     # lossless modes of an order that was given too low need not settle, which says nothing of damping
-    settled = result.success or (order == "auto" and result.outcome is not Outcome.INTERRUPTED)
-    usable = settled or (free is not None and free.interrupted)
-    if structure == "lossless" or not rejected or method != "exact" or not usable:
-        return lossless()
+    settled = result.success or (automatic and result.outcome is not Outcome.INTERRUPTED)
+    if free is None and not (settled and (undescribed or (is_long(records) and refused))):
+        return None
+    if free is not None and not (settled or free.interrupted):
+        return None
     whole = free is not None and all(a.samples == b.samples for a, b in zip(free.channels, records, strict=True))
     channels = free.channels if free is not None and whole else as_channels(list(records))
     asked = asked_of(channels, "auto", ports, result.quantity)
     # the noise may grow with the gain of damped modes, too; before a hammer hits, a motion is hardly seen
     responses = isinstance(channels[0], ResponseMatrix)
-    anew = not whole or (weights is None if responses else initial_state == "estimate" and begin_at_rest(channels))
-    known = free is not None and (order != "auto" if responses else not whole)
-
-    def searched() -> DampedResult:
-        return fit_channels(
-            channels, asked, order, intersample=intersample, offset=offset, max_order=max_order,
-            criterion=criterion, callback=callback, start=free.projection.p if free is not None and known else None,
-            findings=result.findings, moving=initial_state == "estimate", weighted=weights is not None,
-        )  # fmt: skip
-
-    try:
-        if free is None or (anew and not free.interrupted):
-            damped = searched()
-        else:
-            damped = under_either_hold(free, asked, result.findings)
-            # residues of any phase may be those of a delay, which was looked for beside lossless modes only
-            alone = order == "auto" and damped.structure == "free" and not free.interrupted
-            if alone and likely_delays(free):
-                other = searched()
-                damped = other if any(one.cause is Cause.DELAY for one in other.findings) else damped
-    except KeyboardInterrupt:
-        return cut_short(result)
-    if damped.structure == "lossless" or (undescribed and damped.bic > result.bic):
-        return lossless()
-    return damped
+    anew = not whole or (not options.weighted if responses else options.moving and begin_at_rest(channels))
+    known = free is not None and (not automatic if responses else not whole)
+    start = free.projection.p if free is not None and known else None
+    if free is None or (anew and not free.interrupted):
+        damped = fit_channels(channels, asked, options, start, result.findings)
+    else:
+        damped = under_either_hold(free, asked, result.findings)
+        # residues of any phase may be those of a delay, which was looked for beside lossless modes only
+        if automatic and damped.structure == "free" and not free.interrupted and likely_delays(free):
+            other = fit_channels(channels, asked, options, start, result.findings)
+            damped = other if any(one.cause is Cause.DELAY for one in other.findings) else damped
+    stands = damped.structure == "lossless" or (undescribed and damped.bic > result.bic)
+    return None if stands else damped
 
 
 def _refuse_lossless_options(structure: str, method: str, representation: str) -> None:
@@ -267,77 +262,156 @@ def _refuse_lossless_options(structure: str, method: str, representation: str) -
         )
 
 
-def _labels_of(data: Any, dt: Any, weights: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    one = as_channels(data, dt, weights=weights)[0]
-    return one.output_labels, one.input_labels
+@dataclass(frozen=True)
+class LosslessSearch:
+    """How a lossless model of one input and one output is looked for.
 
+    `damped` says whether damped modes may take its place; `largest` is the order that is asked for, or the largest.
+    """
 
-def _lossless_fit(
-    data: Any, order: int | str, dt: Any, method: str, intersample: str, initial_state: str, offset: bool | str,
-    quantity: str, representation: str, initial_guess: Any, weights: Any, criterion: str, max_order: int, workers: Any,
-    rng: Any, callback: Callback | None, structure: str,
-) -> tuple[Conclusion, Records]:  # fmt: skip
-    """A lossless model of one input and one output, and the records; of a part of long ones where modes are damped."""
-    check_workers(workers)
-    rng = None if rng is None else _checks.random_generator(rng)
-    posed = Formulation.of(
-        data, dt, weights, method=method, intersample=intersample, initial_state=initial_state, offset=offset,
-        quantity=quantity, representation=representation,
-    )  # fmt: skip
-    guess = posed.guess(initial_guess)
-    largest = posed.largest_order(order, max_order, guess)
-    posed.check_signals()
-    lossless = structure == "lossless" or method != "exact"
-    how = (order, largest, max_order, guess, weights, criterion, workers, rng, callback, lossless)
-    records = posed.records
-    if structure == "auto" and method == "exact" and any(one.samples > GLANCE for one in records):
-        # a part shows losses as well, which take the longer to imitate by lossless modes, the longer the record
-        fit = _searched(posed.over(posed.searched_parts(GLANCE), records), *how)
-        concluded = conclude(fit, method, fit.found.posed.intersample, quantity, representation)
-        if concluded.free is not None or fit.found.interrupted:
-            return concluded, records
-    parts = posed.searched_parts(LONG)
-    searched = posed.over(parts, records)
-    fit = _searched(searched, *how)
-    hold = fit.found.posed.intersample
-    try:
-        concluded = conclude(fit, method, hold, quantity, representation)
-        if searched is posed or fit.found.interrupted or (structure == "auto" and concluded.free is not None):
-            return concluded, records
-        fit = _on_all(replace(fit, damped=concluded.result.damped), records, parts)
-        return conclude(fit, method, hold, quantity, representation), records
-    except KeyboardInterrupt:
-        fit = replace(fit, found=replace(fit.found, interrupted=True))
-        return conclude(fit, method, hold, quantity, representation), records
+    options: Options
+    largest: int
+    guess: Array
+    damped: bool
+    workers: Any
+    random: Any
+    representation: str
+    quantity: str
+    method: str
 
+    @property
+    def automatic(self) -> bool:
+        """Whether a criterion chooses the order."""
+        return self.options.order == "auto"
 
-def _searched(
-    posed: Formulation, order: int | str, largest: int, max_order: int, guess: Array, weights: Any, criterion: str,
-    workers: Any, rng: Any, callback: Callback | None, lossless: bool,
-) -> Fit:  # fmt: skip
-    """The minimum that a search ends in."""
+    def concluded(self, posed: Formulation) -> Conclusion:
+        """The result for all records; of a part of long ones where modes are damped."""
+        records = posed.records
+        if self.damped and any(one.samples > GLANCE for one in records):
+            # a part shows losses as well, which take the longer to imitate by lossless modes, the longer the record
+            fit = self._fit(posed.over(posed.searched_parts(GLANCE), records))
+            found = self._conclusion(fit)
+            if found.free is not None or fit.found.interrupted:
+                return found
+        parts = posed.searched_parts(LONG)
+        searched = posed.over(parts, records)
+        fit = self._fit(searched)
+        hold = fit.found.posed.intersample
+        try:
+            found = self._conclusion(fit)
+            if searched is posed or fit.found.interrupted or (self.damped and found.free is not None):
+                return found
+            fit = _on_all(replace(fit, damped=found.result.damped), records, parts)
+            return self._conclusion(fit, hold)
+        except KeyboardInterrupt:
+            return self._conclusion(replace(fit, found=replace(fit.found, interrupted=True)), hold)
 
-    def again(posed: Formulation, start: Array | None) -> Found:
-        begin = guess if start is None else start
-        return _found(posed, order, largest, begin, criterion, workers, rng, callback, lossless)
+    def _conclusion(self, fit: Fit, hold: str = "") -> Conclusion:
+        return conclude(fit, self.method, hold or fit.found.posed.intersample, self.quantity, self.representation)
 
-    found: Found | None = None
-    law = None
-    try:
-        found = again(posed, None)
-        if weights is None and posed.of_equal_weights and len(found.all_d) and found.end.projection.loss > found.floor:
-            posed, found, law = reweighted(posed, found, again)
-    except KeyboardInterrupt:
-        found = _cut_short(posed, largest, order == "auto") if found is None else replace(found, interrupted=True)
-    at_limit = order == "auto" and len(found.d) == max_order
-    # what an interrupted search had not come to is not absent from the data
-    wanted = len(found.d) if order == "auto" or found.interrupted else int(largest)
-    if law is None:
-        posed = found.posed
-    return Fit(
-        posed.records, posed.problem, found, wanted, order != "auto", at_limit, largest, law=law, criterion=criterion,
-        reports=reporter(largest, callback),
-    )  # fmt: skip
+    def _fit(self, posed: Formulation) -> Fit:
+        """The minimum that a search ends in."""
+        found: Found | None = None
+        law, options = None, self.options
+        try:
+            found = self._found(posed)
+            left = len(found.all_d) and found.end.projection.loss > found.floor
+            if not options.weighted and posed.of_equal_weights and left:
+                posed, found, law = reweighted(posed, found, self._found)
+        except KeyboardInterrupt:
+            found = self._cut_short(posed) if found is None else replace(found, interrupted=True)
+        at_limit = self.automatic and len(found.d) == options.max_order
+        # what an interrupted search had not come to is not absent from the data
+        wanted = len(found.d) if self.automatic or found.interrupted else self.largest
+        if law is None:
+            posed = found.posed
+        return Fit(
+            posed.records, posed.problem, found, wanted, not self.automatic, at_limit, self.largest, law=law,
+            criterion=options.criterion, reports=reporter(self.largest, options.callback),
+        )  # fmt: skip
+
+    def _found(self, posed: Formulation, start: Array | None = None) -> Found:
+        """Search, selection, and the last refinement."""
+        criterion, guess = self.options.criterion, self.guess if start is None else start
+        floor, report = posed.problem.rounding, reporter(self.largest, self.options.callback, posed.problem.samples)
+
+        def watch(problem: Problem) -> DampingWatch:
+            over = stop_of(lambda step: preference(problem, step, criterion))
+            return DampingWatch(problem, over if self.automatic else None, not self.damped)
+
+        found = posed.path(
+            guess, self.largest, report=report, together=not self.automatic and posed.search.affords_batches,
+            watch=watch,
+        )  # fmt: skip
+        posed, path, followed = found.posed, found.steps, found.damped
+        problem, search = posed.problem, posed.search
+        place = len(path) - 1
+        if self.automatic:
+            values = [preference(problem, step, criterion) for step in path]
+            if criterion == "holdout":
+                orders = [len(step.d) for step in path]
+                values = list(held_out_losses(posed, guess, orders, HELD_OUT, self.workers)[1])
+            place = int(np.argmin(values))
+        starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
+        d = path[place].d
+        if followed is not None:
+            d = beside(followed.model.at.d, d, None if self.automatic else len(d))
+        else:
+            path[place], more = self._second_thoughts(search, path, place, posed.rtol, floor, report)
+            starts += more
+            d = path[place].d
+        # a lossless model that will not be asked for need not be exact
+        last = posed.rtol if followed is not None and followed.plain else LAST
+        end = refine(search.problem, np.sort(d), rtol=last, progress=report(len(d)))
+        all_d = end.projection.d if place else path[-1].d
+        if self.automatic and followed is None:
+            end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))
+        explained = end.projection
+        if posed.searched is not None:
+            end = refine(problem, explained.d, rtol=LAST)
+        rows = tuple(_row(problem, step) for step in path)
+        iterations = sum(step.iterations for step in path) + end.iterations
+        return Found(end, rows, tuple(starts), iterations, False, floor, all_d, posed, followed, explained)
+
+    def _cut_short(self, posed: Formulation) -> Found:
+        """The modes that a search had come to; the interruption goes on if there are none."""
+        path = posed.so_far(self.largest)
+        problem, steps = path.posed.problem, path.steps
+        step = steps[-1]
+        if self.automatic:
+            step = min(steps, key=lambda one: criteria(problem, one.loss, len(one.d)).bic)
+        # who interrupts wants an end: one step, unobserved
+        end = replace(refine(problem, step.d, rtol=LAST, max_iterations=1), converged=False)
+        rows, starts = tuple(_row(problem, one) for one in steps), (_start("forward", step, problem.samples),)
+        iterations = sum(one.iterations for one in steps)
+        at = end.projection
+        return Found(end, rows, starts, iterations, True, problem.rounding, at.d, path.posed, None, at)
+
+    def _second_thoughts(
+        self, search: Search, path: list[Step], place: int, rtol: float, floor: float,
+        report: Callable[[int], Report | None],
+    ) -> tuple[Step, list[Start]]:  # fmt: skip
+        """A better minimum where the first is doubtful, and what was tried."""
+        step, largest = path[place], self.largest
+        starts: list[Start] = []
+        better = reseat(search, step, rtol, floor, report)
+        if better is not step:
+            starts.append(_start("re-seated", better, search.problem.samples))
+            step = better
+        given = not self.automatic and len(step.d) == largest and step.loss > floor
+        if given and (step.held.any() or search.unconvinced(step)):
+            pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
+            if len(pruned.d) == largest and pruned.loss < (1 - TUNING.better) * step.loss:
+                starts.append(_start("pruned", pruned, search.problem.samples))
+                step = replace(pruned, iterations=step.iterations + pruned.iterations)
+        from_nothing = not len(path[0].d)
+        if given and from_nothing and step.loss > floor and search.unconvinced(step):
+            others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=self.random, workers=self.workers)
+            starts += [_start("random", other, search.problem.samples) for other in others]
+            best = min(others, key=lambda other: other.loss)
+            if len(best.d) == largest and best.loss < (1 - TUNING.better) * step.loss:
+                step = replace(best, iterations=step.iterations + best.iterations)
+        return step, starts
 
 
 def _on_all(fit: Fit, records: Records, parts: Sequence[slice]) -> Fit:
@@ -357,91 +431,6 @@ def _on_all(fit: Fit, records: Records, parts: Sequence[slice]) -> Fit:
     )  # fmt: skip
     tests = () if test is None else (test,)
     return replace(fit, records=records, problem=posed.problem, found=all_found, tests=tests, examined=True)
-
-
-def _found(
-    posed: Formulation, order: Any, largest: int, guess: Array, criterion: str, workers: Any, rng: Any,
-    callback: Callback | None, lossless: bool,
-) -> Found:  # fmt: skip
-    """Search, selection, and the last refinement."""
-    floor, rtol, report = posed.problem.rounding, posed.rtol, reporter(largest, callback, posed.problem.samples)
-    automatic = order == "auto"
-
-    def watch(problem: Problem) -> DampingWatch:
-        over = stop_of(lambda step: preference(problem, step, criterion))
-        return DampingWatch(problem, over if automatic else None, lossless)
-
-    found = posed.path(
-        guess, largest, report=report, together=not automatic and posed.search.affords_batches, watch=watch
-    )
-    posed, path, followed = found.posed, found.steps, found.damped
-    problem, search = posed.problem, posed.search
-    place = len(path) - 1
-    if automatic:
-        values = [preference(problem, step, criterion) for step in path]
-        if criterion == "holdout":
-            values = list(held_out_losses(posed, guess, [len(step.d) for step in path], HELD_OUT, workers)[1])
-        place = int(np.argmin(values))
-    starts = [_start("guess" if len(guess) else "forward", path[place], problem.samples)]
-    start = path[place].d
-    if followed is not None:
-        start = beside(followed.model.at.d, start, None if automatic else len(start))
-    else:
-        path[place], more = _second_thoughts(search, path, place, largest, automatic, rtol, floor, workers, rng, report)
-        starts += more
-        start = path[place].d
-    # a lossless model that will not be asked for need not be exact
-    last = posed.rtol if followed is not None and followed.plain else LAST
-    end = refine(search.problem, np.sort(start), rtol=last, progress=report(len(start)))
-    all_d = end.projection.d if place else path[-1].d
-    if automatic and followed is None:
-        end = significant(search.problem, end, lambda d: refine(search.problem, d, rtol=LAST))
-    explained = end.projection
-    if posed.searched is not None:
-        end = refine(problem, explained.d, rtol=LAST)
-    rows = tuple(_row(problem, step) for step in path)
-    iterations = sum(step.iterations for step in path) + end.iterations
-    return Found(end, rows, tuple(starts), iterations, False, floor, all_d, posed, followed, explained)
-
-
-def _cut_short(posed: Formulation, largest: int, automatic: bool) -> Found:
-    """The modes that a search had come to; the interruption goes on if there are none."""
-    path = posed.so_far(largest)
-    problem, steps = path.posed.problem, path.steps
-    step = min(steps, key=lambda one: criteria(problem, one.loss, len(one.d)).bic) if automatic else steps[-1]
-    # who interrupts wants an end: one step, unobserved
-    end = replace(refine(problem, step.d, rtol=LAST, max_iterations=1), converged=False)
-    rows, starts = tuple(_row(problem, one) for one in steps), (_start("forward", step, problem.samples),)
-    iterations = sum(one.iterations for one in steps)
-    at = end.projection
-    return Found(end, rows, starts, iterations, True, problem.rounding, at.d, path.posed, None, at)
-
-
-def _second_thoughts(
-    search: Search, path: list[Step], place: int, largest: int, automatic: bool, rtol: float, floor: float,
-    workers: Any, rng: Any, report: Callable[[int], Report | None],
-) -> tuple[Step, list[Start]]:  # fmt: skip
-    """A better minimum where the first is doubtful, and what was tried."""
-    step = path[place]
-    starts: list[Start] = []
-    better = reseat(search, step, rtol, floor, report)
-    if better is not step:
-        starts.append(_start("re-seated", better, search.problem.samples))
-        step = better
-    given = not automatic and len(step.d) == largest and step.loss > floor
-    if given and (step.held.any() or search.unconvinced(step)):
-        pruned = prune(search, step, search.problem.carried, rtol=rtol, floor=floor)
-        if len(pruned.d) == largest and pruned.loss < (1 - TUNING.better) * step.loss:
-            starts.append(_start("pruned", pruned, search.problem.samples))
-            step = replace(pruned, iterations=step.iterations + pruned.iterations)
-    from_nothing = not len(path[0].d)
-    if given and from_nothing and step.loss > floor and search.unconvinced(step):
-        others = restart(search, path[0], largest, rtol=rtol, floor=floor, rng=rng, workers=workers)
-        starts += [_start("random", other, search.problem.samples) for other in others]
-        best = min(others, key=lambda other: other.loss)
-        if len(best.d) == largest and best.loss < (1 - TUNING.better) * step.loss:
-            step = replace(best, iterations=step.iterations + best.iterations)
-    return step, starts
 
 
 @dataclass(frozen=True)

@@ -411,7 +411,7 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
         return f"The data show {finding.cause.value}: they reject {hypothesis!r} ({p_value(values[0])})."
     if finding.cause is Cause.GAIN_NOISE:
-        sizes = sorted({f"{100 * one:.2g} %" for one in (min(values), max(values))}, key=len)
+        sizes = dict.fromkeys(f"{100 * one:.2g} %" for one in (min(values), max(values)))
         return (
             f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): each "
             "point is weighted by this estimate."

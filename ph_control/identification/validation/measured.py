@@ -19,7 +19,7 @@ from ..._units import common_unit
 from ...exceptions import StructureError
 from ..data.channels import Recording, ResponseMatrix
 from ..data.data_frames import is_data_frame
-from ..data.experiments import as_channels, as_experiments, has_several_channels
+from ..data.experiments import as_measured
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
 from ..fit.result import PEMResult
@@ -83,8 +83,7 @@ def experiments_to_hold_against(data: Any, dt: Any, models: Sequence[Any], weigh
         steps = [record.dt for record in fitted if isinstance(record, InTime)]
         steps += [step for step in sampled if step and not isinstance(step, bool)]
         dt = steps[0] if steps else None
-    taken: Any = as_channels if has_several_channels(data) else as_experiments
-    records: tuple[Kind, ...] = taken(data, dt, weights=weights)
+    records: tuple[Kind, ...] = as_measured(data, dt, weights=weights)
     common_unit(records, models)
     several = len(records) > 1
     for k, record in enumerate(records, start=1):
