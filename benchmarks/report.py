@@ -27,7 +27,7 @@ from benchmarks.tasks import FAMILIES, OURS, Task, tasks
 
 PACKAGES = ("numpy", "scipy", "control", "slycot", "thewalrus", "pymor")
 HEAD = "| task | size | ours | peak | our error | others: time, ratio, peak, error | needed |\n" + 7 * "|---" + "|"
-GROWTH_HEAD = "| picture | time of ours grows as | of others |\n|---|---|---|"
+GROWTH_HEAD = "| plot | growth of ours | growth of others |\n|---|---|---|"
 
 _SHORT = 0.02  # seconds: what takes less is repeated until it does
 _LONG = 1.5  # what takes more runs once
@@ -206,22 +206,25 @@ def draw(curves: Curves, folder: Path) -> list[Path]:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import EngFormatter
 
     made = []
     for family, contenders in drawn(curves).items():
-        figure, axes = plt.subplots(figsize=(5.5, 4.2), layout="constrained")
+        figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
         for name, power in powers(family, contenders).items():
             base, _, exponent = power.partition("^")
             style = {"color": "black", "linewidth": 2} if name == OURS else {"linewidth": 1}
-            label = f"{name}, grows as ${base}^{{{exponent}}}$"
+            label = f"{name}: ${base}^{{{exponent}}}$"
             axes.loglog(*zip(*contenders[name], strict=True), "o-", label=label, **style)
-        axes.set(xlabel=FAMILIES[family].axis, ylabel="time (s)", title=FAMILIES[family].title)
+        axes.set(xlabel=FAMILIES[family].axis, ylabel="processor time of a call")
+        axes.set_title(FAMILIES[family].title, fontsize="medium")
         sizes = sorted({size for points in contenders.values() for size, _ in points})
         axes.set_xticks(sizes, [f"{size:,.0f}".replace(",", " ") for size in sizes], minor=False)
         axes.set_xticks([], minor=True)
+        axes.yaxis.set_major_formatter(EngFormatter("s"))
         axes.yaxis.set_minor_formatter("")
         axes.grid(True, alpha=0.3)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+        figure.legend(loc="outside lower center", ncols=2, fontsize="medium", frameon=False)
         made.append(folder / f"performance_{family}.png")
         figure.savefig(made[-1], dpi=100)
         plt.close(figure)
@@ -259,7 +262,7 @@ def main(argv: list[str] | None = None) -> int:
         titles = [FAMILIES[path.stem.removeprefix("performance_")].title for path in pictures]
         places = [os.path.relpath(path.resolve(), base) for path in pictures]
         shown = [f"![{title}]({place})" for title, place in zip(titles, places, strict=True)]
-        write(options.write, "the run", [f"{header}. {took}", "\n".join(rows), growth(curves), *shown])
+        write(options.write, "the run", [f"{header}. {took}", "\n".join(rows), growth(curves), "\n".join(shown)])
     return 0
 
 

@@ -102,6 +102,15 @@ def link_names(app, doctree, docname):
         link += literal
 
 
+def break_long_code(app, pagename, templatename, context, doctree):
+    """Let long code of tables break after punctuation, and nowhere else."""
+    if "body" in context:
+        code = re.compile(r'(<code class="[^"]*\blong\b[^"]*">)(.*?)(</code>)', flags=re.S)
+        context["body"] = code.sub(
+            lambda m: m[1] + re.sub(r"(?<=[(,._/=\[|:])(?=[^\s<&])(?![^<]*>)", "<wbr>", m[2]) + m[3], context["body"]
+        )
+
+
 def visit_math(self, node):
     """Write a formula as MathML, which browsers draw without a script and without a network."""
     self.body.append(latex2mathml.converter.convert(node.astext()))
@@ -118,4 +127,5 @@ def setup(app):
     """Add what the extensions above do not do."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
     app.connect("doctree-resolved", link_names)
+    app.connect("html-page-context", break_long_code)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
