@@ -15,7 +15,7 @@ from .._types import Array, ComplexArray, Indices, Mask
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import in_normal_form
-from .inputs import FitResult, Subject, is_damped, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, is_damped, is_fit, models_around, subjects_of, timebase, title_of
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
@@ -213,7 +213,7 @@ def bode_data(
             near = frequency_grid(curve.singular, low, high, False, omega_num, _AROUND_BAND, _CLOSEST_BAND)
             around = band_of(drawn, near if grid is None else grid, level, _power_of_s(one))
             curves[k] = replace(curve, band=around)
-    observed = [one.given.observed_system if isinstance(one.given, FitResult) else one.system for one in subjects]
+    observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
     title = title_of("Bode plot", subjects, label is not None)
     if title == "Bode plot" and first.issiso():
         source, sensor = (one[0].partition(" [")[0] for one in (first.input_labels, first.output_labels))
@@ -228,9 +228,16 @@ def decibels(values: ComplexArray) -> Array:
     return np.where(usable, 20.0 * np.log10(np.where(usable, size, 1.0)), np.nan)
 
 
+def degrees_from(low: float, values: ComplexArray) -> Array:
+    """Degrees from `low` to a turn above it; NaN where the response is infinite or zero."""
+    usable = np.isfinite(values) & (values != 0)
+    angle = np.degrees(np.angle(np.where(usable, values, 1.0)))
+    return np.where(usable, np.mod(angle - low, 360.0) + low, np.nan)
+
+
 def _power_of_s(subject: Subject) -> int:
     """Power of s that leads from the velocity of a port to the quantity that a fit is of."""
-    lossless = isinstance(subject.given, FitResult) and not is_damped(subject.given)
+    lossless = is_fit(subject.given) and not is_damped(subject.given)
     return POWERS[subject.given.quantity if lossless else "velocity"]
 
 

@@ -16,7 +16,7 @@ from .. import _checks
 from .._display import percent
 from .._types import Array
 from ..exceptions import StructureError
-from .inputs import FitResult
+from .inputs import is_fit
 from .style import MEASURED, SAMPLES, STYLES, ZERO, FrameStyle, Look, Picture, extremes, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def fit_plot(
     for name, text in (("output_label", output_label), ("output_unit", output_unit), ("time_unit", time_unit)):
         if not isinstance(text, str | None):
             raise StructureError(f"{name} is {_checks.shown(text)}; it must be a text")
-    if measured is None and predicted is None and isinstance(time, FitResult):
+    if measured is None and predicted is None and is_fit(time):
         options = {"time_unit": time_unit, "output_label": output_label, "output_unit": output_unit, "ax": ax, **style}
         if not isinstance(detail, str):
             options["detail"] = detail

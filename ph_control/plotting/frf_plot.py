@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
@@ -19,12 +19,14 @@ from .._units import unit_for
 from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
-from .bode_data import POWERS, band_of, decibels, timebase
+from .bode_data import POWERS, band_of, decibels, degrees_from
+from .inputs import measurements_of, recording_in, table_in, timebase
 from .style import (
     BAND,
     DOTS,
     LineStyle,
     Look,
+    checked_limits,
     frequency_axis,
     gain_label,
     labelled,
@@ -177,14 +179,6 @@ def frf_plot(
 # --- what may be drawn -----------------------------------------------------------------------------------------------
 
 
-class Fractions(Protocol):
-    """A model given by poles, one of each pair, residues (n, p, m) and feedthrough (p, m)."""
-
-    poles: ComplexArray
-    residues: ComplexArray
-    feedthrough: Array
-
-
 @dataclass(frozen=True)
 class ModelSource:
     """Response of a model at frequencies, shape (p, m, N), and its poles of the upper half-plane."""
@@ -226,7 +220,8 @@ def model_source(given: Any) -> ModelSource:
     )  # fmt: skip
 
 
-def _source_of_fractions(given: Fractions) -> ModelSource:
+def _source_of_fractions(given: Any) -> ModelSource:
+    """Response of poles, one of each pair, residues (n, p, m) and feedthrough (p, m)."""
     poles = np.atleast_1d(_checks.complex_points("the poles", given.poles))
     residues = np.asarray(given.residues, complex)
     residues = residues[:, None, None] if residues.ndim == 1 else residues
@@ -253,8 +248,7 @@ def _source_of_fractions(given: Fractions) -> ModelSource:
 
 def _names_of(given: Any, kind: str, count: int) -> list[str]:
     """Names of the channels of a result, as it or its data have them."""
-    known = [getattr(one, "record", one) for one in getattr(given, "experiments", ())]
-    for one in (given, *known, getattr(given, "system", None)):
+    for one in (given, *measurements_of(given, None), getattr(given, "system", None)):
         for name in (f"{kind}_labels", f"{kind}_label"):
             found = getattr(one, name, None)
             found = [found] if isinstance(found, str) else found
@@ -285,11 +279,6 @@ class MeasuredMatrix:
     recorded: bool = False
 
 
-def listed(data: Any) -> list[Any]:
-    """Data as a list; none of None."""
-    return [] if data is None else list(data) if isinstance(data, list | tuple) else [data]
-
-
 def measured_by(
     model: Any, data: Any, source: ModelSource, segments: int, intersample: str | None
 ) -> list[MeasuredMatrix]:
@@ -297,23 +286,17 @@ def measured_by(
     hold = getattr(model, "intersample", "zoh") if intersample is None else intersample
     _checks.choice("intersample", hold, INTERSAMPLE)
     _checks.whole_number("segments", segments, 1)
-    given = listed(data)
-    if data is None:
-        given = [getattr(one, "record", one) for one in getattr(model, "experiments", ())]
     responses, recordings = [], []
-    for one in given:
-        if isinstance(one, ct.FrequencyResponseData) or (hasattr(one, "omega") and hasattr(one, "response")):
-            responses.append(_tabulated(one, source.shape))
-        elif isinstance(one, ct.TimeResponseData):
-            _, step = _checks.time_vector(one.t, name="the time of the record")
-            recordings.append(_channels(one.u, one.y, step, source.shape))
-        elif all(hasattr(one, name) for name in ("u", "y", "dt")):
-            recordings.append(_channels(one.u, one.y, one.dt, source.shape))
+    for one in measurements_of(model, data):
+        if (table := table_in(one)) is not None:
+            _refuse_shape(table[1].shape[:2], source.shape)
+            omega, values = table[0][table[0] > 0], table[1][:, :, table[0] > 0]
+            responses.append(MeasuredMatrix(omega, values, np.zeros(values.shape[::2], bool), "measured"))
         else:
-            raise StructureError(
-                f"data hold a {type(one).__name__}; pass control.FrequencyResponseData, control.TimeResponseData, or a "
-                "list of them"
-            )
+            u, y, step = recording_in(one)
+            u = u if len(u) else np.zeros((source.shape[1], y.shape[1]))
+            _refuse_shape((len(y), len(u)), source.shape)
+            recordings.append((u, y, step))
     driven = [one for one in recordings if np.any(one[0])]
     if recordings and not driven and data is not None:
         raise StructureError("the recordings are free motions, which have no frequency response; leave data out")
@@ -341,25 +324,6 @@ def _folded(source: ModelSource, omega: Array, step: float, hold: str) -> Comple
     held = (above * hold_response(beyond.ravel() * step, hold)).reshape(*above.shape[:2], *beyond.shape)
     own = hold_response(omega * step, hold)
     return np.asarray((held.sum(axis=2) + through * (1.0 - own)) / own)
-
-
-def _tabulated(given: Any, shape: tuple[int, int]) -> MeasuredMatrix:
-    table = given.frdata if isinstance(given, ct.FrequencyResponseData) else given.response
-    response = np.asarray(table, complex)
-    response = response[None, None] if response.ndim == 1 else response
-    _refuse_shape(response.shape[:2], shape)
-    seen = np.asarray(given.omega) > 0
-    values = response[:, :, seen]
-    return MeasuredMatrix(np.asarray(given.omega)[seen], values, np.zeros(values.shape[::2], bool), "measured")
-
-
-def _channels(u: Any, y: Any, step: float, shape: tuple[int, int]) -> tuple[Array, Array, float]:
-    y = np.asarray(y, float)
-    y = y.reshape(-1, y.shape[-1])
-    u = np.zeros((shape[1], y.shape[1])) if u is None or np.size(u) == 0 else np.asarray(u, float)
-    u = u.reshape(-1, y.shape[1])
-    _refuse_shape((len(y), len(u)), shape)
-    return u, y, float(step)
 
 
 def _refuse_shape(found: tuple[int, ...], shape: tuple[int, int]) -> None:
@@ -410,7 +374,7 @@ class FRFData:
 
     def phase(self, i: int, j: int) -> Array:
         """Degrees from `cut` on, NaN where they jump by a turn."""
-        phase = _turned(self.response[i, j], self.cut)
+        phase = degrees_from(self.cut, self.response[i, j])
         return np.where(np.abs(np.diff(phase, prepend=phase[:1])) > 180.0, np.nan, phase)
 
     def phase_band(self, i: int, j: int) -> Array:
@@ -425,7 +389,7 @@ class FRFData:
         model, values = self.beside[k][i, j], self.measured[k].response[i, j]
         usable = np.isfinite(values) & (values != 0) & np.isfinite(model) & (model != 0)
         ratio = np.where(usable, values, 1.0) * np.where(usable, model, 1.0).conj()
-        phase = _turned(model, self.cut) + np.degrees(np.angle(ratio))
+        phase = degrees_from(self.cut, model) + np.degrees(np.angle(ratio))
         phase = np.where(phase < self.cut - _BEYOND, phase + 360.0, phase)
         return np.where(usable, np.where(phase > self.cut + 360.0 + _BEYOND, phase - 360.0, phase), np.nan)
 
@@ -465,7 +429,7 @@ def frf_data(
     _checks.flags(confidence=confidence)
     _checks.level("level", level)
     source = model_source(model)
-    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, model, listed(data)))
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, model, data))
     measured = measured_by(model, data, source, segments, intersample)
     rows, columns = (
         chosen_channels(what, given, names, most)
@@ -556,10 +520,8 @@ def _share(what: str, chosen: Indices, count: int) -> str:
 def _limits(source: ModelSource, measured: list[MeasuredMatrix], given: Any, unit: float) -> tuple[float, float]:
     """Ends of the axis: those given, those of tables, or of the modes as far as recordings reach."""
     if given is not None:
-        ends = _checks.real_array("omega_limits", given, 1) * unit
-        if len(ends) != 2 or not 0 <= ends[0] < ends[1]:
-            raise StructureError(f"omega_limits is {_checks.shown(given)}; give the lowest and the highest frequency")
-        return float(ends[0]), float(ends[1])
+        low, high = checked_limits(given)
+        return low * unit, high * unit
     tables = [one.omega for one in measured if not one.recorded and len(one.omega)]
     d = np.abs(source.poles) if len(source.poles) else np.ones(1)
     low, high = 0.5 * d[0], (1.25 if d[-1] <= _DECADES * d[0] else 2.0) * d[-1]
@@ -607,13 +569,6 @@ def _phase_cut(response: ComplexArray) -> float:
     fewest = min(near)
     allowed = [cut for cut, count in zip(_CUTS, near, strict=True) if count <= fewest + 0.01 * len(angle)]
     return float(min(allowed, key=lambda cut: abs(cut + 180.0)))
-
-
-def _turned(values: ComplexArray, cut: float) -> Array:
-    """Degrees from `cut` on; NaN where the response is infinite or zero."""
-    usable = np.isfinite(values) & (values != 0)
-    angle = np.degrees(np.angle(np.where(usable, values, 1.0)))
-    return np.where(usable, np.mod(angle - cut, 360.0) + cut, np.nan)
 
 
 def _gain_units(given: Any, numbers: FRFData) -> dict[int, str | None]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import control as ct
+import numpy as np
 
 from .. import _checks
 from .._display import counted
-from .._types import Array
+from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
@@ -20,27 +21,6 @@ from ..systems.port_hamiltonian import PortHamiltonian, ph
 _DRAWS = 300  # models of a band: seeds move its ends by 0.9 % of probability
 _UNNAMED = re.compile(r"sys\[\d+\]")  # what python-control calls a system without a name
 _TITLE = 70  # letters that fit above a picture; the legend has the names as well
-
-
-@runtime_checkable
-class FitResult(Protocol):
-    """What pictures take of the result of a fit; it draws the models of a band itself."""
-
-    system: Any
-    experiments: tuple[Any, ...]
-    order: int
-    quantity: str
-    covariance: Array
-    observed_system: ct.StateSpace
-
-    def sample(self, k: int, rng: Any = None) -> Any:
-        """Models drawn from the distribution of the estimate."""
-
-    def confidence_interval(self, level: float = 0.95) -> Any:
-        """Intervals of the parameters."""
-
-    def plot(self, experiment: int = 0, **kwargs: Any) -> Any:
-        """Picture of the fit."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +44,44 @@ def as_list(given: Any, what: str = "") -> list[Any]:
     return list(given) if isinstance(given, list | tuple) else [given]
 
 
+def is_fit(given: Any) -> bool:
+    """Whether this is the result of a fit, which has experiments and the models of a band."""
+    return hasattr(given, "experiments") and hasattr(given, "confidence_interval")
+
+
+def is_damped(given: Any) -> bool:
+    """Whether this is a result of damped modes, whose models answer with what was measured."""
+    return is_fit(given) and hasattr(given, "quantities")
+
+
+def measurements_of(model: Any, data: Any) -> list[Any]:
+    """Measurements that were given, or else those that a result was fitted to."""
+    if data is None:
+        return [getattr(one, "record", one) for one in getattr(model, "experiments", ())]
+    return as_list(data)
+
+
+def table_in(one: Any) -> tuple[Array, ComplexArray] | None:
+    """Frequencies and response (p, m, K) of a measurement over frequency; None of others."""
+    if not (hasattr(one, "omega") and (hasattr(one, "frdata") or hasattr(one, "response"))):
+        return None
+    response = np.asarray(one.frdata if hasattr(one, "frdata") else one.response, complex)
+    return np.asarray(one.omega, float), response[None, None] if response.ndim == 1 else response
+
+
+def recording_in(one: Any) -> tuple[Array, Array, float]:
+    """Inputs (m, N), none of a free motion, outputs (p, N) and time step of a recording."""
+    if not (isinstance(one, ct.TimeResponseData) or all(hasattr(one, name) for name in ("u", "y", "dt"))):
+        raise StructureError(
+            f"data hold a {type(one).__name__}; pass control.FrequencyResponseData, control.TimeResponseData, or a "
+            "list of them"
+        )
+    step = _checks.time_vector(one.t)[1] if isinstance(one, ct.TimeResponseData) else one.dt
+    y = np.asarray(one.y, float)
+    u = np.zeros(0) if one.u is None else np.asarray(one.u, float)
+    return u.reshape(-1, y.shape[-1]), y.reshape(-1, y.shape[-1]), float(step)
+
+
 def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: bool = False) -> list[Subject]:
     """Systems of one number of ports; of fits their models, and frequency responses where `tabulated` allows them."""
     given = as_list(sysdata, "systems")
@@ -85,22 +103,15 @@ def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: b
 
 def _inside(given: Any) -> Any:
     """Linear system of what is to be drawn: of damped modes from the inputs to what was measured."""
-    if isinstance(given, FitResult):
-        return given.observed_system if is_damped(given) else given.system
-    return given
-
-
-def is_damped(given: Any) -> bool:
-    """Whether this is a result of damped modes, whose models answer with what was measured."""
-    return isinstance(given, FitResult) and hasattr(given, "quantities")
+    if not is_fit(given):
+        return given
+    return given.observed_system if is_damped(given) else given.system
 
 
 def _names(given: list[Any], systems: list[Any]) -> list[str]:
     """Names of systems, all different; a fit is called one, unless its system was named."""
     names = [
-        f"fit ({counted(one.order, 'mode')})"
-        if isinstance(one, FitResult) and sys._generic_name_check()
-        else _base_name(sys)
+        f"fit ({counted(one.order, 'mode')})" if is_fit(one) and sys._generic_name_check() else _base_name(sys)
         for one, sys in zip(given, systems, strict=True)
     ]
     if len(names) == 1 and isinstance(systems[0], PortHamiltonian) and _is_unnamed(systems[0]):
@@ -152,7 +163,7 @@ def models_around(confidence: Any, subjects: list[Subject], *bands: str) -> list
     """
     given = as_list(confidence)
     if confidence is True:
-        given = [one.given if isinstance(one.given, FitResult) else None for one in subjects]
+        given = [one.given if is_fit(one.given) else None for one in subjects]
         if not any(given):
             raise StructureError(
                 "confidence is True, but none of the systems is the result of a fit; pass what pem gives, "
@@ -178,7 +189,7 @@ def _models(given: Any, sys: Any, bands: tuple[str, ...]) -> Any:
             "confidence out, or draw frf_plot(result, confidence=True)"
         )
     # the same picture each time
-    models = given.sample(_DRAWS, 0) if isinstance(given, FitResult) else given
+    models = given.sample(_DRAWS, 0) if is_fit(given) else given
     if not all(hasattr(models, band) for band in bands):
         raise StructureError(
             f"confidence is a {type(models).__name__}; pass the result of pem, or models drawn by its sample(k)"

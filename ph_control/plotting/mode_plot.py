@@ -17,7 +17,7 @@ from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import modes as modes_of
-from .inputs import FitResult, Subject, subjects_of, title_of
+from .inputs import Subject, is_fit, subjects_of, title_of
 from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def mode_table(subject: Subject, quantity: str, level: float) -> ModeTable:
         return _damped_table(subject.label, modes, quantity)
     size = (modes.kappa if quantity == "kappa" else modes.r).reshape(len(modes.d), modes.nports)
     at_zero = np.atleast_2d(modes.kappa_0).diagonal() if quantity == "kappa" else np.zeros(modes.nports)
-    if not isinstance(subject.given, FitResult):
+    if not is_fit(subject.given):
         unknown = np.full((len(modes.d), 2), np.nan)
         return ModeTable(subject.label, modes.d, size, at_zero, unknown, unknown, None)
     intervals = subject.given.confidence_interval(level)

@@ -24,7 +24,6 @@ from .frf_plot import (
     MeasuredMatrix,
     ModelSource,
     chosen_channels,
-    listed,
     measured_by,
     model_source,
 )
@@ -288,7 +287,7 @@ def circle_plot(
     """
     source = model_source(model)
     measured = measured_by(model, data, source, segments, intersample)
-    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, model, listed(data)))
+    unit, unit_name = frequency_axis(Hz, unit_for(time_unit, model, data))
     look = Look.of(style)
     found = [mode_circle(source, measured, l, output, input) for l in _modes_to_draw(modes, source)]
     with look.context():

@@ -275,6 +275,14 @@ def frequency_axis(Hz: bool | None, time_unit: str | None) -> tuple[float, str]:
     return hertz_size(time_unit), "Hz"
 
 
+def checked_limits(given: Any) -> tuple[float, float]:
+    """Ends of a frequency axis, in its unit, as the caller gave them."""
+    ends = _checks.real_array("omega_limits", given, 1)
+    if len(ends) != 2 or not 0 <= ends[0] < ends[1]:
+        raise StructureError(f"omega_limits is {_checks.shown(given)}; give the lowest and the highest frequency")
+    return float(ends[0]), float(ends[1])
+
+
 def plain(text: str) -> str:
     """Text that matplotlib shows as it is: two dollar signs would make a formula of what is between them."""
     return str(text).replace("$", r"\$")

@@ -5,8 +5,9 @@ Each function returns a `control.ControlPlot`, and draws on given axes or a new 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -23,8 +24,9 @@ from .._types import Array, ComplexArray, Indices, Mask
 from .._units import unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import stable_poles
-from .bode_data import decibels
+from .bode_data import decibels, degrees_from
 from .fit_plot import Outputs, draw_outputs, line_of_model
+from .inputs import measurements_of, recording_in, table_in
 from .style import (
     BAND,
     DOTS,
@@ -33,6 +35,7 @@ from .style import (
     ZERO,
     FrameStyle,
     Look,
+    checked_limits,
     frequency_axis,
     gain_label,
     labelled,
@@ -77,7 +80,8 @@ def response_comparison_plot(
     with look.context():
         drawn = picture(look, ax, (3, 1), (7.2, 5.55), tied=3, height_ratios=[2.4, 1.7, 1.7])
         gains, phases, errors = drawn.axes[:, 0]
-        for row, of in enumerate((decibels, lambda values: _degrees(values, cut))):
+        scales: list[Callable[[ComplexArray], Array]] = [decibels, partial(degrees_from, cut)]
+        for row, of in enumerate(scales):
             axis = drawn.axes[row, 0]
             drawn.lines[row, 0] = axis.plot(frequency, of(measured), label="measured", zorder=2, **SAMPLES)
             for k, (label, values) in enumerate(zip(labels, predicted, strict=True)):
@@ -167,13 +171,6 @@ def _over_frequency(axis: Axes, frequency: Array, look: Look) -> None:
     if frequency[-1] > frequency[0]:
         axis.set_xlim(*(positive if logarithmic else frequency)[[0, -1]])
     look.lattice(axis, minor="x" if logarithmic else None)
-
-
-def _degrees(values: ComplexArray, low: float) -> Array:
-    """Degrees from `low` on; NaN where the response is infinite or zero."""
-    usable = np.isfinite(values) & (values != 0)
-    angle = np.degrees(np.angle(np.where(usable, values, 1.0)))
-    return np.where(usable, np.mod(angle - low, 360.0) + low, np.nan)
 
 
 def _phase_cut(measured: ComplexArray) -> float:
@@ -418,7 +415,7 @@ def stabilisation_plot(
         poles, orders=orders, frequency_tolerance=frequency_tolerance, damping_tolerance=damping_tolerance,
         least_mac=least_mac,
     )  # fmt: skip
-    given = data if data is not None else [getattr(one, "record", one) for one in getattr(poles, "experiments", ())]
+    given = measurements_of(poles, data)
     unit, unit_name = frequency_axis(Hz, unit_for(time_unit, poles, given))
     behind = _behind(given)
     marked = getattr(poles, "order", None) if chosen is None else _checks.whole_number("chosen", chosen, 1)
@@ -512,26 +509,15 @@ def _one_order(k: int, given: Any) -> tuple[ComplexArray, ComplexArray | None]:
     return poles, shapes
 
 
-def _behind(data: Any) -> list[tuple[Array, Array, str]]:
+def _behind(data: list[Any]) -> list[tuple[Array, Array, str]]:
     """Frequencies and decibels of what is drawn behind the poles, and its name."""
-    given = list(data) if isinstance(data, list | tuple) else [data]
     curves = []
-    for one in given:
-        if isinstance(one, ct.FrequencyResponseData) or (hasattr(one, "omega") and hasattr(one, "response")):
-            table = one.frdata if isinstance(one, ct.FrequencyResponseData) else one.response
-            size = np.abs(np.asarray(table).reshape(-1, np.shape(table)[-1]))
-            omega, name = np.asarray(one.omega, float), "Sum of |FRF| [dB]"
-        elif hasattr(one, "y") and np.size(getattr(one, "y", ())):
-            y = np.asarray(one.y, float)
-            y = y.reshape(-1, y.shape[-1])
-            step = one.dt if not isinstance(one, ct.TimeResponseData) else _checks.time_vector(one.t)[1]
-            omega, size = output_spectra(y, float(step))
-            name = "Output spectra [dB]"
+    for one in data:
+        if (table := table_in(one)) is not None:
+            omega, size, name = table[0], np.abs(table[1].reshape(-1, len(table[0]))), "Sum of |FRF| [dB]"
         else:
-            raise StructureError(
-                f"data hold a {type(one).__name__}; pass control.FrequencyResponseData, control.TimeResponseData, or a "
-                "list of them"
-            )
+            _, y, step = recording_in(one)
+            (omega, size), name = output_spectra(y, step), "Output spectra [dB]"
         size = size[np.isfinite(size).any(axis=1)]
         level = np.sqrt(np.nanmean(size**2, axis=1, keepdims=True))
         total = np.nansum(size / np.where(level > 0, level, 1.0), axis=0)
@@ -553,10 +539,7 @@ def _frequency_ends(
 ) -> tuple[float, float]:
     """Ends of the axis: those given, as far as data reach, or all poles."""
     if given is not None:
-        ends = _checks.real_array("omega_limits", given, 1)
-        if len(ends) != 2 or not 0 <= ends[0] < ends[1]:
-            raise StructureError(f"omega_limits is {_checks.shown(given)}; give the lowest and the highest frequency")
-        return float(ends[0]), float(ends[1])
+        return checked_limits(given)
     if behind:
         low, high = min(one[0][0] for one in behind) / unit, max(one[0][-1] for one in behind) / unit
         return max(0.0, low - 0.02 * (high - low)), high
