@@ -134,17 +134,11 @@ def spectral_estimate(
     _checks.choice("intersample", intersample, INTERSAMPLE)
     _checks.signal_names(names, inputs=1, outputs=1)
     length = _segment_length(len(u), segments)
-    Puu, Pyy, Puy, count = _averaged_spectra(u, y, length)
-    omega = 2.0 * np.pi * np.arange(len(Puu)) / (length * step)
-    kept = Puu > _INPUT_FLOOR * Puu[1:].max()
-    # the window spreads the mean that each segment lost over the first two bins; the last is real by construction
-    kept[[0, 1, -1]] = False
-    omega, Puu, Pyy, Puy = omega[kept], Puu[kept], Pyy[kept], Puy[kept]
-    coherence = np.abs(Puy) ** 2 / np.where(Pyy > 0, Puu * Pyy, 1.0)
+    pieces = [(u[None, part], y[None, part]) for part in _seen_segments(y, length)]
+    omega, response, coherence = _estimate(pieces, step, intersample, impact=False)
     inherited = {"name": data.sysname, "inputs": data.input_labels, "outputs": data.output_labels}
     names = {key: value for key, value in inherited.items() if value} | names
-    response = Puy / Puu / hold_response(omega * step, intersample)
-    found = SpectralEstimate(response, omega, np.minimum(coherence, 1.0), count, step, **names)
+    found = SpectralEstimate(response[0, 0], omega, coherence[0], len(pieces), step, **names)
     return with_unit(found, common_unit(data))
 
 
@@ -182,28 +176,17 @@ def _segment_length(samples: int, segments: Any) -> int:
     return 2 * half
 
 
-def _averaged_spectra(u: Array, y: Array, length: int) -> tuple[Array, Array, ComplexArray, int]:
-    """Spectra of input and output, and the cross spectrum, averaged over all segments without missing samples."""
+def _seen_segments(y: Array, length: int) -> list[slice]:
+    """Segments of this length, each overlapping the next by half, that do not reach across missing samples."""
     edges = np.flatnonzero(np.diff(np.isfinite(y), prepend=False, append=False))
-    runs = list(zip(edges[0::2], edges[1::2], strict=True))
-    longest = max((stop - start for start, stop in runs), default=0)
+    longest = int(np.diff(edges)[::2].max(initial=0))
     if longest < length:
         raise StructureError(
             f"the longest stretch of the output without missing samples has {longest} samples, a segment {length}; "
             "use more segments, or fill the gaps"
         )
-    options = {"window": "hann", "nperseg": length, "noverlap": length // 2, "detrend": "constant"}
-    sums: list[Any] = [0.0, 0.0, 0.0]
-    count = 0
-    for start, stop in runs:
-        pieces = int(stop - start) // (length // 2) - 1
-        if pieces < 1:
-            continue
-        x, z = u[start:stop], y[start:stop]
-        for k, (a, b) in enumerate(((x, x), (z, z), (x, z))):
-            sums[k] = sums[k] + pieces * signal.csd(a, b, **options)[1]
-        count += pieces
-    return sums[0].real / count, sums[1].real / count, sums[2] / count, count
+    starts = [range(*stretch, length // 2) for stretch in zip(edges[0::2], edges[1::2] - length + 1, strict=True)]
+    return [slice(start, start + length) for stretch in starts for start in stretch]
 
 
 def hold_response(theta: Array, intersample: str) -> ComplexArray | Array:
@@ -233,20 +216,26 @@ def response_matrix_estimate(
     step, shortest = steps.pop(), min(u.shape[1] for u, _, _ in records)
     impact = all(_rests(u) for u, _, _ in records)
     length = shortest if impact else _segment_length(shortest, segments)
-    sums: list[Any] = [0.0, 0.0, 0.0]
-    for u, y, _ in records:
-        for start in range(0, u.shape[1] - length + 1, length if impact else length // 2):
-            part = slice(start, start + length)
-            found = _segment_spectra(u[:, part], y[:, part], impact)
-            sums = [total + one for total, one in zip(sums, found, strict=True)]
-    Suu, Syu, Syy = (np.moveaxis(np.asarray(one), -1, 0) for one in sums)
-    omega = 2.0 * np.pi * np.arange(len(Suu)) / (length * step)
+    gap = length if impact else length // 2
+    places = [(u, y, range(0, u.shape[1] - length + 1, gap)) for u, y, _ in records]
+    pieces = [(u[:, k : k + length], y[:, k : k + length]) for u, y, starts in places for k in starts]
+    return _estimate(pieces, step, intersample, impact)
+
+
+def _estimate(
+    pieces: Sequence[tuple[Array, Array]], step: float, intersample: str, impact: bool
+) -> tuple[Array, ComplexArray, Array]:
+    """As `response_matrix_estimate`, of pieces of records of one length."""
+    spectra = [_segment_spectra(u, y, impact) for u, y in pieces]
+    Suu, Syu, Syy = (np.moveaxis(np.sum(one, axis=0), -1, 0) for one in zip(*spectra, strict=True))
+    omega = 2.0 * np.pi * np.arange(len(Suu)) / (pieces[0][0].shape[1] * step)
     power = np.einsum("kpii->kpi", Suu).real
     # inputs that never moved while an output was seen
     present = power.max(axis=0) > 0
     Suu = Suu + np.where(present, 0.0, power.max())[..., None] * np.eye(power.shape[-1])
     sizes = np.linalg.eigvalsh(Suu)[..., 0]
     told = sizes > _INPUT_FLOOR * sizes[1:].max(axis=0)
+    # the window spreads the mean that each segment lost over the first two bins; the last is real by construction
     told[[0, -1] if impact else [0, 1, -1]] = False
     kept = told.any(axis=1)
     omega, Suu, Syu, Syy, told = omega[kept], Suu[kept], Syu[kept], Syy[kept], told[kept]
