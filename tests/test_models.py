@@ -135,7 +135,7 @@ def test_the_chain_of_n_has_the_fixed_free_frequencies_and_is_canonical(n):
 
 @pytest.mark.parametrize("n", [0, -1, 2.0, True, "two", None])
 def test_a_number_of_masses_that_is_none_is_refused(n):
-    with pytest.raises(StructureError, match=r"n is .*number of masses is a whole number, at least 1"):
+    with pytest.raises(StructureError, match=r"n is .*; it must be a whole number from 1 to"):
         frenkel_kontorova(n)
 
 
@@ -216,7 +216,7 @@ def test_the_chain_leaves_its_arguments_alone():
         ({"masses": [1.0, 1.0], "port": 0.5}, "port is 0.5"),
         ({"masses": [1.0, 1.0], "port": True}, "port is True"),
         ({"masses": [1.0, 1.0], "port": "first"}, "port is 'first'"),
-        ({"masses": [1.0, 1.0], "port": []}, "port is empty"),
+        ({"masses": [1.0, 1.0], "port": []}, "port is .*; name at least one"),
     ],
 )
 def test_a_bad_chain_is_refused_by_name(arguments, message):
@@ -535,12 +535,12 @@ def test_resistors_damp_the_branches_they_are_in():
         (lambda: lc_circuit([1.0, 1.0], 1.0, R=[1.0, 2.0, 3.0]), "the 2 branches"),
         (lambda: spring_chain([1.0, 1.0], c=[1.0, 1.0]), "the 1 dampers"),
         (lambda: spring_chain([1.0, 1.0], ground_c=[0.0, -2.0]), r"ground_c\[1\] = -2; a viscosity"),
-        (lambda: msd_chain(0), "number of masses"),
-        (lambda: msd_chain(3, m=[1.0, 2.0]), "m has 2 entries"),
-        (lambda: msd_chain(3, ports=4), "number of ports"),
-        (lambda: rcl_ladder(2, C=[1.0, 1.0, 1.0]), "C has 3 entries"),
+        (lambda: msd_chain(0), "n is 0; it must be a whole number from 1"),
+        (lambda: msd_chain(3, m=[1.0, 2.0]), "m has shape .* the 3 masses"),
+        (lambda: msd_chain(3, ports=4), "ports is 4; it must be a whole number from 1 to 3"),
+        (lambda: rcl_ladder(2, C=[1.0, 1.0, 1.0]), "C has shape .* the 2 cells"),
         (lambda: rcl_ladder(2, load=-1.0), "load"),
-        (lambda: rcl_ladder(2, ports=3), "number of ports"),
+        (lambda: rcl_ladder(2, ports=3), "ports is 3; it must be a whole number from 1 to 2"),
     ],
 )
 def test_bad_losses_are_refused_by_name(make, message):
@@ -576,7 +576,7 @@ def test_a_port_that_is_no_number_of_a_mass_is_refused(port):
 
 @pytest.mark.parametrize("n", [2**63, 10**5000], ids=["2**63", "huge"])
 def test_a_chain_that_no_memory_holds_is_refused(n):
-    with pytest.raises(StructureError, match="the number of masses"):
+    with pytest.raises(StructureError, match=r"n is .*; it must be a whole number from 1 to 1000000"):
         frenkel_kontorova(n)
 
 

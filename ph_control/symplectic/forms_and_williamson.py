@@ -55,11 +55,7 @@ def symplectic_form(n: int) -> Array:
     array([[ 0.,  1.],
            [-1.,  0.]])
     """
-    if not isinstance(n, int | np.integer) or isinstance(n, bool) or not 0 <= n <= _LARGEST:
-        raise StructureError(
-            f"n is {_checks.shown(n)}; the number of degrees of freedom is a whole number from 0 to {_LARGEST}, for "
-            "a matrix in memory: apply a larger J by swapping halves"
-        )
+    _checks.whole_number("n", n, 0, _LARGEST)
     J = np.zeros((2 * n, 2 * n))
     J[:n, n:] = np.eye(n)
     J[n:, :n] = -np.eye(n)

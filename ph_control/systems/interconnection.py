@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -161,15 +162,8 @@ def gyrator(
 def feedback(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
     """Negative feedback of a PH system through another, or through a matrix `K + K^T >= 0`; None where it is not PH."""
     m = first.ninputs
-    if first.noutputs != m:
-        return None
-    if isinstance(other, PortHamiltonian):
-        if other.ninputs != m or other.noutputs != m:
-            return None
-        F = np.block([[np.zeros((m, m)), -np.eye(m)], [np.eye(m), np.zeros((m, m))]])
-        return _looped(_side_by_side([first, other]), F, np.eye(2 * m)[:, :m], kept=m)
-    K = _gain(other, m, np.eye(m))
-    return None if K is None else _looped(_side_by_side([first]), -K, np.eye(m))
+    second = _partner(first, other, np.eye(m))
+    return None if second is None else through_ports(first, second, range(m))
 
 
 def through_ports(
@@ -190,12 +184,9 @@ def through_ports(
 def parallel(first: PortHamiltonian, other: Any) -> PortHamiltonian | None:
     """Sum of a PH system and another, or a matrix `K + K^T >= 0`; None where it is not PH."""
     m = first.ninputs
-    second = other if isinstance(other, PortHamiltonian) else _gain(other, m, np.ones((m, m)))
-    if second is None or first.noutputs != m:
+    second = _partner(first, other, np.ones((m, m)))
+    if second is None:
         return None
-    if isinstance(second, PortHamiltonian):
-        if second.ninputs != m or second.noutputs != m:
-            return None
     members: list[PortHamiltonian | Array] = [first, second]
     named = True
     if isinstance(second, PortHamiltonian):
@@ -433,10 +424,9 @@ def _side_by_side(members: Sequence[PortHamiltonian | Array], canonical: bool = 
         parts[name] = block_diag(*(part[name] for part in each)).reshape(-1)[: shape[0] * shape[1]].reshape(shape)
     counts = [part["G"].shape for part in each]
     signals = {kind: [_labels_of(one, kind, k) for k, one in enumerate(members)] for kind in _LETTERS}
-    inputs = [label for found in signals["inputs"] for label in found]
-    outputs = [label for found, (_, m) in zip(signals["outputs"], counts, strict=True) for label in found[:m]]
-    outputs += [label for found, (_, m) in zip(signals["outputs"], counts, strict=True) for label in found[m:]]
-    states = [label for found in signals["states"] for label in found]
+    inputs, states = (list(chain.from_iterable(signals[kind])) for kind in ("inputs", "states"))
+    split = [(found[:m], found[m:]) for found, (_, m) in zip(signals["outputs"], counts, strict=True)]
+    outputs = list(chain(*(ports for ports, _ in split), *(sensors for _, sensors in split)))
     if canonical and all(is_canonical(part["J"]) for part in each):
         starts = np.concatenate([[0], np.cumsum([n for n, _ in counts])])
         halves = [(start, start + n // 2, start + n) for start, (n, _) in zip(starts, counts, strict=False)]
@@ -450,12 +440,9 @@ def _side_by_side(members: Sequence[PortHamiltonian | Array], canonical: bool = 
 
 def _constant(K: Array) -> dict[str, Array]:
     """Parts of a system without states."""
-    m = len(K)
-    empty = {"G": (0, m), "P": (0, m), "sensor_rows": (0, 0), "sensor_feedthrough": (0, m)}
-    return {
-        **{name: np.zeros((0, 0)) for name in "QJR"}, **{name: np.zeros(shape) for name, shape in empty.items()},
-        "S": 0.5 * (K + K.T), "N": 0.5 * (K - K.T),
-    }  # fmt: skip
+    none = np.zeros((0, len(K)))
+    square = np.zeros((0, 0))
+    return _structure(square, none, none.T, K) | {"Q": square, "sensor_rows": square, "sensor_feedthrough": none}
 
 
 def _looped(whole: _Whole, F: Array, inputs: Array, *, kept: int | None = None, names: Any = None) -> PortHamiltonian:
@@ -528,12 +515,10 @@ def _has_names(one: PortHamiltonian) -> bool:
 
 def _owners(members: Sequence[Any]) -> list[str]:
     """Names of the systems, or numbers where they have none of their own."""
-    known = [one.name if isinstance(one, PortHamiltonian) else "" for one in members]
-    own = [
-        isinstance(one, PortHamiltonian) and not one._generic_name_check() and known.count(one.name) == 1
-        for one in members
+    known = [
+        one.name if isinstance(one, PortHamiltonian) and not one._generic_name_check() else None for one in members
     ]
-    return [name if is_own else f"sys{k}" for k, (name, is_own) in enumerate(zip(known, own, strict=True), 1)]
+    return [name if name and known.count(name) == 1 else f"sys{k}" for k, name in enumerate(known, 1)]
 
 
 def _texts(labels: list[_Label], kind: str, owners: list[str]) -> list[str] | None:
@@ -565,25 +550,27 @@ def _member(one: Any) -> PortHamiltonian:
     return one
 
 
+def _partner(first: PortHamiltonian, other: Any, spread: Array) -> PortHamiltonian | Array | None:
+    """System or gain with as many ports as the first; None where their connection is not port-Hamiltonian."""
+    m = first.ninputs
+    if first.noutputs != m:
+        return None
+    if isinstance(other, PortHamiltonian):
+        return other if other.ninputs == other.noutputs == m else None
+    return _gain(other, m, spread)
+
+
 def _gain(value: Any, m: int, spread: Array) -> Array | None:
     """Matrix of a constant gain that makes no energy, of a number times `spread`; None where it is none such."""
     if is_number(value):
         value = np.array(float(value))
-    if (
-        isinstance(value, np.ndarray)
-        and value.dtype.kind in "iuf"
-        and value.ndim in (0, 2)
-        and np.isfinite(value).all()
-    ):
-        K = np.asarray(value, float) * (spread if value.ndim == 0 else 1.0)
-    else:
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
         return None
+    K = np.asarray(value, float) * (spread if value.ndim == 0 else 1.0)
     if K.shape != (m, m):
         return None
     _checks.in_range("the gain", K)
-    if np.linalg.eigvalsh(K + K.T).min(initial=0.0) < 0:
-        return None
-    return K
+    return K if np.linalg.eigvalsh(K + K.T).min(initial=0.0) >= 0 else None
 
 
 def _pairs(members: Sequence[PortHamiltonian], ports: Any, ratio: ArrayLike) -> tuple[list[tuple[int, int]], Array]:

@@ -61,7 +61,8 @@ def lc_circuit(C: ArrayLike, L: ArrayLike, *, R: ArrayLike = 0.0, **names: Any) 
     >>> phc.lc_circuit([1.0, 0.25], [1.0, 4.0 / 9.0], R=[0.2, 0.0]).damping_ratios
     array([0.1, 0. ])
     """
-    capacitance, inductance = _values("C", C, "a capacitance"), _values("L", L, "an inductance")
+    capacitance = _values("C", C, "a capacitance", positive=True)
+    inductance = _values("L", L, "an inductance", positive=True)
     n = max(capacitance.size, inductance.size)
     if {capacitance.size, inductance.size} - {1, n}:
         raise StructureError(
@@ -135,7 +136,7 @@ def spring_chain(
     >>> phc.spring_chain([1.0, 1.0], 4.0, ground=1.0, c=0.5).damping_ratios.round(6)
     array([0.      , 0.166667])
     """
-    mass = _values("masses", masses, "a mass")
+    mass = _values("masses", masses, "a mass", positive=True)
     n = mass.size
     between = _values("stiffnesses", stiffnesses, "a stiffness", n - 1, f"the {n - 1} springs between {n} masses")
     to_ground = _values("ground", ground, "a stiffness", n, f"the {n} masses")
@@ -185,7 +186,7 @@ def frenkel_kontorova(n: int = 2, **names: Any) -> PortHamiltonian:
     >>> phc.frenkel_kontorova().d.round(6)
     array([0.618034, 1.618034])
     """
-    n = _count("n", n, "masses", _LARGEST)
+    n = _checks.whole_number("n", n, 1, _LARGEST)
     return spring_chain(np.ones(n), 1.0, ground=np.eye(1, n)[0], **names)
 
 
@@ -231,12 +232,12 @@ def msd_chain(
     >>> chain(0.1j)[0].round(6)
     array([0.125712+0.073217j, 0.122624+0.050628j])
     """
-    n = _count("n", n, "masses", _LARGEST)
+    n = _checks.whole_number("n", n, 1, _LARGEST)
     stiffness = _values("k", k, "a stiffness", n, f"the {n} masses")
-    m = _positive("m", m, "a mass", n, "masses")
+    m = _values("m", m, "a mass", n, f"the {n} masses", positive=True)
     return spring_chain(
         m, stiffness[:-1], ground=stiffness[-1] * np.eye(1, n, n - 1)[0], ground_c=c,
-        port=range(_count("ports", ports, "ports", n)), **names,
+        port=range(_checks.whole_number("ports", ports, 1, n)), **names,
     )  # fmt: skip
 
 
@@ -284,13 +285,13 @@ def rcl_ladder(
     >>> ladder(0.0).real.round(12).item()  # all resistors in series
     1.0
     """
-    n = _count("n", n, "cells", _LARGEST)
+    n = _checks.whole_number("n", n, 1, _LARGEST)
     resistance = _values("R", R, "a resistance", n, f"the {n} cells")
     end = _values("load", load, "a resistance", 1, "the end")
-    capacitance = _positive("C", C, "a capacitance", n, "cells")
-    inductance = _positive("L", L, "an inductance", n, "cells")
+    capacitance = _values("C", C, "a capacitance", n, f"the {n} cells", positive=True)
+    inductance = _values("L", L, "an inductance", n, f"the {n} cells", positive=True)
     resistance[-1] += end[0]
-    J, G = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, _count("ports", ports, "ports", 2)))
+    J, G = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, _checks.whole_number("ports", ports, 1, 2)))
     J[:n, n:] = np.eye(n, k=-1) - np.eye(n)
     J[n:, :n] = -J[:n, n:].T
     G[0, 0] = 1.0
@@ -318,48 +319,28 @@ def _losses(block: Array) -> Array | None:
     return R
 
 
-def _positive(name: str, value: ArrayLike, what: str, count: int, of: str) -> Array:
-    """Check positive values, one each or a number for all."""
-    array = _values(name, value, what)
-    if len(array) not in (1, count):
-        raise StructureError(f"{name} has {len(array)} entries; give a number, or one for each of {count} {of}")
-    return np.full(count, array[0]) if len(array) == 1 else array
-
-
-def _values(name: str, value: ArrayLike, what: str, count: int | None = None, of: str = "every branch") -> Array:
-    """Check physical values, one each `of` something or a number for all; positive, where no count of them is given."""
+def _values(
+    name: str, value: ArrayLike, what: str, count: int | None = None, of: str = "every branch", positive: bool = False
+) -> Array:
+    """Check physical values, one each `of` something or a number for all; positive ones, or not negative."""
     array = _checks.real_array(name, value)
     if array.ndim == 0:
         array = np.full(1 if count is None else count, float(array))
     if array.ndim != 1 or len(array) != (max(1, len(array)) if count is None else count):
         raise StructureError(f"{name} has shape {array.shape}; it must be a number, or a vector with one for {of}")
-    if array.min(initial=1.0) < 0 or (count is None and not array.all()):
+    if array.min(initial=1.0) < 0 or (positive and not array.all()):
         worst = int(array.argmin())
-        allowed = "> 0" if count is None else "not negative"
-        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; {what} is {allowed}")
-    if count is None:
+        raise StructureError(f"{name}[{worst}] = {array[worst]:.6g}; {what} is {'> 0' if positive else 'not negative'}")
+    if positive:
         with np.errstate(over="ignore"):
             _checks.representable(f"the reciprocals of {name}", 1.0 / array)
     return array
 
 
-def _count(name: str, value: Any, what: str, most: int) -> int:
-    """Check a number of masses or the like."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= most:
-        raise StructureError(
-            f"{name} is {_checks.shown(value)}; the number of {what} is a whole number, at least 1 and at most {most}"
-        )
-    return int(value)
-
-
 def _port_indices(port: Any, n: int) -> list[int]:
-    several = isinstance(port, list | tuple | range) or (isinstance(port, np.ndarray) and port.ndim == 1)
-    ports = list(port) if several else [port]
-    if not ports:
-        raise StructureError("port is empty; name at least one mass")
-    for index in ports:
-        if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < n:
-            raise StructureError(f"port is {_checks.shown(port)}; masses are counted from 0 to {n - 1}")
+    ports = list(port) if isinstance(port, list | tuple | range | np.ndarray) and np.ndim(port) == 1 else [port]
+    if not ports or not all(_checks.is_whole(index) and 0 <= index < n for index in ports):
+        raise StructureError(f"port is {_checks.shown(port)}; masses are counted from 0 to {n - 1}; name at least one")
     return [int(index) for index in ports]
 
 
