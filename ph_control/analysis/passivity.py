@@ -13,7 +13,7 @@ from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
 from ..exceptions import StructureError
-from ..modal.positive_real import Passivity, split_axis, violations
+from ..modal.positive_real import Passivity, split_axis, violations, well_conditioned
 from ..systems.base import in_normal_form
 
 Array = NDArray[np.float64]
@@ -183,14 +183,8 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
         return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
     plain = _state_space(sys)
     A, B, C, D = (np.array(getattr(plain, name), float) for name in "ABCD")
-    try:
-        with np.errstate(all="ignore"):
-            return _judged(A, B, C, D, kind)
-    except np.linalg.LinAlgError:
-        raise StructureError(
-            "the system is too ill-conditioned to judge: its eigenvalue problems have no answer; give it in better "
-            "scaled states, or in other units"
-        ) from None
+    with well_conditioned("judge"):
+        return _judged(A, B, C, D, kind)
 
 
 def _judged(A: Array, B: Array, C: Array, D: Array, kind: str) -> PassivityReport:

@@ -7,7 +7,8 @@ singular: at eigenvalues of a pencil of the state-space matrices that lie on the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,6 +21,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
 from .._types import Array, ComplexArray
+from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import clusters, eigenvalues_of, equilibrated, invariant_block
 from .general_form import from_matrices
 
@@ -51,6 +53,19 @@ class Band:
     high: float
     worst: float
     excess: float
+
+
+@contextmanager
+def well_conditioned(task: str) -> Iterator[None]:
+    """Refuse a system whose eigenvalue problems have no answer, and say what it was needed for."""
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except (np.linalg.LinAlgError, ArithmeticError):
+        raise StructureError(
+            f"the system is too ill-conditioned to {task}: its eigenvalue problems have no answer; give it in better "
+            "scaled states, or in other units"
+        ) from None
 
 
 class Passivity:

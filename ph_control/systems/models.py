@@ -338,7 +338,8 @@ def _values(
 
 
 def _port_indices(port: Any, n: int) -> list[int]:
-    ports = list(port) if isinstance(port, list | tuple | range | np.ndarray) and np.ndim(port) == 1 else [port]
+    several = isinstance(port, list | tuple | range) or (isinstance(port, np.ndarray) and port.ndim == 1)
+    ports = list(port) if several else [port]
     if not ports or not all(_checks.is_whole(index) and 0 <= index < n for index in ports):
         raise StructureError(f"port is {_checks.shown(port)}; masses are counted from 0 to {n - 1}; name at least one")
     return [int(index) for index in ports]

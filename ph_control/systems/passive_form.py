@@ -27,7 +27,7 @@ from .. import _checks
 from .._checks import EPS
 from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
-from ..modal.positive_real import Passivity, Split, split_axis, violations
+from ..modal.positive_real import Passivity, Split, is_positive, split_axis, violations, well_conditioned
 from ..modal.storage import NoStorageError, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import equilibrated
 
@@ -114,14 +114,8 @@ def passive_parts(
         If sensors see what ports do not, or rounding hides that the system is passive.
     """
     _checks.in_range("the matrices", np.concatenate([M.ravel() for M in (given.A, given.B, given.C, given.D)]))
-    try:
-        with np.errstate(all="ignore"):
-            return _passive_parts(given, storage, refusal, minimal)
-    except (LinAlgError, ArithmeticError):
-        raise StructureError(
-            "the system is too ill-conditioned to convert: its eigenvalue problems have no answer; give it "
-            "in better scaled states, or in other units"
-        ) from None
+    with well_conditioned("convert"):
+        return _passive_parts(given, storage, refusal, minimal)
 
 
 def _passive_parts(
@@ -201,7 +195,7 @@ def stored_parts(system: PortRows, storage: str) -> Parts:
     m = system.ports
     rate = float(np.linalg.norm(system.A)) or 1.0
     root = np.sqrt(rate)
-    A, B, C = balanced_minimal(system.A / rate, system.B / root, system.C / root, m)
+    A, B, C = minimal_part(system.A / rate, system.B / root, system.C / root, m)
     D, n = system.D[:m], len(A)
     size = float(np.linalg.norm(D)) + float(np.linalg.norm(B)) * float(np.linalg.norm(C[:m])) or 1.0
     level = np.sqrt(size)
@@ -233,23 +227,18 @@ def _met_by_ports(axis: list[tuple[float, ComplexArray]], given: PortRows) -> li
 
 
 def minimal_part(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
-    """Balanced coordinates of what the ports of a stable system reach and see."""
-    rate = float(np.linalg.norm(A)) or 1.0
-    root = np.sqrt(rate)
-    A, B, C = balanced_minimal(A / rate, B / root, C / root, m)
-    return rate * A, root * B, root * C
-
-
-def balanced_minimal(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Array]:
     """Balanced coordinates of what ports reach and see, by the Hankel singular values of the first m outputs."""
     if not len(A):
         return A, B, C
+    rate = float(np.linalg.norm(A)) or 1.0
+    unit = np.sqrt(rate)
+    A, B, C = A / rate, B / unit, C / unit
     seen, reached = _gramian_root(A, C[:m]), _gramian_root(A.T, B.T).T
     U, s, V = svd(seen @ reached)
     kept = s > _UNSEEN * max(s[0], np.finfo(float).tiny)
     root = np.sqrt(s[kept])
     right, left = reached @ V[kept].T / root, (U[:, kept] / root).T @ seen
-    return left @ A @ right, left @ B, C @ right
+    return rate * (left @ A @ right), unit * (left @ B), unit * (C @ right)
 
 
 def _gramian_root(A: Array, C: Array) -> Array:
@@ -272,32 +261,8 @@ def _gramian_root(A: Array, C: Array) -> Array:
 
 
 def lossless_parts(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[Parts]:
-    """Modes of poles on the axis, whose residues are Hermitian positive semidefinite."""
-    found: list[Parts] = []
-    J: Any
-    Q: Any
-    G: Any
-    rows: Any
-    for w, K in axis:
-        sigma, W = eigh(0.5 * (K[:m] + K[:m].conj().T))
-        kept = sigma > len(K) * EPS * sigma[-1]
-        sigma, W = sigma[kept], W[:, kept]
-        rank = len(sigma)
-        if w == 0:
-            J, Q = np.zeros((rank, rank)), np.eye(rank)
-            nu: Any = np.sqrt(sigma)[:, None] * W.T.real
-            G, rows = nu, K[m:].real @ np.linalg.pinv(nu)
-        else:
-            J, Q = np.kron([[0.0, 1.0], [-1.0, 0.0]], np.eye(rank)), w * np.eye(2 * rank)
-            nu = np.sqrt(2 * sigma / w)[:, None] * W.T
-            sensed: Any = 2 * K[m:] @ np.linalg.pinv(nu.conj())
-            G, rows = np.vstack([nu.real, nu.imag]), np.hstack([sensed.real, sensed.imag])
-        n = len(G)
-        found.append({
-            "Q": Q, "J": J, "R": np.zeros((n, n)), "G": G, "P": np.zeros((n, m)), "S": np.zeros((m, m)),
-            "N": np.zeros((m, m)), "sensor_rows": rows,
-        })  # fmt: skip
-    return found
+    """Modes of poles on the axis, whose residues are Hermitian positive semidefinite, as parts for `joined`."""
+    return [_side_by_side(_axis_modes(axis, m), np.zeros((m, m)))] if axis else []
 
 
 def joined(found: Sequence[Parts], through: Array) -> Parts:
@@ -316,35 +281,36 @@ def joined(found: Sequence[Parts], through: Array) -> Parts:
 def _refuse_lost_sensors(parts: Parts, given: PortRows, omega: Array) -> None:
     """Refuse to leave out states that a sensor sees."""
     m = given.ports
-    for k in range(len(given.D) - m):
-        row = slice(m + k, m + k + 1)
-        off = _difference(
-            parts | {name: parts[name][k : k + 1] for name in ("sensor_rows", "sensor_feedthrough")},
-            PortRows(given.A, given.B, given.C[row], given.D[row]), omega, sensors_only=True,
-        )  # fmt: skip
-        if not off <= _LOST:
+    for k, (off, size) in enumerate(zip(*_differences(parts, given, omega), strict=True)):
+        if k >= m and not _ratio(off, size) <= _LOST:
             raise StructureError(
-                f"sensor {k} (output {m + k}) sees states that ports do not reach or do not see: without them its "
-                f"response differs by {off:.2g} of its largest value, allowed {_LOST:.0e}; leave the sensor out, or "
-                "keep all states"
+                f"sensor {k - m} (output {k}) sees states that ports do not reach or do not see: without them its "
+                f"response differs by {_ratio(off, size):.2g} of its largest value, allowed {_LOST:.0e}; leave the "
+                "sensor out, or keep all states"
             )
 
 
-def _difference(parts: Parts, given: PortRows, omega: Array, *, sensors_only: bool = False) -> float:
+def _difference(parts: Parts, given: PortRows, omega: Array) -> float:
     """Largest difference of the responses beyond the rounding of the given matrices, over the largest response."""
+    off, size = _differences(parts, given, omega)
+    return _ratio(off.max(initial=0.0), size.max(initial=0.0))
+
+
+def _differences(parts: Parts, given: PortRows, omega: Array) -> tuple[Array, Array]:
+    """Largest difference of each output beyond the rounding of the given matrices, and its largest response."""
     K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
     C = np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
     D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
-    if sensors_only:
-        C, D = parts["sensor_rows"], parts["sensor_feedthrough"]
     with np.errstate(invalid="ignore", over="ignore"):
         wanted, moved = _response(given.A, given.B, given.C, given.D, omega)
         got, _ = _response(K @ parts["Q"], G - P, C, D, omega)
-        off = np.abs(got - wanted).max(axis=(1, 2), initial=0.0) - _GIVEN * EPS * moved
-    size = np.abs(wanted).max(axis=(1, 2), initial=0.0)
-    clear = np.isfinite(size) & np.isfinite(off)  # not at a pole
-    largest, worst = float(size[clear].max(initial=0.0)), float(off[clear].max(initial=0.0))
-    return worst / largest if largest else worst
+        off = np.abs(got - wanted).max(axis=2, initial=0.0) - _GIVEN * EPS * moved
+    clear = np.isfinite(off).all(axis=1)  # not at a pole
+    return off[clear].max(axis=0, initial=0.0), np.abs(wanted[clear]).max(axis=(0, 2), initial=0.0)
+
+
+def _ratio(off: float, size: float) -> float:
+    return float(off / size if size else off)
 
 
 def _band(split: Split) -> Array:
@@ -361,7 +327,7 @@ def _band(split: Split) -> Array:
 
 def _response(A: Array, B: Array, C: Array, D: Array, omega: Array) -> tuple[ComplexArray, Array]:
     """Responses, and what a relative change of 1 of the entries of the matrices may move them by; NaN at a pole."""
-    values, moved = np.full((len(omega), *D.shape), np.nan + 0j), np.zeros(len(omega))
+    values, moved = np.full((len(omega), *D.shape), np.nan + 0j), np.zeros((len(omega), len(D)))
     for k, w in enumerate(omega):
         M = 1j * w * np.eye(len(A)) - A
         try:
@@ -370,7 +336,7 @@ def _response(A: Array, B: Array, C: Array, D: Array, omega: Array) -> tuple[Com
             continue
         values[k] = C @ x + D
         x, y = np.abs(x), np.abs(y).T
-        moved[k] = np.max(y @ np.abs(A) @ x + y @ np.abs(B) + np.abs(C) @ x, initial=0.0)
+        moved[k] = np.max(y @ np.abs(A) @ x + y @ np.abs(B) + np.abs(C) @ x, axis=1, initial=0.0)
     return values, moved
 
 
@@ -498,48 +464,44 @@ def _not_negative(M: Array) -> Array:
 # --- classical damping -----------------------------------------------------------------------------------------
 
 
-class _Resonator(NamedTuple):
-    """One or more modes of one pole: frequency, damping ratio, and what the ports are of each, (rank, m)."""
+class _PassiveMode(NamedTuple):
+    """A mode and its part in the ports (m,) and in the sensors (k,).
+
+    A resonator has a frequency `d` and a damping ratio, a relaxation no frequency and a rate.
+    """
 
     d: float
-    zeta: float
+    loss: float
     psi: ComplexArray
-
-
-class _Relaxation(NamedTuple):
-    rate: float
-    psi: Array
+    sensed: ComplexArray
 
 
 def classical_parts(
     A: Array, B: Array, C: Array, D: Array, axis: Sequence[tuple[float, ComplexArray]]
 ) -> dict[str, Array] | None:
     """Parts of a `DissipativePortHamiltonian` in Williamson coordinates, or None where the damping is not classical."""
-    m = D.shape[1]
-    resonators, relaxations = [], []
+    modes = _of_modes(A, B, C) if len(A) else []
+    return None if modes is None else _side_by_side([*_axis_modes(axis, D.shape[1]), *modes], D)
+
+
+def _axis_modes(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[_PassiveMode]:
+    modes: list[_PassiveMode] = []
     for w, K in axis:
-        sigma, W = _factors(K)
-        psi = np.sqrt(2 * sigma)[:, None] * W.T
-        if w == 0:
-            relaxations.append(_Relaxation(0.0, psi.real / np.sqrt(2)))
-        else:
-            # the mode with the weight on the momenta, where it has a choice
-            resonators.append(_Resonator(w, 0.0, 1j * psi))
-    if len(A):
-        found = _of_modes(A, B, C)
-        if found is None:
-            return None
-        resonators += found[0]
-        relaxations += found[1]
-    return _side_by_side(resonators, relaxations, D, m)
+        sigma, W = _factors(K[:m])
+        # the mode with the weight on the momenta, where it has a choice
+        rows = (1j * np.sqrt(2 * sigma) if w else np.sqrt(sigma))[:, None] * W.T
+        sensed = (2 * np.sqrt(w) if w else 1.0) * K[m:] @ (rows / np.sum(np.abs(rows) ** 2, axis=1, keepdims=True)).T
+        modes += [_PassiveMode(w, 0.0, *parts) for parts in zip(rows, sensed.T, strict=True)]
+    return modes
 
 
-def _of_modes(A: Array, B: Array, C: Array) -> tuple[list[_Resonator], list[_Relaxation]] | None:
+def _of_modes(A: Array, B: Array, C: Array) -> list[_PassiveMode] | None:
     poles, V = eig(A)
     if not np.linalg.cond(V) < _CONDITION:
         return None
     b, c = np.linalg.solve(V, B), C @ V
-    resonators: list[_Resonator] = []
+    modes: list[_PassiveMode] = []
+    none = np.zeros(0, complex)
     slow: list[tuple[float, float, Array]] = []
     fast: list[tuple[float, float, Array]] = []
     scale = float(np.abs(poles).max())
@@ -550,10 +512,10 @@ def _of_modes(A: Array, B: Array, C: Array) -> tuple[list[_Resonator], list[_Rel
         p, residue = complex(poles[group].mean()), c[:, group] @ b[group]
         if p.imag > 0:
             K = residue * (p - p.conjugate()) / p
-            if not _is_real_positive(K):
+            if np.linalg.norm(K.imag) > _RESIDUE * np.linalg.norm(K) or not is_positive(K):
                 return None
             sigma, W = _factors(K.real)
-            resonators.append(_Resonator(abs(p), -p.real / abs(p), 1j * np.sqrt(sigma)[:, None] * W.T))
+            modes += [_PassiveMode(abs(p), -p.real / abs(p), 1j * row, none) for row in np.sqrt(sigma)[:, None] * W.T]
             continue
         sigma, W = eigh(0.5 * (residue.real + residue.real.T))
         if np.linalg.norm(residue - residue.T) > _RESIDUE * np.abs(sigma).max():
@@ -567,20 +529,14 @@ def _of_modes(A: Array, B: Array, C: Array) -> tuple[list[_Resonator], list[_Rel
         fast = [one for one in fast if one is not partner]
         d = np.sqrt(rate * partner[0])
         psi = np.sqrt(weight * (partner[0] - rate) / rate) * u
-        resonators.append(_Resonator(d, (rate + partner[0]) / (2 * d), 1j * psi[None]))
-    return resonators, [_Relaxation(rate, np.sqrt(weight) * u[None]) for rate, weight, u in fast]
+        modes.append(_PassiveMode(d, (rate + partner[0]) / (2 * d), 1j * psi, none))
+    return modes + [_PassiveMode(0.0, rate, np.sqrt(weight) * u + 0j, none) for rate, weight, u in fast]
 
 
 def _is_pair(slow: tuple[float, float, Array], fast: tuple[float, float, Array]) -> bool:
     """Whether two real poles are those of one overdamped resonator."""
     (a, weight, u), (rate, other, w) = slow, fast
     return bool(rate > a and abs(other * a - weight * rate) <= 1e-6 * weight * rate and abs(u @ w) > 1 - 1e-9)
-
-
-def _is_real_positive(K: ComplexArray) -> bool:
-    size = float(np.linalg.norm(K, 2))
-    least = float(np.linalg.eigvalsh(0.5 * (K.real + K.real.T))[0])
-    return bool(max(float(np.linalg.norm(K.imag)), float(np.linalg.norm(K - K.T)), -least) <= _RESIDUE * size)
 
 
 def _factors(K: Any) -> tuple[Array, Any]:
@@ -592,23 +548,23 @@ def _factors(K: Any) -> tuple[Array, Any]:
     return sigma[kept], vectors * (np.abs(lead) / lead)
 
 
-def _side_by_side(
-    resonators: Sequence[_Resonator], relaxations: Sequence[_Relaxation], D: Array, m: int
-) -> dict[str, Array]:
+def _side_by_side(modes: Sequence[_PassiveMode], D: Array) -> Parts:
     """Coordinates `(q, p)` of the resonators, by frequency, and after them the states of relaxations."""
-    resonators = sorted(resonators, key=lambda one: one.d)
-    none = np.zeros((0, m))
-    d = np.concatenate([np.full(len(one.psi), one.d) for one in resonators]) if resonators else np.zeros(0)
-    zeta = np.concatenate([np.full(len(one.psi), one.zeta) for one in resonators]) if resonators else np.zeros(0)
-    nu = np.concatenate([none, *(one.psi / np.sqrt(one.d) for one in resonators)])
-    rate = np.concatenate([np.zeros(0), *(np.full(len(one.psi), one.rate) for one in relaxations)])
-    k, n = len(d), 2 * len(d) + len(rate)
+    m, sensors = len(D), len(modes[0].sensed) if modes else 0
+    modes = sorted(modes, key=lambda one: one.d or np.inf)
+    d, loss = (np.array([getattr(one, name) for one in modes], float) for name in ("d", "loss"))
+    psi = np.array([one.psi for one in modes], complex).reshape(len(modes), m)
+    sensed = np.array([one.sensed for one in modes], complex).reshape(len(modes), sensors)
+    k = int(np.count_nonzero(d))
+    n = k + len(modes)
+    nu, d, zeta, rate = psi[:k] / np.sqrt(d[:k, None]), d[:k], loss[:k], loss[k:]
     J = np.zeros((n, n))
     J[:k, k : 2 * k], J[k : 2 * k, :k] = np.eye(k), -np.eye(k)
     return {
         "Q": np.diag(np.concatenate([d, d, np.ones(len(rate))])), "J": J,
         "R": np.diag(np.concatenate([np.zeros(k), 2 * zeta, rate])),
-        "G": np.concatenate([nu.real, nu.imag, none, *(one.psi for one in relaxations)]).real,
+        "G": np.concatenate([nu.real, nu.imag, psi[k:].real]),
         "P": np.zeros((n, m)), "S": _not_negative(0.5 * (D + D.T)), "N": 0.5 * (D - D.T),
-        "sensor_rows": np.zeros((0, n)), "sensor_feedthrough": np.zeros((0, m)),
+        "sensor_rows": np.concatenate([sensed[:k].real, sensed[:k].imag, sensed[k:].real]).T.copy(),
+        "sensor_feedthrough": np.zeros((sensors, m)),
     }  # fmt: skip
