@@ -3,6 +3,7 @@
 import inspect
 import re
 import shutil
+from contextlib import suppress
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
@@ -82,15 +83,26 @@ def public_pages():
                 yield f"{name}.{member}", (page, f"{anchor}.{member}")
 
 
+def local_names(docname):
+    """Names that mean a member or a parameter of what a page of the reference is about, rather than a function."""
+    value = getattr(ph_control, docname.removeprefix("api/ph_control."), None) if docname.startswith("api/") else None
+    names = {name for name in dir(value) if not name.startswith("_")} if inspect.isclass(value) else set()
+    for one in (getattr(value, name) for name in names) if names else [value]:
+        with suppress(TypeError, ValueError):  # of what has no signature
+            names = names | set(inspect.signature(one).parameters)
+    return names
+
+
 def link_names(app, doctree, docname):
     """Make a link of each literal that is a public name, such as `pem` or `ph(Q, B)`, outside headings and links."""
     pages = dict(public_pages())
+    own = local_names(docname)
     for literal in list(doctree.findall(nodes.literal)):
         if len(literal.astext()) > LONG:
             literal["classes"].append("long")
         name = re.sub(r"\(.*\)$", "", literal.astext().removeprefix("phc."), flags=re.S)
         parent = literal.parent
-        if name not in pages or isinstance(parent, nodes.reference | nodes.title | addnodes.desc_name):
+        if name not in pages or name in own or isinstance(parent, nodes.reference | nodes.title | addnodes.desc_name):
             continue
         page, anchor = pages[name]
         if page == docname or page not in app.env.found_docs:
@@ -102,6 +114,22 @@ def link_names(app, doctree, docname):
         link += literal
 
 
+def link_types(app, doctree, docname):
+    """Make a link of each public class in the type of a parameter, a result or an error."""
+    names = "|".join(name for name in ph_control.__all__ if name[0].isupper())
+    for text in list(doctree.findall(nodes.Text)) if docname.startswith("api/") else []:
+        parts = re.split(rf"(?<![\w.])({names})(?!\w)", text)
+        if len(parts) == 1 or not isinstance(text.parent, nodes.term | nodes.classifier):
+            continue
+        linked = [nodes.Text(part) for part in parts]
+        for k in range(1, len(parts), 2):
+            page = f"api/ph_control.{parts[k]}"
+            if page != docname and page in app.env.found_docs:
+                target = app.builder.get_relative_uri(docname, page)
+                linked[k] = nodes.reference("", parts[k], refuri=target, internal=True)
+        text.parent.replace(text, linked)
+
+
 def break_long_code(app, pagename, templatename, context, doctree):
     """Let long code of tables break after punctuation, and nowhere else."""
     if "body" in context:
@@ -109,6 +137,11 @@ def break_long_code(app, pagename, templatename, context, doctree):
         context["body"] = code.sub(
             lambda m: m[1] + re.sub(r"(?<=[(,._/=\[|:])(?=[^\s<&])(?![^<]*>)", "<wbr>", m[2]) + m[3], context["body"]
         )
+
+
+def without_private(_app, _what, _name, _obj, _options, signature, return_annotation):
+    """Leave private parameters out of a signature."""
+    return signature and re.sub(r", _\w+(=[^,)]*)?", "", signature), return_annotation
 
 
 def visit_math(self, node):
@@ -127,5 +160,7 @@ def setup(app):
     """Add what the extensions above do not do."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
     app.connect("doctree-resolved", link_names)
+    app.connect("doctree-resolved", link_types)
     app.connect("html-page-context", break_long_code)
+    app.connect("autodoc-process-signature", without_private)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
