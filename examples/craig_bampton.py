@@ -22,7 +22,7 @@ BAY, PIECES = 1.5, 8  # length of a bay in m, elements of a member
 
 # %%
 # Mass and stiffness of a lattice of welded members. A joint is a complex number `x + i y`; members are cut into pieces
-# that know axial motion, bending and rotation of their ends (Euler and Bernoulli, consistent masses).
+# with axial motion, bending and rotation of their ends (Euler and Bernoulli, consistent masses).
 
 
 def beam(step):
@@ -179,7 +179,7 @@ assert errors["couple, no residual modes"].max() > 0.1
 # The crane, the response of its tip, and the errors of the natural frequencies.
 
 figure, axes = plt.subplot_mosaic(
-    [["crane", "response"], ["crane", "errors"]], figsize=(11, 6), layout="constrained", width_ratios=[1, 1.3]
+    [["crane", "crane"], ["response", "errors"]], figsize=(10, 9), layout="constrained", height_ratios=[1.35, 1]
 )
 for members, color, name in ((mast_members, "C0", "mast"), (jib_members, "C1", "jib")):
     lines = axes["crane"].plot(np.real(members).T, np.imag(members).T, color=color, linewidth=1)
@@ -188,17 +188,21 @@ axes["crane"].plot(np.real(interface), np.imag(interface), "k.", label="interfac
 axes["crane"].annotate(
     "force", (TIP.real, TIP.imag - 0.3), (TIP.real, TIP.imag - 7.0), ha="center", arrowprops={"arrowstyle": "->"}
 )
-axes["crane"].set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+axes["crane"].set(aspect="equal", xlabel="x [m]", ylabel="y [m]", ylim=(-1, 42))
 fine = np.geomspace(w[0], w[-1], 2000)
+MARKERS = dict(zip(models, "os^", strict=True))
 for (name, model), color, width in zip(models.items(), ("C2", "C3", "0.75"), (2.5, 1.0, 1.0), strict=True):
     response = np.reshape(model(1j * fine), (-1, len(fine)))[-1]
     axes["response"].loglog(
         fine / (2 * np.pi), abs(response), color=color, linewidth=width, zorder=1 + (color[0] == "C"), label=name
     )
-    axes["errors"].semilogy(hertz, errors[name], "o", color=color, label=name)
+    axes["errors"].semilogy(hertz, errors[name], MARKERS[name], color=color, label=name)
 axes["response"].loglog(w / (2 * np.pi), abs(mobility), "k.", markersize=3, zorder=3, label="whole crane")
 axes["response"].set(xlabel="Frequency [Hz]", ylabel="Mobility of the tip [m/s/N]")
-axes["errors"].set(xlabel="Natural frequency [Hz]", ylabel="Relative error")
-axes["crane"].legend(fontsize="small", loc="lower right")
-figure.legend(*axes["response"].get_legend_handles_labels(), fontsize="small", loc="outside upper right", ncols=4)
+axes["errors"].set(xlabel="Natural frequency [Hz]", ylabel="Relative error of the frequency")
+axes["crane"].legend(loc="lower right")
+axes["response"].legend(fontsize="small", loc="lower left")
+axes["errors"].legend(fontsize="small", loc="lower right")
+for name in ("response", "errors"):
+    axes[name].grid(alpha=0.4)
 figure.savefig("crane.png", dpi=110)

@@ -4,7 +4,7 @@ The circuit of a crystal from its admittance
 
 A quartz crystal is a series branch (motional inductance, capacitance and resistance) beside the capacitance of its
 electrodes: the circuit of Butterworth and Van Dyke. An analyser measures the admittance around a resonance, from which
-the four elements follow; and the circuit then answers for what was not measured, here the crystal as a filter.
+the four elements follow; and the circuit then predicts what was not measured, here the crystal as a filter.
 """
 
 import control as ct
@@ -19,7 +19,7 @@ f = 1 / (2 * np.pi * np.sqrt(Lm * Cm)) + np.linspace(-3e3, 3e3, 401)
 s = 2j * np.pi * f
 exact = 1 / (Rm + s * Lm + 1 / (s * Cm)) + s * Cp
 admittance = exact + 2e-6 * (rng.standard_normal(401) + 1j * rng.standard_normal(401))
-measured = ct.frd(admittance, s.imag)
+measured = ct.frd(admittance, s.imag, inputs="voltage [V]", outputs="current [A]")
 measured.time_unit = "s"
 
 # %%
@@ -75,7 +75,7 @@ print(f"notch {notch - f.mean():.0f} Hz above the series resonance, exact {true_
 assert abs(notch - true_notch) < 200
 
 # %%
-# Left the measurement with the model of the branch and its electrodes, right the filter over a wider band.
+# Left: the measurement, and the model of the branch with its electrodes. Right: the filter over a wider band.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
 offset = 1e-3 * (f - f.mean())
@@ -87,7 +87,11 @@ offset = 1e-3 * (wide - f.mean())
 right.plot(offset, 20 * np.log10(np.abs(truth)), color="0.75", linewidth=5, label="exact")
 right.plot(offset, 20 * np.log10(np.abs(gain)), color="C0", label="four elements found")
 right.axvspan(-3, 3, color="0.92", zorder=0, label="band of the measurement")
-right.set(xlabel=f"Frequency above {1e-6 * f.mean():.4f} MHz [kHz]", ylabel="Load voltage [dB]", title="As a filter")
+right.set(
+    xlabel=f"Frequency above {1e-6 * f.mean():.4f} MHz [kHz]",
+    ylabel="Load over source voltage [dB]",
+    title="As a filter",
+)
 right.legend(loc="upper right")
 for axis in (left, right):
     axis.grid(True, alpha=0.4)

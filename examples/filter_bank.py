@@ -24,7 +24,7 @@ rng = np.random.default_rng(1)
 f = np.arange(150.0, 801.0)
 error = 0.01 * rng.standard_normal((2, f.size))
 admittance = bank(2j * np.pi * f) * (1 + error[0] + 1j * error[1])
-measured = ct.frd(admittance, 2 * np.pi * f)
+measured = ct.frd(admittance, 2 * np.pi * f, inputs="voltage [V]", outputs="current [A]")
 measured.time_unit = "s"
 
 # %%
@@ -62,9 +62,11 @@ assert phc.passivity(circuit).is_passive
 # %%
 # The impedance of the circuit through the measurement, and how far the elements are off, with their 95 % intervals.
 
-figure, ((above, right), (below, _)) = plt.subplots(
-    2, 2, figsize=(10, 5), layout="constrained", width_ratios=(1.6, 1), height_ratios=(1.4, 1)
-)
+figure, axes = plt.subplot_mosaic(
+    [["above", "errors"], ["below", "errors"]], figsize=(10, 5), layout="constrained", width_ratios=(1.6, 1),
+    height_ratios=(1.4, 1),
+)  # fmt: skip
+above, below, errors = (axes[name] for name in ("above", "below", "errors"))
 fine = np.linspace(f[0], f[-1], 3000)
 line = 1 / circuit(2j * np.pi * fine)
 above.semilogy(f, np.abs(1 / admittance), ".", markersize=3, color="0.6", label="measured")
@@ -77,8 +79,6 @@ below.set(xlabel="Frequency [Hz]", ylabel="Phase [deg]", yticks=(-90, 0, 90), xl
 for axis in (above, below):
     axis.grid(True, alpha=0.4)
 
-right.remove(), _.remove()
-errors = figure.add_subplot(figure.axes[0].get_subplotspec().get_gridspec()[:, 1])
 names, offsets, widths = [], [], []
 for k in range(3):
     for name, values, deviations, true in zip("RLC", found, spread, (R, L, C), strict=True):

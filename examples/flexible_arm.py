@@ -53,7 +53,7 @@ for name, plant in (("the arm", arm), ("with twice the mass at the tip", heavy))
     assert loop.poles().real.max() < 0
 
 # %%
-# Let go from rest in a bent shape, the arm alone loses little energy in three seconds. With the controller the sum of
+# Released from rest in a bent shape, the arm alone loses little energy in three seconds. With the controller the sum of
 # both energies falls, and never rises; and so does the energy of the error of an observer that knows nothing at the
 # start and measures both speeds.
 
@@ -76,11 +76,10 @@ def energy(Q, states):
 energies = {"the arm alone": energy(arm.Q, alone.states), "arm and controller": energy(loop.Q, joined.states),
             "error of the observer": energy(arm.Q, estimated - alone.states)}  # fmt: skip
 figure, axis = plt.subplots(layout="constrained", figsize=(7, 3.8))
-for name, values in energies.items():
-    axis.semilogy(time, 1e3 * values, label=name)
+for (name, values), style in zip(energies.items(), ("-", "--", "-."), strict=True):
+    axis.semilogy(time, 1e3 * values, style, label=name)
     assert np.diff(values).max() < 1e-4 * values[0]
 axis.set(xlabel="Time [s]", ylabel="Energy [mJ]", title="Energy without input")
 axis.grid(alpha=0.4)
 axis.legend()
 figure.savefig("arm_energy.png", dpi=110)
-plt.close("all")

@@ -41,7 +41,7 @@ assert result.structure == "free"
 assert np.all(np.abs(result.damping_ratios - RATIOS) < 4.5 * result.stderr["damping_ratios"])
 
 # %%
-# The response of the model over what the recording shows of it, and the page with everything.
+# The frequency response of the model over that of the recording, and a report of the fit as one HTML page.
 
 result.plot(kind="responses").figure.savefig("hammer_test.png", dpi=110)
 result.report("hammer_test.html", title="Hammer test", overwrite=True)

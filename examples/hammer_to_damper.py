@@ -41,7 +41,7 @@ for criterion in ("fixed points", "h2"):
 best = phc.optimal_damping(plant, [0], mass=2.5, outputs="displacement", mode=0)
 
 # %%
-# What the shop has: springs in steps of 200 N/m, dashpots of 10, 15, 22, 33 and 47 N s/m. Any of these is passive, so
+# What is in stock: springs in steps of 200 N/m, dashpots of 10, 15, 22, 33 and 47 N s/m. Any of these is passive, so
 # that no choice can make the frame unstable.
 
 stiffness = 200 * round(best.stiffnesses[0] / 200)
@@ -52,7 +52,7 @@ damper = phc.ph(
     np.diag([stiffness, 1 / 2.5]), [-1.0, 0.0], R=np.diag([0.0, damping]), P=[[0.0], [-damping]], S=[[damping]]
 )
 built = {"frame": frame, "with the best damper": phc.damping_injection(frame, best.controller),
-         "with the damper of the shop": phc.damping_injection(frame, damper)}  # fmt: skip
+         "with the damper from stock": phc.damping_injection(frame, damper)}  # fmt: skip
 
 # %%
 # On the frame itself, which the design never saw.
@@ -60,10 +60,10 @@ built = {"frame": frame, "with the best damper": phc.damping_injection(frame, be
 f = np.linspace(3, 30, 3000)
 s = 2j * np.pi * f
 figure, axis = plt.subplots(layout="constrained")
-for (name, system), style in zip(built.items(), ("-", "--", "-"), strict=True):
+for (name, system), style in zip(built.items(), ("-", "--", "-."), strict=True):
     compliance = np.abs(system(s).ravel() / s)
     axis.semilogy(f, 1e6 * compliance, style, label=name)
-    print(f"{name}: largest displacement {1e6 * compliance.max():.1f} um/N")
+    print(f"{name}: largest displacement {1e6 * compliance.max():.1f} µm/N")
 axis.set(xlabel="Frequency [Hz]", ylabel="Displacement at the top [µm/N]", title="A frame and its tuned mass damper")
 axis.grid(alpha=0.4)
 axis.legend()

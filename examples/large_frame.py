@@ -81,7 +81,7 @@ assert small.error_bound < models["modal"].error_bound < models["balanced"].erro
 
 # %%
 # A passive LQG controller for the small model, joined to the large one. That it damps modes that the small model does
-# not have, and makes none unstable, needs no look: both are passive.
+# not have, and makes none unstable, needs no check: both are passive.
 
 controller = phc.lqg(small, 1e-6)
 loop = phc.damping_injection(frame, controller)
@@ -95,12 +95,12 @@ assert least[1] > 10 * least[0]
 f = np.geomspace(0.3, 12.0, 1500)
 figure, axis = plt.subplots(layout="constrained", figsize=(7, 4.2))
 for name, one, style in (
-    ("40 modes of the frame", frame, "-"),
-    ("20 states", small, "--"),
-    ("with the controller", loop, "-"),
+    ("frame, 40 modes", frame, "-"),
+    ("model, 20 states", small, "--"),
+    ("frame with the controller", loop, "-."),
 ):
     axis.loglog(f, np.abs(one(2j * np.pi * f)[0, 0]), style, label=name)
-axis.set(xlabel="Frequency [Hz]", ylabel="Speed by force at the roof [(m/s)/N]", title="A frame and its controller")
+axis.set(xlabel="Frequency [Hz]", ylabel="Mobility of the roof [(m/s)/N]")
 axis.grid(alpha=0.4)
-axis.legend()
+axis.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize="small", frameon=False)
 figure.savefig("large_frame.png", dpi=110)

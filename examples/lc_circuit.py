@@ -40,20 +40,21 @@ balance = phc.energy_balance(response, circuit)
 print(f"stored less supplied, at most {np.max(np.abs(balance.defect)):.0e} J of {balance.stored[-1]:.3f} J")
 
 figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(7, 5.5), layout="constrained")
-top.plot(t, voltage, color="0.5", label="voltage [V]")
-top.plot(t, response.outputs, color="C0", label="current [A]")
-top.legend(loc="upper right", fontsize="small")
+top.plot(t, voltage, color="0.5", label="voltage")
+top.plot(t, response.outputs, color="C0", label="current")
+top.set_ylabel("Voltage [V], current [A]")
 flux, charge = response.states[3:], response.states[:3]
 parts = {"all": balance.stored, "capacitors": 0.5 * (charge**2 / C[:, None]).sum(0)}
 parts["inductors"] = parts["all"] - parts["capacitors"]
-for (name, energy), colour in zip(parts.items(), ("k", "C1", "C2"), strict=True):
-    bottom.plot(t, energy, color=colour, linewidth=1.6 if name == "all" else 1.0, label=name)
-bottom.legend(loc="upper right", fontsize="small", ncols=3)
-bottom.set_ylim(0, 1.35 * balance.stored.max())
+for (name, energy), style in zip(parts.items(), ("k-", "C1--", "C2-"), strict=True):
+    bottom.plot(t, energy, style, linewidth=1.6 if name == "all" else 1.0, label=name)
+bottom.set_ylim(0, None)
+bottom.set_xlim(0, t[-1])
 bottom.set_ylabel("Stored energy [J]")
 bottom.set_xlabel("Time [s]")
 for axis in (top, bottom):
     axis.grid(True, alpha=0.4)
+    axis.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize="small", frameon=False)
 figure.savefig("lc_energy.png", dpi=110)
 
 # %%

@@ -47,12 +47,15 @@ assert abs(f_parallel / exact - 1) < 1e-12
 
 near = np.geomspace(1e-5, 30e3, 400)  # Hz
 figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
-for load in (0.0, 10e-12, 30e-12):
+for load, style in ((0.0, "-"), (10e-12, "--"), (30e-12, "-.")):
     loaded = crystal(load)
     pole = loaded.d[-1] / (2 * np.pi) - f_series
     offset = np.sort(np.concatenate([pole - near, pole + near, -near, near]))
     axis.semilogy(
-        1e-3 * offset, np.abs(loaded.modes.freqresp(2 * np.pi * (f_series + offset))), label=f"{1e12 * load:.0f} pF"
+        1e-3 * offset,
+        np.abs(loaded.modes.freqresp(2 * np.pi * (f_series + offset))),
+        style,
+        label=f"{1e12 * load:.0f} pF",
     )
 axis.set_xlim(-10, 30)
 axis.set_xlabel("Frequency above 10 MHz [kHz]")

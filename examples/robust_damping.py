@@ -14,16 +14,18 @@ import numpy as np
 import ph_control as phc
 
 # %%
-# Three masses, a force and a velocity at both ends, and a record of twenty seconds with noise of 50 %.
+# Three masses, a force and a velocity at both ends, and a record of twenty seconds with noise of 50 %. The record says
+# that its times are seconds, so that frequencies are in Hz.
 
 beam = phc.spring_chain([1.0, 1.0, 1.0], 300.0, ground=[300.0, 0, 0], c=0.4, ground_c=0.3, port=[0, 2],
-                        inputs=["left", "right"], outputs=["left speed", "right speed"])  # fmt: skip
+                        inputs=["left [N]", "right [N]"], outputs=["left [m/s]", "right [m/s]"])  # fmt: skip
 rng = np.random.default_rng(0)
 t = 0.05 * np.arange(400)
 u = rng.normal(size=(2, t.size))
-y = phc.forced_response(beam, t, u, intersample="zoh").outputs
-y = y + 0.5 * y.std() * rng.normal(size=y.shape)
-result = phc.pem((u, y), 3, dt=0.05, structure="passive", ports=[(0, 0), (1, 1)])
+record = phc.forced_response(beam, t, u, intersample="zoh")
+record.y = record.outputs + 0.5 * record.outputs.std() * rng.normal(size=record.outputs.shape)
+record.time_unit = "s"
+result = phc.pem(record, 3, structure="passive", ports=[(0, 0), (1, 1)])
 print(result.summary())
 models = result.sample_systems(20, rng=1)
 assert all(isinstance(model, phc.PortHamiltonian) for model in models)
@@ -70,17 +72,18 @@ for name, values in modes.items():
 assert np.percentile(modes["dashpot"][:, 1], 2.5) > np.percentile(modes["no controller"][:, 1], 97.5)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-for (name, values), marker in zip(modes.items(), "o.^", strict=True):
+for (name, values), marker in zip(modes.items(), "ox^", strict=True):
     left.plot(values[:, 0].ravel(), values[:, 1].ravel(), marker, ms=5, mfc="none", label=name)
 left.axhline(0.0, color="0.4", lw=1)
-left.set(xlabel="Frequency [Hz]", ylabel="Damping [%]", title="Modes of the loops", ylim=(-1, 14))
+left.set(xlabel="Natural frequency [Hz]", ylabel="Damping ratio [%]", title="Modes of the loops", ylim=(-1, 14))
 left.grid(alpha=0.4)
 left.legend()
 time = np.linspace(0.0, 8.0, 400)
 for name, color in (("no controller", "C0"), ("dashpot", "C2")):
     steps = np.array([phc.step_response(loop, time, input=0, output=0).outputs.ravel() for loop in found[name]])
-    right.fill_between(time, *np.percentile(steps, [2.5, 97.5], axis=0), alpha=0.6, color=color, label=name)
-right.set(xlabel="Time [s]", ylabel="Speed of the left end [m/s]", title="Response to a step of the force there")
+    label = f"{name}, 95 % of the models"
+    right.fill_between(time, *np.percentile(steps, [2.5, 97.5], axis=0), alpha=0.6, color=color, label=label)
+right.set(xlabel="Time [s]", ylabel="Speed of the left end [m/s]", title="Step of 1 N at the left end")
 right.grid(alpha=0.4)
 right.legend()
 figure.savefig("robust_damping.png", dpi=110)

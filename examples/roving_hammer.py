@@ -88,19 +88,21 @@ assert np.all(np.abs(measured - turned * shapes) < 5 * spread)
 # The shapes over the beam, with their 95 % intervals, and the textbook's.
 
 x = np.linspace(0, 1, 300)
-figure, axes = plt.subplots(1, 5, figsize=(12, 3.2), layout="constrained", sharey=True)
-for l, axis in enumerate(axes):
+figure, axes = plt.subplots(2, 3, figsize=(9, 5.6), layout="constrained", sharex=True, sharey=True)
+for l, axis in enumerate(axes.flat[:5]):
     axis.plot(x, turned[l] * bending(x)[l], color="0.6", label="textbook")
     axis.errorbar(
         POSITIONS, measured[l], 1.96 * spread[l], fmt="o", markersize=4, capsize=3, color="C0", label="nine hits"
     )
     axis.plot(POSITIONS[SENSOR], measured[l, SENSOR], "s", markersize=8, fillstyle="none", color="C3", label="sensor")
     deviation = 100 * result.stderr["damping_ratios"][l]
-    title = f"{result.hertz[l]:.2f} Hz\n{100 * result.damping_ratios[l]:.3f} % ± {deviation:.3f} %"
-    axis.set_title(title, fontsize="medium")
+    title = f"{result.hertz[l]:.2f} Hz, {100 * result.damping_ratios[l]:.3f} % ± {deviation:.3f} %"
+    axis.set_title(title, loc="left", fontsize="medium")
     axis.axhline(0, color="0.3", linewidth=0.8)
     axis.grid(True, alpha=0.4)
-axes[0].set_ylabel("Shape, unit modal mass [kg$^{-1/2}$]")
-axes[2].set_xlabel("Position [length of the beam]")
-axes[0].legend(loc="lower left", fontsize="small")
+figure.supylabel("Shape, unit modal mass [kg$^{-1/2}$]", fontsize="medium")
+figure.supxlabel("Position [length of the beam]", fontsize="medium")
+axes[0, 2].tick_params(labelbottom=True)
+axes[1, 2].axis("off")
+axes[1, 2].legend(*axes[0, 0].get_legend_handles_labels(), loc="center")
 figure.savefig("roving_hammer.png", dpi=110)

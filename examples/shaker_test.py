@@ -86,7 +86,8 @@ for l, axis in enumerate(lower.subplots(1, 8, sharex=True, sharey=True)):
     axis.set_title(f"{result.hertz[l]:.3f} Hz\n{100 * result.damping_ratios[l]:.2f} %", fontsize="medium")
     axis.grid(True, alpha=0.4)
     if l == 0:
-        axis.set(ylabel="Floor", yticks=range(5))
-        axis.legend(fontsize="small")
+        axis.set(ylabel="Floor", yticks=range(5), xticks=[-0.05, 0, 0.05], xticklabels=["-0.05", "0", "0.05"])
+        handles = axis.get_legend_handles_labels()
 lower.supxlabel("Shape, unit modal mass [kg$^{-1/2}$]", fontsize="medium")
+lower.legend(*handles, loc="outside upper right", ncols=2, fontsize="small", frameon=False)
 figure.savefig("shaker_test.png", dpi=110)

@@ -18,7 +18,7 @@ E, rho, A, I = 210e9, 7850.0, 78.1e-4, 5696e-8  # steel, HEB 200: Pa, kg/m^3, m^
 STOREYS, COLUMNS, HEIGHT, BAY = 7, 7, 3.0, 5.0
 
 # %%
-# Stiffness and mass of one beam, and of all of them together. A beam knows axial motion, bending and rotation of its
+# Stiffness and mass of one beam, and of all of them together. A beam has axial motion, bending and rotation of its
 # ends (Euler and Bernoulli, consistent masses).
 
 
@@ -99,7 +99,7 @@ assert abs(stored[-1] / stored[2] - 1) < 1e-10
 # The first modes that the hammer sees, and the first that it does not.
 
 place = np.array([(BAY * c, HEIGHT * s) for (c, s) in joints])
-figure, axes = plt.subplots(1, 4, figsize=(10, 3.6), layout="constrained")
+figure, axes = plt.subplots(1, 4, figsize=(10, 2.7), layout="constrained", sharex=True, sharey=True)
 hidden = np.array([np.min(np.abs(seen.d / d - 1)) > 1e-6 for d in np.sqrt(reference)])
 chosen = [*np.flatnonzero(~hidden)[:2], *np.flatnonzero(hidden)[:2]]
 for mode, axis in zip(chosen, axes, strict=True):

@@ -64,7 +64,7 @@ phc.energy_plot(
 assert balances[1].stored[-1] < 0.02 * balances[0].stored[-1]
 
 # %%
-# Which absorber is the best depends on the wind. Of a single mass without damping both answers are known: den Hartog's
+# Which absorber is best depends on the wind. Of a single mass without damping both answers are known: den Hartog's
 # makes the two peaks of the response equally high, Warburton's is best for gusts of all frequencies. `optimal_damping`
 # finds them, and goes on where no formula is known.
 
@@ -77,13 +77,15 @@ formulas = {
 }  # fmt: skip
 omega = np.linspace(0.7, 1.3, 2000)
 figure, axis = plt.subplots(layout="constrained", figsize=(7, 4))
-for criterion, label in (("fixed points", "fixed points (den Hartog)"), ("h2", "least H2 norm (Warburton)")):
+for criterion, label, style in (
+    ("fixed points", "fixed points (den Hartog)", "-"), ("h2", "least H2 norm (Warburton)", "--")
+):  # fmt: skip
     best = phc.optimal_damping(single, [0], mass=ratio, criterion=criterion, outputs="displacement")
     found = best.tuned_frequencies[0], best.tuned_damping_ratios[0]
     print(f"{label}: frequency ratio {found[0]:.7f}, damping {found[1]:.7f}")
     assert np.allclose(found, formulas[criterion], rtol=1e-6)
     response = np.abs(best.system(1j * omega).ravel() / omega)
-    axis.plot(omega, response, label=label)
+    axis.plot(omega, response, style, label=label)
     if criterion == "fixed points":
         high = response[1:-1][(response[1:-1] > response[:-2]) & (response[1:-1] > response[2:])]
         assert len(high) == 2 and abs(high[0] / high[1] - 1) < 0.01
