@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_DIGITS = 8  # of a number in a table, at most
+_DIGITS = 8  # of a number in a table before it takes an exponent
+_MOST_DIGITS = 12  # where its standard error asks for them
 
 _ROWS = 12  # of a table, beyond which its middle is left out
 _TERMS = 5  # of a formula
@@ -158,8 +159,9 @@ def to_its_error(value: float, error: float) -> str:
         return "-" if np.isnan(value) else "0"
     power = int(np.floor(np.log10(abs(value))))
     fine = int(np.floor(np.log10(error))) if 0 < error < np.inf else power - _DIGITS // 2
-    digits = min(max(power - fine + 2, 1), _DIGITS)
-    return f"{value:.{max(digits - 1 - power, 0)}f}" if -5 < power < _DIGITS - 1 else f"{value:.{digits - 1}e}"
+    digits = min(max(power - fine + 2, 1), _MOST_DIGITS)
+    fixed = -5 < power < max(_DIGITS - 1, digits)
+    return f"{value:.{max(digits - 1 - power, 0)}f}" if fixed else f"{value:.{digits - 1}e}"
 
 
 def aligned(table: list[list[str]]) -> list[str]:

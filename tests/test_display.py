@@ -339,3 +339,15 @@ def test_a_record_is_shown_by_its_size_and_not_by_its_numbers():
     omega = np.linspace(0.105, 2.0, 50)
     response = phc.pem(ct.frd(plant.modes.freqresp(omega), omega, smooth=False), 2)
     assert repr(response.record) == "<FrequencyRecord: 50 frequencies, 'y[0]' from 'u[0]'>"
+
+
+def test_a_summary_writes_a_frequency_to_its_error_however_many_digits_that_takes():
+    rng, s = np.random.default_rng(0), 2j * np.pi * (1e7 + np.linspace(-500.0, 500.0, 101))
+    admittance = 1 / (15 + 12.7e-3 * s + 12.7e-3 * (2e7 * np.pi) ** 2 / s)  # a quartz at 10 MHz
+    data = ct.frd(admittance + 1e-5 * (rng.standard_normal(101) + 1j * rng.standard_normal(101)), s.imag)
+    data.time_unit = "s"
+    result = phc.pem(data, 1, ports=[(0, 0)])
+    (found,), (error,) = result.hertz, result.stderr["hertz"]
+    digits = 1 - int(np.floor(np.log10(error)))
+    assert digits >= 3
+    assert f" {found:.{digits}f} {error:.{digits}f} " in result.summary()
