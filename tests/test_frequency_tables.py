@@ -53,6 +53,12 @@ def test_rows_are_sorted_by_frequency_and_what_is_missing_is_nan():
     assert np.isnan(data.frdata[0, 0, 0]) and data.frdata[0, 0, 1] == 5 + 6j
 
 
+@pytest.mark.parametrize("label", ["Impedance(Ohms)", "|Z| [ohm]", "Admittance (S)", "mobility", "|G|", "|Y| / S"])
+def test_the_magnitude_may_be_called_by_what_it_is(label):
+    found = phc.read_frequency_csv(io.StringIO(f"Freq(Hz),{label},Phase(Deg)\n10,7.5,90\n20,8,0\n"))
+    assert np.array_equal(found.frdata[0, 0], [7.5j, 8.0])
+
+
 def test_columns_and_units_can_be_said():
     data = read("9 20 90 1\n7 0 0 1\n", frequency=0, magnitude=1, phase=2, frequency_unit="Hz", magnitude_unit="dB",
                 phase_unit="deg")  # fmt: skip

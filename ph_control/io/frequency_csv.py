@@ -27,7 +27,20 @@ UNITS = {
 _ANGULAR = ("omega", "w", "ω", "angular frequency")
 _LABELS = {
     "frequency": ("f", "freq", "frequency", *_ANGULAR),
-    "magnitude": ("mag", "magnitude", "gain", "amplitude", "modulus", "abs", "|g|", "|h|"),
+    "magnitude": (
+        "mag",
+        "magnitude",
+        "gain",
+        "amplitude",
+        "modulus",
+        "abs",
+        "impedance",
+        "admittance",
+        "mobility",
+        "accelerance",
+        "receptance",
+        *(f"|{letter}|" for letter in "ghzy"),
+    ),
     "phase": ("phase", "phi", "arg", "angle"),
     "real": ("re", "real", "real part"),
     "imag": ("im", "imag", "imaginary", "imaginary part"),
@@ -65,9 +78,9 @@ def read_frequency_csv(
     frequency : str or int, optional
         Column, by label or by number counted from 0.  Default: the one labelled `f`, `freq`, `omega` and the like.
     magnitude, phase, real, imag : str or int, or lists of these, optional
-        Columns of the response, likewise; default: those labelled `mag`, `gain`, `phase`, `re`, `im` and the like.  A
-        list has a column for each output, a list of lists one for each output and input, `[["re11", "re12"], ["re21",
-        "re22"]]`; both parts need the same shape.
+        Columns of the response, likewise; default: those labelled `mag`, `gain`, `impedance`, `phase`, `re`, `im` and
+        the like.  A list has a column for each output, a list of lists one for each output and input,
+        `[["re11", "re12"], ["re21", "re22"]]`; both parts need the same shape.
     frequency_unit : {'rad/s', 'Hz', 'kHz', 'MHz', 'GHz'}, optional
         Default: the unit in the label, and rad/s under `omega`; otherwise it must be given.
     magnitude_unit : {'linear', 'dB'}, optional
