@@ -347,3 +347,11 @@ def test_damping_plot_shows_the_loop_at_each_factor():
     plt.close(plot.figure)
     with pytest.raises(phc.StructureError, match="ascend"):
         phc.damping_plot(CHAIN, 1.0, factors=[1.0, 0.5])
+
+
+def test_a_mode_with_a_node_at_the_damper_limits_the_damping_and_is_no_missing_optimum():
+    # the seventh mass of this chain stands still in its second mode, which keeps its own damping
+    plant = phc.spring_chain(np.full(10, 100.0), 4e5, ground=[4e5] + [0.0] * 9, c=20.0, port=[6])
+    found = phc.optimal_damping(plant, criterion="damping")
+    assert np.isclose(found.cost, plant.damping_ratios[1], rtol=1e-6)
+    assert found.cost > 2 * found.cost_before

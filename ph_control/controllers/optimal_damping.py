@@ -24,6 +24,7 @@ from .damping_injection import plant, port_numbers
 CRITERIA = ("h2", "damping", "fixed points")
 _REACH = 1e4  # constants are looked for within this factor of those to start from
 _AT_BORDER = 0.99  # of that reach, in logarithms: where no optimum was found
+_FLAT = 1e-8  # relative difference of costs that is rounding
 _EDGE = 1e-9  # of the largest pole: damping of the plant with dampers that are as good as none
 _TUNED = 3  # modes that an absorber is tuned to, to begin with
 
@@ -419,8 +420,13 @@ def _best(loop: _Loop, starts: list[Array], cost: Callable[[Array], tuple[float,
             at = minimize(lambda x: shifted(x)[0], at.x, method="Nelder-Mead",
                           options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 400 * len(start)})  # fmt: skip
         found.append((float(at.fun), np.abs(at.x).max(), start * np.exp(at.x)))
-    _, reached, theta = min(found, key=lambda one: one[0])
+    least, reached, theta = min(found, key=lambda one: one[0])
     if reached > _AT_BORDER * np.log(_REACH):
+        # where a mode that no device reaches sets the cost it is flat, and rounding alone improves it out there
+        within = [one for one in found if one[1] <= _AT_BORDER * np.log(_REACH)]
+        flat = [one for one in within if one[0] <= least + _FLAT * abs(least)]
+        if flat:
+            return min(flat, key=lambda one: one[1])[2]
         raise StructureError(
             f"no optimum: the criterion still improves with constants {_REACH:.0e} times those to start from; another "
             "choice of ports, outputs or criterion has one, or set the gain by damping_injection"
