@@ -282,11 +282,24 @@ def test_a_free_motion_dissipates_what_it_loses(simulate):
     assert np.max(np.abs(balance.defect)) < 1e-12 * balance.stored[0]
 
 
+@pytest.mark.parametrize("port", [0, 1])
+@pytest.mark.parametrize("simulate", [phc.step_response, ct.step_response])
+def test_a_step_at_one_of_several_ports_leaves_the_others_without_input(simulate, port):
+    sys = phc.spring_chain([3.0, 2.0], 40.0, ground=[60.0, 0.0], c=0.3, port=[0, 1])
+    t = np.linspace(0.0, 2.0, 41)
+    balance = phc.energy_balance(simulate(sys, t, input=port), sys)
+    forces = np.zeros((2, 41))
+    forces[port] = 1.0
+    expected = phc.energy_balance(phc.forced_response(sys, t, forces), sys)
+    assert np.allclose(balance.supplied, expected.supplied, atol=1e-12 * expected.supplied[-1])
+    assert np.max(np.abs(balance.defect)) < 1e-12 * balance.supplied[-1]
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (
-            lambda s, t: (phc.step_response(phc.ph(np.eye(2), np.eye(2)), t, input=0), phc.ph(np.eye(2), np.eye(2))),
+            lambda s, t: (phc.step_response(phc.ph(np.eye(2), np.eye(2)), t), phc.ph(np.eye(2), np.eye(2))),
             "one trace of 2 rows: of a system with several ports, forced_response",
         ),
         (lambda s, t: (phc.forced_response(s, t, 1.0, return_states=False), s), "the response has no states"),

@@ -97,7 +97,7 @@ def energy_balance(
     ----------
     response : control.TimeResponseData
         Response with states, of one trace: what `forced_response` and `initial_response` of this package give, or
-        `step_response` of a system with one port.  Without inputs it is a free motion.
+        `step_response(sys, t, input=k)`.  Without inputs it is a free motion; inputs that it does not name are 0.
     sys : PortHamiltonian
         The system that responded.
     method, intersample : str, optional
@@ -140,8 +140,7 @@ def energy_balance(
     intersample = rule.intersample if intersample is None else _checks.choice("intersample", intersample, INTERSAMPLE)
     t, h = _checks.time_vector(response.time)
     z = _trace(response.x, "states", sys.nstates, len(t))
-    # a free motion has none
-    u = np.zeros((sys.ninputs, len(t))) if response.u is None else _trace(response.u, "inputs", sys.ninputs, len(t))
+    u = _inputs(response, sys, len(t))
     stored = np.asarray(sys.hamiltonian(z))
     with np.errstate(over="ignore", invalid="ignore"):
         steps = _flows(sys, z, u, h, method, intersample)
@@ -188,6 +187,18 @@ def _integral_along(M: Array, form: Array, h: float) -> Array:
         total = total + F.T @ total @ F
         F = F @ F
     return 0.5 * (total + total.T) / scale / scale[:, None]
+
+
+def _inputs(response: ct.TimeResponseData, sys: PortHamiltonian, samples: int) -> Array:
+    """Inputs of all ports: 0 in a free motion, and where the response names some of them only, as to one step."""
+    u = np.zeros((sys.ninputs, samples))
+    if response.u is None:
+        return u
+    names, known = list(response.input_labels or []), list(sys.input_labels)
+    if 0 < len(set(names)) == len(names) < len(known) and set(names) <= set(known):
+        u[[known.index(name) for name in names]] = _trace(response.u, "inputs", len(names), samples)
+        return u
+    return _trace(response.u, "inputs", sys.ninputs, samples)
 
 
 def _trace(value: Any, what: str, rows: int, samples: int) -> Array:
