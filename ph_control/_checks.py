@@ -178,8 +178,13 @@ def relative_tolerance(rtol: Any) -> float:
     return float(rtol)
 
 
-def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None, even: bool = True) -> Array:
-    """Check what O(n^2) steps can of a Hamiltonian matrix: square, symmetric, and `even` unless it is a part of one."""
+def symmetric_matrix(
+    Q: ArrayLike, *, name: str = "Q", rtol: float | None = None, even: bool = True, note: str = ""
+) -> Array:
+    """Check what O(n^2) steps can of a Hamiltonian matrix: square, symmetric, and `even` unless it is a part of one.
+
+    What an error says of a matrix that is not symmetric ends with the `note`.
+    """
     array = real_array(name, Q, 2)
     rows, columns = array.shape
     if rows != columns:
@@ -197,7 +202,7 @@ def symmetric_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = None
     if asymmetry > allowed * size:
         raise StructureError(
             f"{name} is not symmetric: max |{name} - {name}.T| / max |{name}| = {asymmetry / size:.1e}, "
-            f"allowed {allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant"
+            f"allowed {allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant{note}"
         )
     return array
 

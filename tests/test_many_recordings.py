@@ -179,6 +179,10 @@ def test_what_is_no_list_of_recordings_is_refused(recordings, options, message):
 def test_an_option_that_pem_does_not_have_is_an_error():
     with pytest.raises(TypeError, match="unexpected keyword argument 'ordr'"):
         phc.fit_many([], ordr=3)
+    with pytest.raises(
+        TypeError, match=r"columns of files are chosen by fit_many\(read_csv\(file, input=.., output=..\)"
+    ):
+        phc.fit_many([], input="force")
 
 
 # --- the store -------------------------------------------------------------------------------------------------------

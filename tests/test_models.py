@@ -315,7 +315,7 @@ STRUCTURE = {"M": np.eye(2), "K": np.array([[2.0, -1.0], [-1.0, 2.0]]), "F": [1.
         ({"F": 1.0}, r"F has shape \(\)"),
         ({"C": [[1.0, 0.0], [0.0, -0.5]]}, "C has a negative eigenvalue: -0.5 "),
         ({"C": [[1.0, 3.0], [3.0, 1.0]]}, "C has a negative eigenvalue: -2 "),
-        ({"C": [[1.0, 0.5], [0.0, 1.0]]}, "C is not symmetric"),
+        ({"C": [[1.0, 0.5], [0.0, 1.0]]}, r"C is not symmetric: .* a skew part is gyroscopic: ph\(Q, B, J=J, R=R\)"),
         ({"C": np.eye(3)}, r"C has shape \(3, 3\); it must be \(2, 2\)"),
         ({"C": np.nan * np.eye(2)}, "C is not finite"),
         ({"sensors": {"speed": [1.0, 0.0]}}, "the sensors measure 'speed'; known are 'position', 'displacement'"),

@@ -153,7 +153,10 @@ def write_uff(
     _checks.flags(overwrite=overwrite)
     target = as_path(path)
     if not hasattr(result, "shapes") or not hasattr(result, "output_labels"):
-        raise StructureError(f"result is {_checks.shown(result)}; pass the result of a fit, or what read_uff gave")
+        raise StructureError(
+            f"result is {_checks.shown(result)}; pass the result of a fit, or the UniversalModes that read_uff gave; "
+            "pyuff writes frequency responses and recordings"
+        )
     poles, shapes = np.asarray(result.poles, complex), np.asarray(result.shapes, complex)
     if not len(poles):
         raise StructureError("the result has no modes, and so nothing to write")

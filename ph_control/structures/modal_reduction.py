@@ -19,6 +19,7 @@ from .rigid import energy_parts, rigid_modes
 
 _CLASSICAL = 1e-10  # relative size of coupling of modes by damping that is called none
 _NOTHING = 1e-13  # part of the static response for which no residual mode is kept
+GYROSCOPIC = "; a skew part is gyroscopic: ph(Q, B, J=J, R=R) takes it in J"
 _DEPENDENT = 1e-12  # relative modal mass of a combination of residual modes that is none of its own
 
 
@@ -170,6 +171,8 @@ def sparse_matrix(name: str, value: Any, n: int | None = None) -> Any:
         raise StructureError(
             f"{name} is not symmetric: max |{name} - {name}.T| / max |{name}| = {asymmetry / largest:.1e}, allowed "
             f"{allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant (a file may hold one triangle only)"
+            + GYROSCOPIC
+            * (name == "C")
         )
     return matrix if asymmetry == 0 else (0.5 * (matrix + matrix.T)).tocsc()
 

@@ -19,7 +19,7 @@ from ..symplectic.forms_and_williamson import symplectic_form
 from ..systems.dissipative import checked_rows, refuse_negative, restored
 from ..systems.models import force_names, named, numbered
 from ..systems.port_hamiltonian import PortHamiltonian
-from .modal_reduction import dense, projected_damping, refuse_massless, sparse_matrix, structural_modes
+from .modal_reduction import GYROSCOPIC, dense, projected_damping, refuse_massless, sparse_matrix, structural_modes
 from .rigid import FAINT, energy_parts, rigid_modes
 
 _FEW = 64  # modes that are looked at, in a large structure; more are not rigid
@@ -247,7 +247,7 @@ def _damping(C: ArrayLike | None, n: int) -> Array | None:
         raise StructureError(f"C has shape {array.shape}; it must be {(n, n)}, as M and K are")
     if not array.any():
         return None
-    array = _symmetric(_checks.symmetric_matrix(array, name="C", even=False))
+    array = _symmetric(_checks.symmetric_matrix(array, name="C", even=False, note=GYROSCOPIC))
     refuse_negative("C", array, {"C": slice(0, n)})
     return array
 

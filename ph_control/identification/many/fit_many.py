@@ -135,7 +135,10 @@ def fit_many(
     check_workers(workers)
     unknown = sorted(set(pem_options) - _OPTIONS)
     if unknown:
-        raise TypeError(f"unexpected keyword argument {unknown[0]!r}; options of pem are {', '.join(sorted(_OPTIONS))}")
+        raise TypeError(
+            f"unexpected keyword argument {unknown[0]!r}; options of pem are {', '.join(sorted(_OPTIONS))}; columns of "
+            "files are chosen by fit_many(read_csv(file, input=.., output=..) for file in files)"
+        )
     rng = pem_options.get("rng")
     if rng is not None and not _checks.is_whole(rng):
         raise StructureError(f"rng is {_checks.shown(rng)}; expected a whole number, the seed of each fit")
