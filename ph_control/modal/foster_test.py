@@ -107,32 +107,20 @@ def _confirm(modes: ModalForm, form: PoleResidueForm, rule: Hold | None) -> None
 
 def _poles_and_residues(sys: Any, rule: Hold | None) -> PoleResidueForm:
     """Poles and residues of a system of any kind, by the route of its kind."""
-    numbers = _numbers(sys)
     if isinstance(sys, scipy.signal.ZerosPolesGain):
-        return pole_residue.from_zeros_poles(*numbers)
-    if isinstance(sys, ct.StateSpace | scipy.signal.StateSpace):
-        A, B, C, D = numbers
-        return pole_residue.from_state_space(A, B, C, D, rest=0.0 if rule is None else 1.0)
-    return pole_residue.from_fractions(*numbers)
-
-
-def _numbers(sys: Any) -> tuple[Any, ...]:
-    """The numbers that a system is made of, checked: zeros, poles and gain; A, B, C and D; or tables of polynomials."""
-    if isinstance(sys, scipy.signal.ZerosPolesGain):
-        gain = float(_checks.real_array("the gain", sys.gain, 0))
         zeros, poles = _checks.conjugate_closed("zeros", sys.zeros), _checks.conjugate_closed("poles", sys.poles)
-        return zeros, poles, gain
+        return pole_residue.from_zeros_poles(zeros, poles, float(_checks.real_array("the gain", sys.gain, 0)))
     if isinstance(sys, ct.StateSpace | scipy.signal.StateSpace):
-        matrices = tuple(_checks.real_array(name, np.atleast_2d(getattr(sys, name)), 2) for name in "ABCD")
-        for name, matrix in zip("ABC", matrices, strict=False):
+        A, B, C, D = (_checks.real_array(name, np.atleast_2d(getattr(sys, name)), 2) for name in "ABCD")
+        for name, matrix in zip("ABC", (A, B, C), strict=True):
             _checks.in_range(name, matrix)
-        return matrices
+        return pole_residue.from_state_space(A, B, C, D, rest=0.0 if rule is None else 1.0)
     plain = isinstance(sys, ct.TransferFunction)
     tables = (sys.num_list, sys.den_list) if plain else ([[np.atleast_1d(sys.num)]], [[np.atleast_1d(sys.den)]])
-    return tuple(
+    return pole_residue.from_fractions(*(
         [[_checks.real_array(name, polynomial, 1) for polynomial in row] for row in table]
         for name, table in zip(("the numerator", "the denominator"), tables, strict=True)
-    )
+    ))  # fmt: skip
 
 
 def _refuse_lost_coefficients(num: Array, den: Array, form: PoleResidueForm) -> None:

@@ -30,6 +30,8 @@ from ..numerics.pole_residue import SAFETY, PoleResidueForm
 from .foster_test import decide
 from .modal_form import Cluster, ModalForm, from_frequencies
 
+Mode = tuple[complex, NDArray[Any], NDArray[Any]]  # pole, shape and participation
+
 _CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
 _BLOCK = 1 << 14  # terms of responses that are computed together: what a cache holds
 _REFINED = 500  # states of a system whose modes are corrected
@@ -330,8 +332,7 @@ def from_state_space(sys: ct.StateSpace) -> GeneralModalForm:
 def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     """Split `C (s - A)^{-1} B + D` into modes, and into clusters where poles are not parted."""
     if not len(A):
-        none, shapes, participation = (np.zeros(size, complex) for size in (0, (0, len(D)), (0, len(D.T))))
-        return GeneralModalForm(none, shapes, participation, D)
+        return _of_single([], D, [])
     A, B, C = equilibrated(A, B, C)
     rounding = len(A) * _checks.EPS * float(np.linalg.norm(A))
     T, U = schur(A)
@@ -349,22 +350,24 @@ def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
         mode = _single_mode(T[part, part], inputs[part], outputs[:, part], float(noise[part].max()))
         if mode is None:
             rounding = len(A) * _checks.EPS * float(np.prod([np.linalg.norm(M) for M in (W[part], A, X[:, part])]))
-            clusters.append(
-                Cluster(
-                    _without_noise(T[part, part], rounding),
-                    inputs[part].copy(),
-                    outputs[:, part].copy(),
-                )
-            )
+            block = _without_noise(T[part, part], rounding)
+            clusters.append(Cluster(block, inputs[part].copy(), outputs[:, part].copy()))
         else:
             found.append(mode)
-    poles = np.array([pole for pole, _, _ in found], complex)
-    c = np.array([shape for _, shape, _ in found], complex).reshape(len(found), len(D))
-    b = np.array([weight for _, _, weight in found], complex).reshape(len(found), len(D.T))
+    form = _of_single(found, D, clusters)
     # shapes with a largest entry of 1; one that no output shows stays 0
+    c = form._shapes
     lead = c[np.arange(len(c)), np.abs(c).argmax(axis=1)] if c.size else np.ones(len(c))
     lead = np.where(lead == 0, 1.0, lead)[:, None]
-    return GeneralModalForm(poles, c / lead, b * lead, D, clusters)
+    return GeneralModalForm(form._poles, c / lead, form._participation * lead, D, clusters)
+
+
+def _of_single(found: Sequence[Mode], D: Array, clusters: Sequence[Cluster]) -> GeneralModalForm:
+    """Modal form of modes one by one."""
+    poles, c, b = zip(*found, strict=True) if found else ((), (), ())
+    shapes = np.array(c, complex).reshape(len(found), len(D))
+    weights = np.array(b, complex).reshape(len(found), len(D.T))
+    return GeneralModalForm(np.array(poles, complex), shapes, weights, D, clusters)
 
 
 def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
@@ -382,12 +385,7 @@ def from_pole_residues(form: PoleResidueForm) -> GeneralModalForm:
         real = abs(pole.imag) <= reach
         U, s, Vh = np.linalg.svd(residue.real if real else residue)
         found += [(pole.real if real else pole, U[:, k] * s[k], Vh[k]) for k in np.flatnonzero(s > error)]
-    poles, shapes, participation = (list(part) for part in zip(*found, strict=True)) if found else ([], [], [])
-    outputs, inputs = form.feedthrough.shape
-    c = np.array(shapes, complex).reshape(len(found), outputs)
-    return GeneralModalForm(
-        np.array(poles, complex), c, np.array(participation, complex).reshape(len(found), inputs), form.feedthrough
-    )
+    return _of_single(found, form.feedthrough, [])
 
 
 def refined(form: GeneralModalForm, A: Pair, B: Array, C: Array, D: Array) -> GeneralModalForm:
@@ -483,7 +481,7 @@ def _in_units_of_modes(T: Array, X: Array, rounding: float) -> tuple[Array, Arra
     return T * units / units[:, None], X * units
 
 
-def _single_mode(block: Array, b: Array, c: Array, noise: float) -> tuple[complex, NDArray[Any], NDArray[Any]] | None:
+def _single_mode(block: Array, b: Array, c: Array, noise: float) -> Mode | None:
     """Pole, shape and participation of a block of one mode; None if it is of more, or two that nearly coincide."""
     if len(block) == 1:
         return complex(block[0, 0] if abs(block[0, 0]) > noise else 0.0), c[:, 0], b[0]

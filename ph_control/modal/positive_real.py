@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dtrsen
 from scipy.optimize import brentq, minimize_scalar
 
 from .._checks import EPS
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import clusters, eigenvalues_of, equilibrated, invariant_block
 from .general_form import from_matrices
@@ -83,10 +83,13 @@ class Passivity:
         return self._smallest(omega), slack
 
     def _smallest(self, omega: Array) -> Array:
+        return np.asarray(np.linalg.eigvalsh(self.phi(omega))[:, 0], float)
+
+    def phi(self, omega: Array) -> ComplexArray:
+        """`Phi` at frequencies (N,), shape (N, m, m)."""
         G = np.moveaxis(self.modes.evaluate(1j * omega), 2, 0)
         adjoint = G.conj().transpose(0, 2, 1)
-        Phi = np.eye(G.shape[2]) - adjoint @ G if self.scattering else G + adjoint
-        return np.asarray(np.linalg.eigvalsh(Phi)[:, 0], float)
+        return np.asarray(np.eye(G.shape[2]) - adjoint @ G if self.scattering else G + adjoint, complex)
 
     def at_infinity(self) -> float:
         """Smallest eigenvalue of `Phi` at infinite frequency."""
@@ -183,9 +186,8 @@ class Passivity:
     def _with_minima(self, grid: Array) -> Array:
         """The grid and, where the smallest eigenvalue is small between three of its points, its minimum there."""
         values, slack = self.smallest(grid)
-        inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
-        low = [k for k in inner if values[k] < _NEAR / _SLACK * slack[k]]
-        minima = [_minimum(self._value, grid[k - 1], grid[k + 1]) for k in low]
+        low = [k for k in lowest_places(values) if values[k] < _NEAR / _SLACK * slack[k]]
+        minima = [minimum(self._value, grid[k - 1], grid[k + 1]) for k in low]
         return np.unique(np.concatenate([grid, minima]))
 
     def _value(self, omega: float) -> float:
@@ -214,7 +216,7 @@ class Passivity:
             k = int(np.argmin(self.smallest(middles)[0]))
             before = int(np.searchsorted(points, middles[k])) - 1
             after = int(np.searchsorted(points, middles[k], side="right"))
-            best = _minimum(self._value, points[max(before, 0)], points[min(after, len(points) - 1)])
+            best = minimum(self._value, points[max(before, 0)], points[min(after, len(points) - 1)])
             value = self._value(best)
             if not value < level:
                 return (best, value) if value < least else (worst, least)
@@ -228,7 +230,13 @@ class Passivity:
         return float(brentq(self._value, a, b, xtol=4 * EPS * max(b, np.finfo(float).tiny), rtol=4 * EPS, maxiter=500))
 
 
-def _minimum(f: Callable[[float], float], low: float, high: float) -> float:
+def lowest_places(values: Array) -> Indices:
+    """Places of the values that neither neighbour is below."""
+    return np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
+
+
+def minimum(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function is least between two numbers."""
     found = minimize_scalar(f, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * (high - low)})
     return float(found.x)
 

@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, eigh, qr, solve_continuous_are, solve_continuous_lyapunov, svd
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 
 from .._checks import EPS
 from .._types import Array, ComplexArray
-from .positive_real import Matrices, Passivity
+from ..exceptions import StructureError
+from .positive_real import Matrices, Passivity, lowest_places, minimum
 
 _NULLS = (1e-12, 1e-10, 1e-14, 1e-8, 1e-6)  # of its terms: an eigenvalue of a known block taken for 0, tried in turn
 _NEW = 100.0  # times the root of that: what a direction has outside the known ones, to be a new one
@@ -36,10 +37,6 @@ _REFINED = 3  # steps of Newton's method
 
 
 KINDS = ("available", "required", "mean")
-
-
-class NoStorageError(ArithmeticError):
-    """No solution of the inequality was found."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Co
 
     Raises
     ------
-    NoStorageError
+    StructureError
         If none is found: the system is not passive, or rounding hides that it is.
     """
     system = A, B, C, D
@@ -81,7 +78,10 @@ def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Co
         if best.correction <= _GOOD:
             break
     if best is None:
-        raise NoStorageError("no storage function was found")
+        raise StructureError(
+            "no storage function was found although the system is passive at all frequencies: it is too "
+            "ill-conditioned; give it in better scaled states, or with fewer"
+        )
     return best
 
 
@@ -107,17 +107,8 @@ def _first_coordinates(system: Matrices, points: list[float], kind: str, null: f
 
 def _again(system: Matrices, points: list[float], kind: str, null: float, before: Coordinates) -> Coordinates:
     """Once more in the coordinates found, in which the storage is the unit matrix but for rounding."""
-    A, B, C, D = _transformed(system, before)
-    if kind == "mean":
-        step = _first_coordinates((A, B, C, D), points, kind, null)
-        left, right = step.T, step.inverse
-    elif kind == "available":
-        left = _root(_least_storage((A, B, C, D), points, null))
-        right = np.asarray(np.linalg.inv(left), float)
-    else:
-        right = _root(_least_storage((A.T, C.T, B.T, D.T), points, null)).T
-        left = np.linalg.inv(right)
-    return _judged(system, left @ before.T, before.inverse @ right)
+    step = _first_coordinates(_transformed(system, before), points, kind, null)
+    return _judged(system, step.T @ before.T, before.inverse @ step.inverse)
 
 
 def _transformed(system: Matrices, found: Coordinates) -> Matrices:
@@ -172,24 +163,15 @@ def touching_frequencies(A: Array, B: Array, C: Array, D: Array) -> list[float]:
         return [np.inf]
     tested = Passivity(A, B, C, D, scattering=False)
     grid = tested._grid()
-    k, size = _eigenvalues(tested, grid)
+    k = np.asarray(np.linalg.eigvalsh(tested.phi(grid)), float)
+    size = tested.modes.magnitude(np.asarray(1j * grid, complex))
     rank = int(np.max(np.sum(k > _SINGULAR * size[:, None], axis=1), initial=0))
     if not rank:
         return [np.inf, 0.0]
     values = k[:, -rank]
-    inner = np.flatnonzero((values[1:-1] <= values[:-2]) & (values[1:-1] <= values[2:])) + 1
-    minima = [_stationary((A, B, C), tested, rank, *grid[i - 1 : i + 2]) for i in inner if values[i] < _NEAR * size[i]]
+    low = [i for i in lowest_places(values) if values[i] < _NEAR * size[i]]
+    minima = [_stationary((A, B, C), tested, rank, *grid[i - 1 : i + 2]) for i in low]
     return [np.inf, 0.0, *(w for w, value, of in minima if value <= _TOUCHES * of)]
-
-
-def _eigenvalues(tested: Passivity, omega: Array) -> tuple[Array, Array]:
-    k = np.asarray(np.linalg.eigvalsh(_hermitian(tested, omega)), float)
-    return k, tested.modes.magnitude(np.asarray(1j * omega, complex))
-
-
-def _hermitian(tested: Passivity, omega: Array) -> ComplexArray:
-    G = np.moveaxis(tested.modes.evaluate(1j * omega), 2, 0)
-    return np.asarray(G + G.conj().transpose(0, 2, 1), complex)
 
 
 def _stationary(
@@ -198,18 +180,17 @@ def _stationary(
     """Minimum of the eigenvalue `rank` from above of `G + G^H`: its frequency, the value, and the size of its terms."""
 
     def value(w: float) -> float:
-        return float(_eigenvalues(tested, np.array([w]))[0][0, -rank])
+        return float(np.linalg.eigvalsh(tested.phi(np.array([w])))[0, -rank])
 
     A, B, C = system
 
     def slope(w: float) -> float:
-        u = eigh(_hermitian(tested, np.array([w]))[0])[1][:, -rank]
+        u = eigh(tested.phi(np.array([w]))[0])[1][:, -rank]
         M = 1j * w * np.eye(len(A)) - A
         x, y = np.linalg.solve(M, B @ u), np.linalg.solve(M.conj().T, C.T @ u)
         return 2 * float(np.real(-1j * (y.conj() @ x)))
 
-    found = minimize_scalar(value, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * (high - low)})
-    middle = min(float(found.x), middle, key=value)
+    middle = min(minimum(value, low, high), middle, key=value)
     for reach in (1e-6, 1e-4, 1e-2):
         a, b = max(middle * (1 - reach), low), min(middle * (1 + reach), high)
         if slope(a) < 0 < slope(b):

@@ -31,11 +31,11 @@ def components(M: Array, right: Array, left: Array) -> tuple[Array, Array, Array
     reduced, x, y = np.array(M, order="F"), right.copy(), left.copy()
     diagonal, above, for_y, for_x = np.empty((4, n))
     work, size, one = np.empty(_WORK * n), _int(n), _int(1)
-    failed = _call("dgebrd", size, size, reduced, size, diagonal, above, for_y, for_x, work, _int(len(work)))
+    _call("dgebrd", size, size, reduced, size, diagonal, above, for_y, for_x, work, _int(len(work)))
     for vector, side, scale in ((y, b"Q", for_y), (x, b"P", for_x)):
         turn = side, b"L", b"T", size, one, size, reduced, size, scale
-        failed |= _call("dormbr", *turn, vector, size, work, _int(len(work)))
-    return _dense(M, right, left) if failed else bidiagonal_components(diagonal, above[: n - 1], x, y)
+        _call("dormbr", *turn, vector, size, work, _int(len(work)))
+    return bidiagonal_components(diagonal, above[: n - 1], x, y)
 
 
 def bidiagonal_components(
@@ -46,17 +46,16 @@ def bidiagonal_components(
     Singular values are right to the last places relative to each, however small.
     """
     n = len(diagonal)
-    if n:
-        sigma, superdiagonal, x = diagonal.copy(), above.copy(), right.copy()
-        y = np.zeros(n) if left is None else left.copy()
-        size, one, none, count = _int(n), _int(1), _int(0), _int(left is not None)
-        turned, work = (x, size, np.zeros(1), one, y, size), np.empty(4 * n)
-        if not _call("dbdsqr", b"U", size, one, none, count, sigma, superdiagonal, *turned, work):
-            # where it has vectors to turn, it is content with 90 eps; without any it takes the way of small errors
-            better, superdiagonal = diagonal.copy(), above.copy()
-            failed = _call("dbdsqr", b"U", size, none, none, none, better, superdiagonal, *turned, work)
-            return sigma if failed else better, x, y
-    return _dense(np.diag(diagonal) + np.diag(above, 1)[:n, :n], right, np.zeros(n) if left is None else left)
+    sigma, superdiagonal, x = diagonal.copy(), above.copy(), right.copy()
+    y = np.zeros(n) if left is None else left.copy()
+    size, one, none, count = _int(n), _int(1), _int(0), _int(left is not None)
+    room = _int(max(1, n))
+    turned, work = (x, room, np.zeros(1), one, y, room), np.empty(4 * n)
+    _call("dbdsqr", b"U", size, one, none, count, sigma, superdiagonal, *turned, work)
+    # where it has vectors to turn, it is content with 90 eps; without any it takes the way of small errors
+    sigma, superdiagonal = diagonal.copy(), above.copy()
+    _call("dbdsqr", b"U", size, none, none, none, sigma, superdiagonal, *turned, work)
+    return sigma, x, y
 
 
 def bidiagonal_svd(diagonal: Array, above: Array) -> tuple[Array, Array, Array]:
@@ -65,14 +64,11 @@ def bidiagonal_svd(diagonal: Array, above: Array) -> tuple[Array, Array, Array]:
     Divide and conquer, without the reflections that a routine for any matrix begins with.
     """
     n = len(diagonal)
-    if n:
-        sigma, superdiagonal, size = diagonal.copy(), np.append(above, 0.0), _int(n)
-        U, Vt = np.empty((2, n, n)).transpose(0, 2, 1)
-        work, integers, unused = np.empty(3 * n * n + 4 * n), np.empty(8 * n, np.intc), np.empty(1)
-        vectors = U, size, Vt, size, unused, integers
-        if not _call("dbdsdc", b"U", b"I", size, sigma, superdiagonal, *vectors, work, integers):
-            return U, sigma, Vt
-    U, sigma, Vt = np.linalg.svd(np.diag(diagonal) + np.diag(above, 1)[:n, :n])
+    sigma, superdiagonal, size = diagonal.copy(), np.append(above, 0.0), _int(n)
+    U, Vt = np.empty((2, n, n)).transpose(0, 2, 1)
+    work, integers, unused, room = np.empty(3 * n * n + 4 * n), np.empty(8 * n, np.intc), np.empty(1), _int(max(1, n))
+    vectors = U, room, Vt, room, unused, integers
+    _call("dbdsdc", b"U", b"I", size, sigma, superdiagonal, *vectors, work, integers)
     return U, sigma, Vt
 
 
@@ -106,9 +102,10 @@ def _int(value: int) -> Any:
     return ctypes.byref(ctypes.c_int(value))
 
 
-def _call(name: str, *arguments: Any) -> bool:
-    """Call a routine with arrays, integers and letters; tell whether it failed."""
+def _call(name: str, *arguments: Any) -> None:
+    """Call a routine with arrays, integers and letters."""
     info = ctypes.c_int(0)
     pointers = [x.__array_interface__["data"][0] if isinstance(x, np.ndarray) else x for x in arguments]
     _ROUTINES[name](*pointers, ctypes.byref(info))
-    return info.value != 0
+    if info.value:
+        raise np.linalg.LinAlgError(f"{name} of LAPACK returns {info.value}")

@@ -116,22 +116,29 @@ class Pencil:
         momenta = self.M @ shapes
         forces = F - momenta @ (shapes.T @ F)
         forces -= momenta @ (shapes.T @ forces)
-        lu, n = self.factor(self.low), len(F)
-
-        def solve(f: Array) -> Array:
-            x = lu.solve(f - momenta @ (shapes.T @ f))
-            return np.asarray(x - shapes @ (momenta.T @ x))
-
-        inverse = LinearOperator((n, n), matvec=lambda f: solve(f.ravel()), dtype=float)
+        inverse = self._inverse(self.low, shapes)
         deflections = np.empty_like(forces)
         for port in range(F.shape[1]):
             f = forces[:, port]
-            start = solve(f)
+            start = inverse.matvec(f)
             with np.errstate(all="ignore"):  # nothing is left to divide by where the start is exact
                 x, _ = cg(self.K, f, x0=start, rtol=1e-14, atol=0.0, maxiter=20, M=inverse)
             x = x if np.isfinite(x).all() else start
             deflections[:, port] = x - shapes @ (momenta.T @ x)
         return deflections, forces
+
+    def _inverse(self, shift: float, shapes: Array | None) -> LinearOperator:
+        """`(K - shift M)^-1`, in the complement of some modes."""
+        lu = self.factor(shift)
+        if shapes is None:
+            return LinearOperator(self.K.shape, matvec=lu.solve, dtype=float)
+        momenta = self.M @ shapes
+
+        def solve(f: Array) -> Array:
+            x = lu.solve(f - momenta @ (shapes.T @ f))
+            return np.asarray(x - shapes @ (momenta.T @ x))
+
+        return LinearOperator(self.K.shape, matvec=solve, dtype=float)
 
     def _soft(self, k: int) -> Eigenpairs | None:
         """Rigid modes, and others as soft; None where there is none.
@@ -155,18 +162,9 @@ class Pencil:
             number *= 2
 
     def _lanczos(self, k: int, shift: float, beside: Eigenpairs | None) -> Eigenpairs:
-        lu, n = self.factor(shift), self.K.shape[0]
-        start = np.random.default_rng(0 if beside is None else len(beside.squares)).standard_normal(n)
-        solve = lu.solve
-        if beside is not None:
-            shapes, momenta = beside.shapes, self.M @ beside.shapes
-
-            def solve(f: Array) -> Array:
-                x = lu.solve(f - momenta @ (shapes.T @ f))
-                return np.asarray(x - shapes @ (momenta.T @ x))
-
-        start = solve(self.M @ start)  # in the range of the operator: nothing without mass, nothing found before
-        inverse = LinearOperator((n, n), matvec=solve, dtype=float)
+        start = np.random.default_rng(0 if beside is None else len(beside.squares)).standard_normal(self.K.shape[0])
+        inverse = self._inverse(shift, None if beside is None else beside.shapes)
+        start = inverse.matvec(self.M @ start)  # nothing without mass, nothing found before
         try:
             squares, shapes_found = eigsh(self.K, k, M=self.M, sigma=shift, OPinv=inverse, v0=start, ncv=_vectors(k))
         except ArpackError as error:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _checks
+from .._display import counted
 from .._frozen import Frozen
 from .._types import Array, ArrayLike, Mask
 from ..exceptions import StructureError
@@ -96,8 +97,8 @@ class CasimirSplit(Frozen):
         """
         size = self.casimirs.shape[1]
         lines = [
-            f"structure matrix of size {size} and rank {self.rank}: {_counted(self.rank // 2, 'degree')} of freedom "
-            f"and {_counted(len(self.driven), 'Casimir')}"
+            f"structure matrix of size {size} and rank {self.rank}: {counted(self.rank // 2, 'degree')} of freedom "
+            f"and {counted(len(self.driven), 'Casimir')}"
         ]
         for k, (row, driven) in enumerate(zip(self.casimirs, self.driven, strict=True), start=1):
             fate = (
@@ -106,7 +107,7 @@ class CasimirSplit(Frozen):
                 else "no port drives it; it keeps its initial value, set to 0"
             )
             lines.append(f"c_{k} = {_linear(row)}: {fate}")
-        lines.append(f"port-Hamiltonian system with {_counted(len(self.Q) // 2, 'degree')} of freedom")
+        lines.append(f"port-Hamiltonian system with {counted(len(self.Q) // 2, 'degree')} of freedom")
         return "\n".join(lines)
 
 
@@ -289,10 +290,6 @@ def _congruent(Q: Array, columns: Array) -> Array:
     """`columns^T Q columns`, exactly symmetric."""
     M = columns.T @ Q @ columns
     return 0.5 * (M + M.T)
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _linear(row: Array) -> str:

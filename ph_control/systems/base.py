@@ -211,7 +211,9 @@ class LosslessSystem(ct.StateSpace):
     def _repr_html_(self) -> str:
         """HTML for notebooks: names, equations of a system no larger than `statesp.latex_maxsize`, and its modes."""
         equations = html_formula(self._equations()) if fits_in_a_formula(self) else ""
-        shown = modes_table(self.modes) if self._modes_at_hand() else html_heading(f"{self.n} degrees of freedom")
+        shown = html_heading(f"{self.n} degrees of freedom")
+        if self._modes_at_hand():
+            shown = modes_table(self.modes) if self._in_normal_form else self.modes._repr_html_()
         return html_heading(self._repr_info_()) + equations + shown
 
     def __str__(self) -> str:

@@ -10,14 +10,14 @@ from scipy.linalg import eigh
 
 from .. import _checks
 from .._checks import EPS
-from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal
+from .._display import latex_matrix, literal
 from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import symplectic_form
-from .base import LosslessSystem, View, inherited_names, refuse_losses
+from .base import View, inherited_names, refuse_losses
 from .passive_form import Conversion, PortRows, passive_parts
 from .port_hamiltonian import PortHamiltonian
 
@@ -277,20 +277,6 @@ class DissipativePortHamiltonian(PortHamiltonian):
             text += r", \quad y_s = C_s x" + (" + D_s u" if self.sensors[1].any() else "")
             matrices |= {"C_s": self.sensors[0]} | ({"D_s": self.sensors[1]} if self.sensors[1].any() else {})
         return text + "".join(rf", \quad {name} = {latex_matrix(matrix)}" for name, matrix in matrices.items())
-
-    def _repr_html_(self) -> str:
-        """HTML for notebooks: names, equations of a small system, and the modes of one of moderate size."""
-        equations = html_formula(self._equations()) if fits_in_a_formula(self) else ""
-        modes = self.modes._repr_html_() if self.nstates <= 200 else ""
-        return html_heading(self._repr_info_()) + equations + modes
-
-    def __str__(self) -> str:
-        if self.nstates <= 200:
-            return str(super(LosslessSystem, self).__str__())
-        return (
-            f"<{type(self).__name__}>: {self.name}\nInputs ({self.ninputs}): {self.input_labels}\n"
-            f"Outputs ({self.noutputs}): {self.output_labels}\nStates ({self.nstates})"
-        )
 
 
 def is_canonical(J: Array) -> bool:

@@ -28,7 +28,7 @@ from .._checks import EPS
 from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.positive_real import Passivity, Split, is_positive, split_axis, violations, well_conditioned
-from ..modal.storage import NoStorageError, dissipation, semidefinite, storage_coordinates
+from ..modal.storage import dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import equilibrated
 
 Parts = dict[str, Array]
@@ -201,13 +201,7 @@ def stored_parts(system: PortRows, storage: str) -> Parts:
     level = np.sqrt(size)
     B, C, D = B / level, C / level, D / size
     if n:
-        try:
-            found = storage_coordinates(A, B, C[:m], D, storage)
-        except NoStorageError:
-            raise StructureError(
-                "no storage function was found although the system is passive at all frequencies: it is too "
-                "ill-conditioned; give it in better scaled states, or with fewer"
-            ) from None
+        found = storage_coordinates(A, B, C[:m], D, storage)
         A, B, C = found.T @ A @ found.inverse, found.T @ B, C @ found.inverse
     W = 0.5 * semidefinite(dissipation(A, B, C[:m], D), n)
     gain = level * root
