@@ -559,6 +559,8 @@ def test_frequency_responses_of_matlab():
     f, H = np.array([3.0, 1.0, 2.0]), RNG.standard_normal((3, 2, 3, 2)) @ [1, 1j]
     data = phc.read_frequency_mat(mat(f=f, H=H), frequency="f", response="H", frequency_unit="kHz")
     assert np.allclose(data.omega, 2e3 * np.pi * np.arange(1, 4)) and np.allclose(data.frdata, H[..., [1, 2, 0]])
+    first = phc.read_frequency_mat(mat(f=f, H=H.transpose(2, 0, 1)), "f", "H", frequency_unit="kHz")
+    assert np.array_equal(first.frdata, data.frdata)  # as modalfrf has them: frequencies, outputs, inputs
     columns = phc.read_frequency_mat(
         mat(f=f, a=H[:2, 0].T, b=H[2, 0]), frequency="f", response=["a[1]", "b"], frequency_unit="rad/s"
     )

@@ -145,7 +145,8 @@ def read_frequency_mat(
         Variable of the frequencies, K numbers.
     response : str or list of str
         Variables of the response: K complex numbers, a matrix with K rows and a column for each output, or an array
-        (p, m, K) as MATLAB's `frd` keeps it.  Those of a list are outputs one after the other.
+        (K, p, m) as MATLAB's `modalfrf` gives it or (p, m, K) as its `frd` keeps it.  Those of a list are outputs one
+        after the other.
     frequency_unit : {'rad/s', 'Hz', 'kHz', 'MHz', 'GHz'}
         Unit of the frequencies; it must be given, since such files tell none.
 
@@ -312,11 +313,13 @@ def _entries(value: Any, count: int, label: str, name: str) -> ComplexArray:
     array = np.asarray(value, complex)
     if array.ndim == 3 and array.shape[2] == count:
         return array
+    if array.ndim == 3 and array.shape[0] == count:
+        return array.transpose(1, 2, 0)
     if array.ndim == 2 and array.shape[0] == count:
         return array.T[:, None, :]
     if array.ndim == 2 and array.shape[1] == count:
         return array[:, None, :]
     raise StructureError(
         f"{name}: {label} has shape {array.shape}, and there are {count} frequencies; expected as many rows, or an "
-        "array (outputs, inputs, frequencies)"
+        "array (frequencies, outputs, inputs) or (outputs, inputs, frequencies)"
     )
