@@ -38,6 +38,11 @@ def test_a_mapping_of_arrays_is_a_recording():
     check(phc.recording(signals(), output=ROLES["output"], dt=STEP), None)
 
 
+def test_a_column_is_found_without_its_unit():
+    check(phc.recording(signals(), input="F", output=["a1", "A2"], dt=STEP), None)
+    check(phc.recording(signals(), input="f [n]", output=["a1 [g]", "a2"], dt=STEP), None)
+
+
 @pytest.mark.parametrize("kind", ["seconds", "dates", "zone", "durations", "name", "column"])
 def test_the_index_of_a_pandas_frame_is_the_time(kind):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed")
@@ -91,6 +96,7 @@ def test_a_fit_takes_the_index_of_a_frame_of_one_input_and_one_output():
             "input names 'force', which is not a signal; the columns are 'F [N]', 'a1 [g]'",
         ),
         ({"dt": STEP, "input": "F [N]", "output": "F [N]"}, "column 'F [N]' is chosen twice"),
+        ({"dt": STEP, "input": "a"}, "input names 'a', which is not a signal"),
         ({"dt": STEP, "input": []}, "pass input=False for a recording without input"),
         ({"time": "clock"}, "time is 'clock'; the columns are"),
         ({"fs": 0}, "fs is 0; it must be one positive number"),

@@ -134,7 +134,7 @@ class Table:
             return int(wanted)
         if not isinstance(wanted, str):
             raise StructureError(f"{role} is {wanted!r}; give the label of a column or its number, counted from 0")
-        matches = self._labelled(wanted)
+        matches = labelled(wanted, self.labels or ())
         if len(matches) > 1:
             numbers = " and ".join(map(str, matches))
             raise StructureError(f"{self.path}: {role}: columns {numbers} are all called {wanted!r}; choose by number")
@@ -146,15 +146,15 @@ class Table:
         hint = f"; did you mean {close[0]!r}?" if close else ""
         raise StructureError(f"{self.path}: {role}: there is no column called {wanted!r}; {self.listing()}{hint}")
 
-    def _labelled(self, wanted: str) -> list[int]:
-        """Columns of that label: literally, else without its unit, else without regard to case."""
-        labels = self.labels or ()
-        for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
-            target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
-            matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
-            if matches:
-                return matches
-        return []
+
+def labelled(wanted: str, labels: Sequence[str]) -> list[int]:
+    """Places of the labels that say it: literally, else without their unit, else without regard to case."""
+    for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
+        target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
+        matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
+        if matches:
+            return matches
+    return []
 
 
 def is_time_label(label: str) -> bool:

@@ -13,7 +13,7 @@ from control import TimeResponseData
 from ... import _checks
 from ..._units import checked_unit
 from ...exceptions import StructureError
-from ...io.text_table import is_time_label, unit_of_time
+from ...io.text_table import is_time_label, labelled, unit_of_time
 from ...io.time_csv import recording as response
 from . import channels
 from .time_record import instants, refuse_contradiction, refuse_short, signal, uniform_time
@@ -43,7 +43,8 @@ def recording(
     frame : pandas.DataFrame, polars.DataFrame, xarray.Dataset, or mapping of labels to arrays
         Signals of shape (T,) by label.  Not modified.
     input, output : str, or list of str, optional
-        Labels of the inputs and outputs.  `input=False` says that there is no input, as in a free decay.
+        Labels of the inputs and outputs, with or without their unit.  `input=False` says that there is no input, as in
+        a free decay.
         Default: the columns that are left; with neither given and two left, the first is the input.
     time : str, optional
         Label of the time.  Default: the index, where it holds times, else the column labelled `t`, `time` or the like.
@@ -80,7 +81,7 @@ def recording(
     >>> import numpy as np, ph_control as phc
     >>> t = 0.001 * np.arange(2000)
     >>> frame = {"t [s]": t, "hammer [N]": np.sin(t), "accel 1 [g]": np.cos(t), "accel 2 [g]": np.cos(t)}
-    >>> data = phc.recording(frame, input="hammer [N]", output=["accel 1 [g]", "accel 2 [g]"])
+    >>> data = phc.recording(frame, input="hammer", output=["accel 1", "accel 2"])
     >>> data.inputs.shape, data.outputs.shape, data.time_unit
     ((1, 2000), (2, 2000), 's')
     """
@@ -229,10 +230,16 @@ class _Table:
     def _chosen(self, role: str, wanted: Any) -> list[str] | None:
         if wanted is None:
             return None
-        found = [str(one) for one in (wanted if isinstance(wanted, list | tuple) else [wanted])]
-        for label in found:
-            if label not in self.signals:
+        found = []
+        for label in map(str, wanted if isinstance(wanted, list | tuple) else [wanted]):
+            matches = [label] if label in self.signals else [self.signals[k] for k in labelled(label, self.signals)]
+            if not matches:
                 raise StructureError(f"{role} names {label!r}, which is not a signal; {_listing(self.labels)}")
+            if len(matches) > 1:
+                raise StructureError(
+                    f"{role} names {label!r}, which may be {' or '.join(map(repr, matches))}; name it in full"
+                )
+            found += matches
         if not found:
             hint = "; pass input=False for a recording without input" * (role == "input")
             raise StructureError(f"{role} is an empty list; name at least one column{hint}")
