@@ -83,6 +83,9 @@ def test_a_fit_takes_the_index_of_a_frame_of_one_input_and_one_output():
     result = phc.pem(pandas.DataFrame({"u": u, "v": y}, index=index), 2)
     np.testing.assert_allclose(result.d, [0.5, 2.0], rtol=1e-6)
     assert result.time_unit == "s"
+    frame = pandas.DataFrame({"u": u, "v [m/s]": y, "room [C]": y}, index=index)
+    with pytest.raises(phc.StructureError, match=r"which column is the input .* phc.recording\(frame, input="):
+        phc.pem(frame)
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,8 @@ def _output_labels(data: Any) -> list[str]:
     if isinstance(label, str):
         return [label]
     columns = [str(column) for column in getattr(data, "columns", ())]
-    return [column for column in columns if not is_time_label(column)][1:]
+    signals = [column for column in columns if not is_time_label(column)]
+    return signals[1:] if len(signals) == 2 else []  # of more, which one is the output is still to be asked
 
 
 def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
