@@ -135,7 +135,7 @@ class NotPassiveError(NotLosslessError):
     ) -> None:  # fmt: skip
         self.bands, self.unstable, self.signs = [(low, high) for low, high in bands], tuple(unstable), tuple(signs)
         self.sizes, self.frequencies = tuple(sizes), tuple(frequencies)
-        self._reasons = tuple(reasons)
+        self._reasons, self.is_refusal = tuple(reasons), True
         lines = [_of_pole(p) for p in self.unstable]
         lines += [_of_band(*of) for of in zip(self.bands, self.sizes, self.frequencies, strict=True)]
         self.violations = (*lines, *self._reasons)

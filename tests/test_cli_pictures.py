@@ -236,6 +236,15 @@ def test_modes_with_losses_are_drawn_and_those_of_an_active_system_are_not(here)
     assert done.status == 1 and "not passive" in done.error and not (here / "q.png").exists()
 
 
+def test_modal_forms_that_are_not_passive_are_drawn(here):
+    phc.save(phc.modes([-0.1 + 2j, -0.2 + 5j], [[1.0], [-1.0]], [[1.0], [0.5j]]), here / "free.json")
+    for kind in ("bode", "step", "impulse", "modes", "poles"):
+        done = run("plot", kind, here / "free.json", "--out", here / f"{kind}.png")
+        assert (done.status, done.error) == (0, ""), kind
+    done = run("reduce", here / "free.json", here / "q.json", "--order", 1)
+    assert done.status == 1 and "not passive" in done.error and not (here / "q.json").exists()
+
+
 def test_existing_pictures_and_inputs_are_kept(here):
     target = here / "mine.png"
     target.write_text("mine")

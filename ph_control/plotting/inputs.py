@@ -14,6 +14,7 @@ from .. import _checks
 from .._display import counted
 from .._types import Array, ComplexArray
 from ..exceptions import StructureError
+from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import ModalForm
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
@@ -85,7 +86,7 @@ def recording_in(one: Any) -> tuple[Array, Array, float]:
 def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: bool = False) -> list[Subject]:
     """Systems of one number of ports; of fits their models, and frequency responses where `tabulated` allows them."""
     given = as_list(sysdata, "systems")
-    systems = [ph(one) if isinstance(one, ModalForm) else _inside(one) for one in given]
+    systems = [_inside(one) for one in given]
     kinds = (ct.StateSpace, ct.TransferFunction, *([ct.FrequencyResponseData] if tabulated else []))
     for sys in systems:
         if not isinstance(sys, kinds):
@@ -103,6 +104,8 @@ def subjects_of(sysdata: Any, label: str | Sequence[str] | None, *, tabulated: b
 
 def _inside(given: Any) -> Any:
     """Linear system of what is to be drawn: of damped modes from the inputs to what was measured."""
+    if isinstance(given, ModalForm):
+        return given.state_space() if isinstance(given, GeneralModalForm) else ph(given)
     if not is_fit(given):
         return given
     return given.observed_system if is_damped(given) else given.system
