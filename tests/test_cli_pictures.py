@@ -76,6 +76,14 @@ def test_the_options_of_the_comparison_reach_it(here):
     assert answer["models"][0]["fit_percent"] == expected.fit_percent[0]
 
 
+def test_the_input_between_samples_is_that_of_the_fits(here):
+    linear = phc.pem(phc.read_csv("first.csv"), 2, intersample="foh")
+    linear.save(here / "linear.json")
+    answer = json.loads(run("compare", "second.csv", "plant.json", here / "linear.json", "--json").out)
+    expected = phc.compare(phc.read_csv("second.csv"), PLANT, linear)
+    assert [one["fit_percent"] for one in answer["models"]] == expected.fit_percent.tolist()
+
+
 def test_several_recordings_a_pipe_and_labels(here):
     done = run(
         "compare", "-", "plant.json", "plant.json", "--recording", "second.csv", "--label", "one", "--label", "other",

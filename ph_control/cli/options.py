@@ -201,15 +201,15 @@ def add_recording(parser: Parser) -> None:
     response.add_argument("--weights", metavar="COLUMN", help="column of weights, as 1/variance")
 
 
-def add_meeting(parser: argparse._ActionsContainer, states: Sequence[str], holds: Sequence[str] = INTERSAMPLE) -> None:
-    """How a model meets samples."""
+def add_meeting(parser: argparse._ActionsContainer, states: Sequence[str], auto: str) -> None:
+    """How a model meets samples, and what the default of the input between them means."""
     parser.add_argument(
         "--method", choices=METHODS, default="exact",
         help="exact (default); midpoint and euler for data made by such an integrator only",
     )  # fmt: skip
     parser.add_argument(
-        "--intersample", choices=holds, default=holds[0],
-        help="input between samples: " + "what the data prefer (default), " * ("auto" in holds) + "held or linear",
+        "--intersample", choices=("auto", *INTERSAMPLE), default="auto",
+        help=f"input between samples: {auto} (default), held or linear",
     )  # fmt: skip
     parser.add_argument(
         "--initial-state", choices=states, default="estimate", help="state at the start (default: estimate)"

@@ -33,7 +33,7 @@ def add_options(parser: Parser) -> None:
     add_labels(parser)
     parser.add_argument("--recording", action="append", default=[], metavar="FILE", help="one more experiment")
     parser.add_argument("--at-least", type=float, metavar="PERCENT", help="exit status 1 if the best fit is below")
-    add_meeting(parser, ("estimate", "zero", "fitted"))
+    add_meeting(parser, ("estimate", "zero", "fitted"), "as in the fits, else held")
     parser.add_argument("--plot", metavar="FILE", help="measured and simulated outputs, and the errors (png, svg, pdf)")
     parser.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to draw (default 1)")
     add_recording(parser)

@@ -28,7 +28,7 @@ import ph_control as phc
 
 from ...exceptions import IdentificationError, StructureError
 from ..inputs import measurements, read_model, system_name_of
-from ..options import INTERSAMPLE, Parser, add_meeting, add_recording, add_written, order, system_name, within
+from ..options import Parser, add_meeting, add_recording, add_written, order, system_name, within
 from ..outcome import DONE, INTERRUPTED, NO, NoError, ProgressLine, complain, emit, in_shell_terms
 from ..outputs import (
     check_files,
@@ -85,7 +85,7 @@ def add_fitted(parser: Parser) -> None:
         help="velocity, displacement, acceleration or free: of all outputs, or of each (default: from the file, "
         "its labels or units, else velocity)",
     )  # fmt: skip
-    add_meeting(model, ("estimate", "zero"), ("auto", *INTERSAMPLE))
+    add_meeting(model, ("estimate", "zero"), "what the data prefer")
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
         help="do not estimate an offset (default: an offset or a drift where the data show it)",
