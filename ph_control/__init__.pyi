@@ -120,10 +120,10 @@ from .symplectic.darboux_and_casimirs import darboux as darboux
 from .symplectic.darboux_and_casimirs import split_casimirs as split_casimirs
 from .symplectic.forms_and_williamson import is_hamiltonian_matrix as is_hamiltonian_matrix
 from .symplectic.forms_and_williamson import is_symplectic as is_symplectic
+from .symplectic.forms_and_williamson import semidefinite_coefficients as semidefinite_coefficients
 from .symplectic.forms_and_williamson import symplectic_form as symplectic_form
 from .symplectic.forms_and_williamson import williamson as williamson
-from .symplectic.semidefinite import semidefinite_coefficients as semidefinite_coefficients
-from .symplectic.semidefinite import williamson_semidefinite as williamson_semidefinite
+from .symplectic.forms_and_williamson import williamson_semidefinite as williamson_semidefinite
 from .systems.affine import AffineHamiltonian as AffineHamiltonian
 from .systems.affine import Symmetry as Symmetry
 from .systems.affine import affine as affine

@@ -292,9 +292,9 @@ def test_the_formula_as_printed_has_another_transfer_function_and_the_corrected_
 @pytest.mark.parametrize(
     ("d", "v", "message"),
     [
-        ([1.0, 2.0, 3.0], [1.0, 0.0, 0.0], "d has 3 entries; it holds n of the positions and n of the momenta"),
+        ([1.0, 2.0, 3.0], [1.0, 0.0, 0.0], "d has 3 entries and v has 3; each holds n of the positions"),
         ([1.0, -2.0], [1.0, 0.0], r"d\[1\] = -2; a stored energy cannot be negative"),
-        ([1.0, 2.0], [1.0], "v has 1 entries; with d of 2 it must have 2"),
+        ([1.0, 2.0], [1.0], "d has 2 entries and v has 1"),
         ([1.0, np.nan], [1.0, 1.0], "d is not finite"),
         ([1e200, 1e200], [1.0, 1.0], "the coefficients of these 1 degrees of freedom leave the range of doubles"),
     ],

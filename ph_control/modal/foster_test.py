@@ -22,8 +22,7 @@ from ..numerics import pole_residue
 from ..numerics.pole_residue import SAFETY, PoleResidueForm, clusters
 from ..numerics.polynomials import COEFFICIENT_LIMIT
 from ..symplectic.forms_and_williamson import apply_form
-from .discrete import continuous, sampling_rule
-from .discretization import Hold
+from .discretization import Hold, continuous, sampling_rule
 from .modal_form import ModalForm
 from .propagation import transfer_function
 

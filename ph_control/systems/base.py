@@ -17,6 +17,7 @@ from ..modal.modal_form import ModalForm, imaginary
 
 _ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
 _RIGHT = 1e-9  # of a frequency: how far to the right of the axis values show which way
+LETTERS = {"states": "x", "outputs": "y", "inputs": "u"}  # of the names that python-control gives
 _LOOKED_AT = 100  # degrees of freedom of a system whose matrices and modes are computed in order to show them
 
 
@@ -238,11 +239,18 @@ class LosslessSystem(ct.StateSpace):
     def _label_repr(self, show_count: bool | None = None) -> str:
         """Names as keywords, those that are given by default left out; python-control does not quote quotes."""
         parts = [] if self._generic_name_check() else [f"name={self.name!r}"]
-        for kind, letter in (("states", "x"), ("outputs", "y"), ("inputs", "u")):
-            labels = getattr(self, f"{kind[:-1]}_labels")
-            if labels != [f"{letter}[{k}]" for k in range(len(labels))]:
+        for kind in LETTERS:
+            if labels := self._given_labels(kind):
                 parts.append(f"{kind}={labels}")
         return ", ".join(parts)
+
+    def _given_labels(self, kind: str) -> list[str] | None:
+        """Names of the inputs, outputs or states; None where they are those that python-control gives."""
+        count, letter = getattr(self, f"n{kind}"), LETTERS[kind]
+        if kind == "states" and self._state_index is None:
+            return None
+        labels: list[str] = getattr(self, f"{kind[:-1]}_labels")
+        return None if labels == [f"{letter}[{k}]" for k in range(count)] else labels
 
     def _repr_of(self, *arrays: NDArray[Any]) -> str:
         """A call of the factory that evaluates to the same system."""

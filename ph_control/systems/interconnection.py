@@ -17,13 +17,13 @@ from .._units import common_unit
 from ..exceptions import StructureError
 from ..symplectic.darboux_and_casimirs import split_casimirs
 from ..symplectic.forms_and_williamson import direct_sum
+from .base import LETTERS
 from .dissipative import PARTS, is_canonical, parts_of, restored
 from .port_hamiltonian import PortHamiltonian, is_number
 
 Ports = tuple[int | str, int | str] | Sequence[tuple[int | str, int | str]]
 
 _ROUNDING = 64  # times `size EPS`: what is taken for rounding of 0
-_LETTERS = {"inputs": "u", "outputs": "y", "states": "x"}
 
 
 class _Label(NamedTuple):
@@ -423,7 +423,7 @@ def _side_by_side(members: Sequence[PortHamiltonian | Array], canonical: bool = 
         # of blocks without rows or columns scipy makes what it can
         parts[name] = block_diag(*(part[name] for part in each)).reshape(-1)[: shape[0] * shape[1]].reshape(shape)
     counts = [part["G"].shape for part in each]
-    signals = {kind: [_labels_of(one, kind, k) for k, one in enumerate(members)] for kind in _LETTERS}
+    signals = {kind: [_labels_of(one, kind, k) for k, one in enumerate(members)] for kind in LETTERS}
     inputs, states = (list(chain.from_iterable(signals[kind])) for kind in ("inputs", "states"))
     split = [(found[:m], found[m:]) for found, (_, m) in zip(signals["outputs"], counts, strict=True)]
     outputs = list(chain(*(ports for ports, _ in split), *(sensors for _, sensors in split)))
@@ -480,7 +480,7 @@ def _structure(K: Array, into: Array, out: Array, D: Array) -> dict[str, Array]:
 def _made(whole: _Whole, names: dict[str, Any]) -> PortHamiltonian:
     """System of these matrices, lossless where nothing is lost and the structure matrix is invertible."""
     part = whole.parts
-    named = {kind: _texts(getattr(whole, kind), kind, whole.owners) for kind in _LETTERS}
+    named = {kind: _texts(getattr(whole, kind), kind, whole.owners) for kind in LETTERS}
     Q, G = part["Q"], part["G"]
     lossless = not (any(part[name].any() for name in "RPSN") or len(part["sensor_rows"]))
     if lossless and not is_canonical(part["J"]):
@@ -501,16 +501,12 @@ def _labels_of(one: PortHamiltonian | Array, kind: str, owner: int) -> list[_Lab
     """Labels of the signals of a system, None for all where they are those that python-control gives."""
     if not isinstance(one, PortHamiltonian):
         return [_Label(owner, None)] * (0 if kind == "states" else len(one))
-    count, letter = getattr(one, f"n{kind}"), _LETTERS[kind]
-    if kind == "states" and one._state_index is None:
-        return [_Label(owner, None)] * count
-    labels = getattr(one, f"{kind[:-1]}_labels")
-    given = labels != [f"{letter}[{k}]" for k in range(count)]
-    return [_Label(owner, label if given else None) for label in labels]
+    labels: Sequence[str | None] = one._given_labels(kind) or [None] * getattr(one, f"n{kind}")
+    return [_Label(owner, label) for label in labels]
 
 
 def _has_names(one: PortHamiltonian) -> bool:
-    return any(label.text for kind in _LETTERS for label in _labels_of(one, kind, 0))
+    return any(label.text for kind in LETTERS for label in _labels_of(one, kind, 0))
 
 
 def _owners(members: Sequence[Any]) -> list[str]:
@@ -528,7 +524,7 @@ def _texts(labels: list[_Label], kind: str, owners: list[str]) -> list[str] | No
         return None
     found: list[str] = []
     for place, (owner, text) in enumerate(labels):
-        name = f"{_LETTERS[kind]}[{place}]" if text is None else text
+        name = f"{LETTERS[kind]}[{place}]" if text is None else text
         if text is not None and texts.count(text) > 1:
             name = f"{owners[owner]}_{text}"
         while name in found:
