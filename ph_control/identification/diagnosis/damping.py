@@ -20,10 +20,10 @@ from scipy.stats import norm
 from ..._types import Array, Mask
 from ..data.experiments import as_channels
 from ..data.time_record import LONG
-from ..regression.free import first_step
+from ..regression.free import FreeRows, first_step
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
-from ..regression.time_rows import FreeRecord, FreeRows, RecordRows
+from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.variable_projection import Problem, Projection
 from ..search.circumstances import Finding, noise_size
 from ..search.criteria import preference

@@ -19,8 +19,8 @@ from ...modal.modal_form import ModalForm
 from ..data.time_record import Record
 from ..regression.frequency_rows import FrequencyRows
 from ..regression.prediction import state_from_amplitudes
-from ..regression.time_rows import RecordRows, Rows
-from ..regression.variable_projection import Problem, Projection, refine
+from ..regression.time_rows import RecordRows
+from ..regression.variable_projection import Problem, Projection, Rows, refine
 from ..search.formulation import rows_of
 from ..uncertainty.draws import ModeSamples, draws_from, tail_of
 

@@ -18,7 +18,9 @@ import numpy as np
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from .elimination import LinearProjection, column_lengths, eliminate, inverse_gram, orthogonal, without
-from .time_rows import FreeRows
+from .frequency_rows import FreeResponse
+from .spectral_rows import FreeWindow
+from .time_rows import FreeRecord
 from .triangular import reduced, triangle
 from .tuning import TUNING
 from .variable_projection import Progress, refine
@@ -26,6 +28,11 @@ from .variable_projection import Progress, refine
 _STEPS = 40
 _NUDGE = 1e-6  # of a frequency: a step towards a border
 _SHOWN = 1e-6  # part of a column of unit length that is not among others
+
+# A complex coefficient has two columns, for its real and its imaginary part: those of the free motion, if modes may be
+# `moving` at the start, then of each input those of the residues (2n), and what is fed `through` if that may be.
+# Derivatives are those of these columns by the pole.
+FreeRows = FreeRecord | FreeResponse | FreeWindow
 
 # --- the linear problem ----------------------------------------------------------------------------------------------
 
@@ -296,20 +303,7 @@ class GivenResidues(FreeProjection):
 
     def __init__(self, at: FreeProjection, shared: Array) -> None:
         super().__init__(at.experiments, at.p, at.fed)
-        self._at, self._given = at, shared
-
-    @cached_property
-    def _parts(self) -> list[tuple[Array, _ExperimentColumns, _ExperimentColumns]]:
-        return self._at._parts
-
-    @cached_property
-    def _groups(self) -> list[_Together]:
-        return self._at._groups
-
-    @cached_property
-    def shared(self) -> Array:
-        """The unknowns that were given."""
-        return self._given
+        self._parts, self._groups, self.shared = at._parts, at._groups, shared
 
     @cached_property
     def loss(self) -> float:
@@ -380,12 +374,8 @@ def first_step(
     turn = np.linalg.qr(directions * lengths[:, None], mode="complete")[0]
     rotated = np.column_stack([moved[:, :-1] / lengths @ turn, moved[:, -1]])
     factor = triangle(lambda: iter([rotated.T]), len(rotated))
-    return _beyond(factor, directions.shape[1], fitted)
-
-
-def _beyond(factor: Array, some: int, fitted: int) -> tuple[float, float, int, int]:
-    """What the columns of a triangular factor after the first explain of the last."""
-    diagonal = np.abs(np.diag(factor))[:-1]
+    # what the columns after the directions explain of the last
+    some, diagonal = directions.shape[1], np.abs(np.diag(factor))[:-1]
     shown = diagonal > _SHOWN * np.maximum(np.linalg.norm(factor[:, :-1], axis=0), _SHOWN)
     explained = factor[:-1, -1] ** 2 * shown
     more = int(shown[some:].sum())
@@ -472,7 +462,7 @@ def refine_free(
     for _ in range(3):  # peaks turn out wider than their window
         problem = FreeProblem(make(p), region, fed)
         start = problem.inside(np.concatenate([p.imag, p.real]))
-        report = None if progress is None else _averaged(progress, problem.samples)
+        report = progress and _averaged(progress, problem.samples)
         end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last, progress=report)
         before, p = p, end.projection.p
         if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):

@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from ..._display import Report
-from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, NDArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import blocks
 from .free import FreeProjection
+from .prediction import FittedData
 from .time_rows import FreeRecord
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedChannels(Report, Frozen):
+class FittedChannels(FittedData):
     """What a fit by `pem` says of one experiment of several inputs or outputs.
 
     Attributes
@@ -43,16 +42,6 @@ class FittedChannels(Report, Frozen):
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""
         return f"{self.record.samples} samples of {len(self.predicted)} outputs, fit {self.fit_percent:.2f} %"
-
-    @property
-    def measured(self) -> NDArray[Any]:
-        """Outputs of the record; NaN where missing."""
-        return self.record.measured
-
-    @property
-    def residuals(self) -> NDArray[Any]:
-        """What the prediction leaves; NaN where an output is missing."""
-        return self.measured - self.predicted
 
     @property
     def fit_percent(self) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ..data.frequency_record import FrequencyRecord
-from .spectral_rows import Pair, real_rows, stacked
+from .spectral_rows import Pair, real_rows, stacked, thinned_places
 from .time_rows import Evaluation
 from .tuning import TUNING
 
@@ -230,14 +230,12 @@ class FreeResponse:
         """The points about some modes as far as their peaks reach, and a few; of wide peaks a part, each for many."""
         omega, reach = self.omega, TUNING.half_width * (self.bin + np.abs(p.real))
         first, last = (np.searchsorted(omega, end) for end in (p.imag - reach, p.imag + reach))
-        place, steps = np.arange(len(omega)), np.zeros(len(omega), int)
-        for k in np.argsort(-reach):
-            steps[first[k] : last[k]] = max(1, (last[k] - first[k]) // (4 * TUNING.thinned))
-        apart = 1 + len(omega) // TUNING.everywhere
-        kept = ((steps > 0) | (place % apart == apart // 2)) & (place % np.maximum(steps, 1) == 0)
+        widest = np.argsort(-reach)
+        ranges = zip(first[widest], last[widest], (last - first)[widest] // (4 * TUNING.thinned), strict=True)
+        kept, counts = thinned_places(ranges, len(omega), 1 + len(omega) // TUNING.everywhere)
         observed, scale = self.observed.copy(), self.scale.copy()
-        observed[self.observed] = kept
-        scale[observed] *= np.sqrt(np.maximum(steps[kept], 1))
+        observed[self.observed] = np.isin(np.arange(len(omega)), kept)
+        scale[observed] *= counts
         return replace(self, observed=observed, scale=scale)
 
     def at(self, p: ComplexArray) -> FreeResponseEvaluation:

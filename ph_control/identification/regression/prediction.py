@@ -29,8 +29,25 @@ from .variable_projection import Problem
 Piece = tuple[NDArray[Any], NDArray[Any], Array | None]  # outputs, errors, weights
 
 
+class FittedData(Report, Frozen):
+    """The data of an experiment, and what a fit says of them."""
+
+    record: Any
+    predicted: NDArray[Any]
+
+    @property
+    def measured(self) -> NDArray[Any]:
+        """Outputs of the record; NaN where missing."""
+        return self.record.measured
+
+    @property
+    def residuals(self) -> NDArray[Any]:
+        """What the prediction leaves; NaN where an output is missing."""
+        return self.measured - self.predicted
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class FittedExperiment(Report, Frozen):
+class FittedExperiment(FittedData):
     """What a fit by `pem` says of one experiment.
 
     Attributes
@@ -63,16 +80,6 @@ class FittedExperiment(Report, Frozen):
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""
         return f"{self.record.samples} samples, fit {self.fit_percent:.2f} %"
-
-    @property
-    def measured(self) -> NDArray[Any]:
-        """Outputs of the record; NaN where missing."""
-        return self.record.measured
-
-    @property
-    def residuals(self) -> NDArray[Any]:
-        """What the prediction leaves; NaN where the output is missing."""
-        return self.measured - self.predicted
 
     @property
     def fit_percent(self) -> float:

@@ -10,7 +10,7 @@ whatever the length of the record.  Modes have poles of positive imaginary part 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Generic, TypeVar
@@ -21,7 +21,7 @@ from ..._types import Array, ComplexArray, Indices, NDArray
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
 from .modal_regressors import SampledModes
-from .time_rows import Evaluation, FreeRecord, RecordRows
+from .time_rows import Evaluation, FreeRecord, RecordRows, SampledRecord
 from .tuning import TUNING
 
 Pair = tuple[ComplexArray, ComplexArray]
@@ -31,18 +31,23 @@ Transforms = TypeVar("Transforms", bound="Bins")
 _NEAR = 1e-3  # turns of a mode away from a bin, below which a series is more accurate
 
 
+@dataclass(frozen=True)
 class Bins:
-    """The bins of the transform of a record of so many samples."""
+    """Transforms of the inputs and outputs (.., K) of a record of T samples; missing outputs count as 0."""
+
+    record: SampledRecord
+    U: ComplexArray
+    Y: ComplexArray
 
     @property
     def hold(self) -> Hold:
         """How modes meet the samples."""
-        raise NotImplementedError
+        return self.record.hold
 
     @property
     def length(self) -> int:
         """Number of samples T."""
-        raise NotImplementedError
+        return self.record.length
 
     @property
     def last(self) -> int:
@@ -81,27 +86,14 @@ class Bins:
 
 @dataclass(frozen=True)
 class Spectrum(Bins):
-    """Transforms of a record of T samples; missing outputs count as 0."""
+    """Those of a record of one input and one output."""
 
-    experiment: RecordRows
-    U: ComplexArray
-    Y: ComplexArray
+    record: RecordRows
 
     @classmethod
-    def of(cls, experiment: RecordRows) -> Spectrum:
+    def of(cls, record: RecordRows) -> Spectrum:
         """Transform a record."""
-        y = np.where(experiment.observed, experiment.y, 0.0)
-        return cls(experiment, np.fft.rfft(experiment.u), np.fft.rfft(y))
-
-    @property
-    def hold(self) -> Hold:
-        """How modes meet the samples."""
-        return self.experiment.hold
-
-    @property
-    def length(self) -> int:
-        """Number of samples T."""
-        return len(self.experiment.u)
+        return cls(record, np.fft.rfft(record.u), np.fft.rfft(np.where(record.observed, record.y, 0.0)))
 
     def energy(self, transform: ComplexArray) -> float:
         """Sum of squares in time of a real signal with this transform (Parseval)."""
@@ -110,20 +102,18 @@ class Spectrum(Bins):
     def lossless(self, d: Array) -> SampledModes:
         """Modes without losses of unit residue, as `TransformColumns` takes them."""
         half = np.full(len(d), 0.5 + 0j)
-        return SampledModes.lossless(self.experiment.hold, d, self.experiment.quantity, 1).weighted(half, 0 * half)
+        return SampledModes.lossless(self.record.hold, d, self.record.quantity, 1).weighted(half, 0 * half)
 
     def beside_offset(self, residual: ComplexArray) -> ComplexArray:
         """Transform of a residual without its constant, where an offset explains it: no mode is sought there."""
-        return np.concatenate([[0.0], residual[1:]]) if self.experiment.offset else residual
+        return np.concatenate([[0.0], residual[1:]]) if self.record.offset else residual
 
 
 @dataclass(frozen=True)
 class ChannelSpectra(Bins):
-    """Transforms of inputs (m, K) and outputs (q, K) of a record; missing outputs count as 0."""
+    """Those of inputs (m, K) and outputs (q, K)."""
 
     record: FreeRecord
-    U: ComplexArray
-    Y: ComplexArray
 
     @classmethod
     def of(cls, record: FreeRecord) -> ChannelSpectra:
@@ -133,16 +123,6 @@ class ChannelSpectra(Bins):
     def scaled(self, record: FreeRecord, sizes: Array) -> ChannelSpectra:
         """Those of the record with outputs (q,) so many times as large."""
         return ChannelSpectra(record, self.U, self.Y * sizes[:, None])
-
-    @property
-    def hold(self) -> Hold:
-        """How modes meet the samples."""
-        return self.record.hold
-
-    @property
-    def length(self) -> int:
-        """Number of samples T."""
-        return self.record.length
 
 
 def _place(phase: tuple[Array, Array], length: int) -> Array:
@@ -273,6 +253,18 @@ def real_rows(columns: Sequence[ComplexArray], scale: Array | float = 1.0) -> Ar
     return np.concatenate([joined.real, joined.imag], axis=1)
 
 
+def thinned_places(ranges: Iterable[tuple[int, int, int]], count: int, apart: int) -> tuple[Indices, Array]:
+    """Places within ranges, of each only those so many steps apart, and a few elsewhere; and what errors there count.
+
+    A place that stands for several counts as the root of their number; later ranges overwrite earlier ones.
+    """
+    place, steps = np.arange(count), np.zeros(count, int)
+    for first, last, step in ranges:
+        steps[first:last] = max(1, step)
+    kept = ((steps > 0) | (place % apart == apart // 2)) & (place % np.maximum(steps, 1) == 0)
+    return place[kept], np.sqrt(np.maximum(steps[kept], 1))
+
+
 @dataclass(frozen=True, eq=False)
 class SpectralRows(Generic[Transforms]):
     """Some bins of the transforms of a record."""
@@ -303,17 +295,17 @@ class Window(SpectralRows[Spectrum]):
     @property
     def driven(self) -> bool:
         """Whether there are columns for the residues."""
-        return self.spectrum.experiment.driven
+        return self.spectrum.record.driven
 
     @property
     def bin(self) -> float:
         """Width of a basin of the loss."""
-        return self.spectrum.experiment.bin
+        return self.spectrum.record.bin
 
     @property
     def ceiling(self) -> float:
         """Largest frequency that is searched."""
-        return self.spectrum.experiment.ceiling
+        return self.spectrum.record.ceiling
 
     @property
     def largest(self) -> float:
@@ -330,7 +322,7 @@ class WindowEvaluation(Evaluation):
 
     def __init__(self, window: Window, d: Array) -> None:
         self._window, self._modes = window, window.spectrum.lossless(d)
-        self._through = float(window.spectrum.experiment.quantity == "acceleration")
+        self._through = float(window.spectrum.record.quantity == "acceleration")
 
     @cached_property
     def columns(self) -> TransformColumns:
@@ -359,10 +351,6 @@ class WindowEvaluation(Evaluation):
 
     def sensitive_blocks(self, kappa: Array, own: Array) -> Iterator[Array]:
         """The same with the derivatives of the output by the frequencies."""
-        return self._rows(self.sensitivity(kappa, own))
-
-    def sensitivity(self, kappa: Array, own: Array) -> ComplexArray:
-        """Derivatives of the output by the frequencies, shape (n, K)."""
         n = len(kappa)
         motion = own[:n, None] + 1j * own[n : 2 * n, None]
         ahead, behind = self.columns.motion_slopes
@@ -370,7 +358,7 @@ class WindowEvaluation(Evaluation):
         if self._window.driven:
             ahead, behind = self.columns.forced_slopes(self._window.spectrum.U, self._numerators)
             found += kappa[:, None] * (ahead + behind)
-        return found
+        return self._rows(found)
 
     def left(self, kappa: Array, own: Array) -> ComplexArray:
         """Transform of what a model does not explain, at all bins."""
@@ -393,17 +381,13 @@ class FreeWindow(SpectralRows[ChannelSpectra]):
 
         A few bins everywhere tell what is fed through from the tails of peaks.
         """
-        steps = np.zeros(spectrum.last + 1, int)
-        widths = np.abs(p.real) / spectrum.record.bin
+        ranges, widths = [], np.abs(p.real) / spectrum.record.bin
         for k in np.argsort(-widths):
             reach = int(min(TUNING.half_width * (1 + widths[k]), spectrum.last))
             centre = int(np.rint(spectrum.place(p.imag[k : k + 1])[0]))
-            steps[max(0, centre - reach) : centre + reach + 1] = max(1, 2 * reach // TUNING.thinned)
-        apart = 1 + spectrum.last // TUNING.everywhere
-        shown = (steps > 0) | (np.arange(len(steps)) % apart == apart // 2)
-        bins = np.flatnonzero(shown & (np.arange(len(steps)) % np.maximum(steps, 1) == 0))
-        bins = bins[bins >= 1]
-        return cls(spectrum, bins, np.sqrt(np.maximum(steps[bins], 1)))
+            ranges.append((max(0, centre - reach), centre + reach + 1, 2 * reach // TUNING.thinned))
+        bins, counts = thinned_places(ranges, spectrum.last + 1, 1 + spectrum.last // TUNING.everywhere)
+        return cls(spectrum, bins[bins >= 1], counts[bins >= 1])
 
     @property
     def inputs(self) -> int:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -28,75 +28,6 @@ _LONG = 1 << 14  # samples from which on inner products are cheaper without colu
 def size_of(values: Array) -> float:
     """Largest absolute value, without an array of them; NaN is left out."""
     return max(float(np.fmax.reduce(values, initial=0.0)), -float(np.fmin.reduce(values, initial=0.0)))
-
-
-class Rows(Protocol):
-    """What an experiment offers to the solver of lossless modes."""
-
-    @property
-    def samples(self) -> int:
-        """Number of real rows."""
-
-    @property
-    def driven(self) -> bool:
-        """Whether there are columns for the residues."""
-
-    @property
-    def bin(self) -> float:
-        """Distance of frequencies within which the loss has one minimum."""
-
-    @property
-    def ceiling(self) -> float:
-        """Largest frequency that is searched."""
-
-    @property
-    def largest(self) -> float:
-        """Largest output."""
-
-    def own_unknowns(self, n: int) -> int:
-        """Number of unknowns besides the frequencies and residues of n modes."""
-
-    def at(self, d: Array) -> Evaluation:
-        """The rows at frequencies `d`."""
-
-
-class FreeRows(Protocol):
-    """What an experiment offers to the solver of modes with any damping and residues.
-
-    Derivatives are those of the columns of complex coefficients, by the pole: of the free motion, if modes may be
-    `moving` at the start, then of the residues.  A complex coefficient has two columns, for its real and its imaginary
-    part.  For each input there are residues (2n), and what is fed `through` if that may be.
-    """
-
-    @property
-    def samples(self) -> int:
-        """Number of real rows of each output."""
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs with columns for the residues; 0 for a free motion."""
-
-    @property
-    def acting(self) -> Indices:
-        """Which of all inputs these are."""
-
-    @property
-    def outputs(self) -> Indices:
-        """Which of all outputs these rows show."""
-
-    @property
-    def moving(self) -> bool:
-        """Whether the modes may be in motion at the start."""
-
-    @property
-    def through(self) -> bool:
-        """Whether there are columns for what is fed through."""
-
-    def own_unknowns(self, n: int) -> int:
-        """Number of unknowns of this experiment and each output alone."""
-
-    def at(self, p: ComplexArray) -> Evaluation:
-        """The rows for modes with these poles, of positive imaginary part."""
 
 
 class Evaluation:
@@ -132,16 +63,52 @@ class Evaluation:
 
 
 @dataclass(frozen=True, eq=False)
-class RecordRows:
-    """A record in time: input, output, where the output was observed, and the hold.
-
-    `offset` counts the terms of what the output has beside the modes: none, a constant, or a constant and a drift.
-    """
+class SampledRecord:
+    """A record in time: inputs and outputs (.., T), where the outputs were observed, and how modes meet the samples."""
 
     u: Array
     y: Array
     observed: Mask
     hold: Hold
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether the outputs were observed at every sample."""
+        return bool(self.observed.all())
+
+    @cached_property
+    def samples(self) -> int:
+        """Number of observed samples."""
+        return int(self.observed.sum())
+
+    @property
+    def length(self) -> int:
+        """Number of all samples T."""
+        return self.u.shape[-1]
+
+    @property
+    def bin(self) -> float:
+        """Spacing of the discrete Fourier frequencies, rad per unit time: the width of a basin of the loss."""
+        return 2 * np.pi / (self.length * self.hold.h)
+
+    @property
+    def largest_phase(self) -> float:
+        """Largest phase per step that is searched."""
+        return self.hold.largest_phase(self.length) * (1 - 1e-9)
+
+    @property
+    def ceiling(self) -> float:
+        """Largest frequency that is searched."""
+        return float(self.hold.frequency_of(np.array([self.largest_phase]))[0])
+
+
+@dataclass(frozen=True, eq=False)
+class RecordRows(SampledRecord):
+    """A record of one input and one output, for lossless modes.
+
+    `offset` counts the terms of what the output has beside the modes: none, a constant, or a constant and a drift.
+    """
+
     from_rest: bool = False
     offset: int = 0
     quantity: str = "velocity"
@@ -153,16 +120,6 @@ class RecordRows:
         return self.y if self.complete else self.y[self.observed]
 
     @cached_property
-    def complete(self) -> bool:
-        """Whether the output was observed at every sample."""
-        return bool(self.observed.all())
-
-    @cached_property
-    def samples(self) -> int:
-        """Number of observed outputs."""
-        return int(self.observed.sum())
-
-    @cached_property
     def largest(self) -> float:
         """Largest output."""
         return size_of(self.target)
@@ -170,21 +127,6 @@ class RecordRows:
     def seen(self, rows: Array) -> Array:
         """Rows at which the output was observed."""
         return rows if self.complete else rows[self.observed]
-
-    @property
-    def bin(self) -> float:
-        """Spacing of the discrete Fourier frequencies, rad per unit time: the width of a basin of the loss."""
-        return 2 * np.pi / (len(self.u) * self.hold.h)
-
-    @property
-    def largest_phase(self) -> float:
-        """Largest phase per step that is searched."""
-        return self.hold.largest_phase(len(self.u)) * (1 - 1e-9)
-
-    @property
-    def ceiling(self) -> float:
-        """Largest frequency that is searched."""
-        return float(self.hold.frequency_of(np.array([self.largest_phase]))[0])
 
     def own_unknowns(self, n: int) -> int:
         """Free motion of every mode, then the drift per sample, and the constant as the last."""
@@ -203,17 +145,13 @@ class RecordRows:
 
 
 @dataclass(frozen=True, eq=False)
-class FreeRecord:
+class FreeRecord(SampledRecord):
     """The observed samples of a record, for modes with any damping and residues.
 
     Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
     Inputs that are zero throughout are left out, and those there are have their places `among` all.
     """
 
-    u: Array
-    y: Array
-    observed: Mask
-    hold: Hold
     moving: bool = True
     offset: int = 0
     through: bool = True
@@ -226,7 +164,7 @@ class FreeRecord:
     def measured(self) -> Array:
         """Outputs (q, T) in their scale, 0 where missing."""
         y = self.y if self.scale is None else self.y * self.scale[:, None]
-        return y if self.observed.all() else np.where(self.observed, y, 0.0)
+        return y if self.complete else np.where(self.observed, y, 0.0)
 
     @classmethod
     def of(cls, one: RecordRows, through: bool = True) -> FreeRecord:
@@ -248,16 +186,6 @@ class FreeRecord:
         ]
 
     @property
-    def samples(self) -> int:
-        """Number of observed samples."""
-        return int(self.observed.sum())
-
-    @property
-    def length(self) -> int:
-        """Number of all samples T."""
-        return self.u.shape[1]
-
-    @property
     def inputs(self) -> int:
         """Number of inputs."""
         return len(self.u) if self.driven else 0
@@ -268,16 +196,6 @@ class FreeRecord:
         return (np.arange(len(self.u)) if self.among is None else self.among)[: self.inputs]
 
     @property
-    def bin(self) -> float:
-        """Spacing of the discrete Fourier frequencies, rad per unit time."""
-        return 2 * np.pi / (self.length * self.hold.h)
-
-    @property
-    def ceiling(self) -> float:
-        """Largest frequency that is searched."""
-        return float(self.hold.frequency_of(np.array([self.hold.largest_phase(self.length) * (1 - 1e-9)]))[0])
-
-    @property
     def largest(self) -> Array:
         """Largest value of each output."""
         return np.array([size_of(y) for y in self.y])
@@ -285,7 +203,7 @@ class FreeRecord:
     @property
     def whole(self) -> bool:
         """Whether the bins of its transform have all that it tells of modes."""
-        return bool(self.observed.all()) and self.moving and self.offset < 2
+        return self.complete and self.moving and self.offset < 2
 
     def own_unknowns(self, n: int) -> int:
         """Free motion of every mode, then the drift per sample, and the constant as the last."""
@@ -314,7 +232,7 @@ class RecordColumns(Evaluation):
             rows.driven,
             rows.offset,
         )
-        self._observed, self._complete, self._kernel = rows.observed, bool(rows.observed.all()), kernel
+        self._observed, self._complete, self._kernel = rows.observed, rows.complete, kernel
         given = getattr(rows, "scale", None)
         self._scale = np.ones(len(self._y)) if given is None else given
         self._groups = self._at_once(width * SHORT)

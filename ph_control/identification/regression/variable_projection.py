@@ -20,11 +20,13 @@ from ..._checks import EPS
 from ..._types import Array, ComplexArray, Mask, NDArray
 from .elimination import Eliminated, LinearProjection, eliminate, tolerance, without
 from .frequency_rows import FrequencyRows
-from .time_rows import Rows
+from .spectral_rows import Window
+from .time_rows import RecordRows
 from .triangular import reduced
 from .tuning import TUNING
 
 Progress = Callable[[int, float], None]  # iteration, loss
+Rows = RecordRows | FrequencyRows | Window
 
 _FLAT = 1e-9  # slope of the loss, relative to itself and to a step of its own size, at a minimum
 LAST = 1e-15  # relative decrease of the loss at which the last refinement ends
@@ -321,13 +323,15 @@ class Minimisation(Protocol[At]):
         """Places close to a minimum where the loss may have another one."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Refinement(Generic[At]):
-    """End of a Levenberg-Marquardt run."""
+    """Where a Levenberg-Marquardt run stands, or has ended."""
 
     projection: At
-    iterations: int
-    converged: bool
+    iterations: int = 0
+    converged: bool = False
+    damping: float = 1e-3
+    growth: float = 2.0
 
 
 class Interrupted(KeyboardInterrupt):
@@ -352,46 +356,32 @@ def refine(
     Stops when a full step would reduce the loss by less than `rtol` of itself, or when steps drown in rounding; that
     step is still taken if it is to be the `last`.  Raises `Interrupted`.
     """
-    current = problem.project(x)
-    if len(x) == 0:
-        return Refinement(current, 0, True)
-    state: _Descent[At] | None = _Descent(current)
+    state: Refinement[At] | None = Refinement(problem.project(x), converged=len(x) == 0)
     try:
         while state is not None:
             end = state
             while not end.converged and end.iterations < max_iterations:
                 _descend(problem, end, rtol, last)
                 if progress is not None:
-                    progress(end.iterations, end.current.loss)
+                    progress(end.iterations, end.projection.loss)
             if last and not end.converged:
                 _follow_secants(problem, end)
-            state = _elsewhere(problem, end) if end.converged else None
+            state = _elsewhere(problem, end) if end.converged and len(x) else None
     except KeyboardInterrupt:
-        raise Interrupted(end.current.x) from None
-    return Refinement(end.current, end.iterations, end.converged)
+        raise Interrupted(end.projection.x) from None
+    return end
 
 
-@dataclass
-class _Descent(Generic[At]):
-    """Where a refinement stands."""
-
-    current: At
-    damping: float = 1e-3
-    growth: float = 2.0
-    iterations: int = 0
-    converged: bool = False
-
-
-def _elsewhere(problem: Minimisation[At], state: _Descent[At]) -> _Descent[At] | None:
+def _elsewhere(problem: Minimisation[At], state: Refinement[At]) -> Refinement[At] | None:
     """A start beside a minimum from which the loss is lower, where the problem knows of such places."""
-    at = state.current
+    at = state.projection
     best = min([at, *(problem.project(problem.inside(x)) for x in problem.elsewhere(at))], key=lambda one: one.loss)
-    return _Descent(best, iterations=state.iterations) if best.loss < (1 - TUNING.better_place) * at.loss else None
+    return Refinement(best, state.iterations) if best.loss < (1 - TUNING.better_place) * at.loss else None
 
 
-def _descend(problem: Minimisation[At], state: _Descent[At], rtol: float, last: bool) -> None:
+def _descend(problem: Minimisation[At], state: Refinement[At], rtol: float, last: bool) -> None:
     """One iteration of Levenberg and Marquardt, damped as Nielsen does."""
-    current = state.current
+    current = state.projection
     state.iterations += 1
     scale = np.maximum(np.diag(current.gram), EPS * np.diag(current.gram).max(initial=0.0))
     if not scale.any():
@@ -409,7 +399,7 @@ def _descend(problem: Minimisation[At], state: _Descent[At], rtol: float, last: 
     ratio = (current.loss - trial.loss) / max(2 * promised, np.finfo(float).tiny)
     # the last step shortens the way to the minimum also where its gain drowns in the rounding of the loss
     if trial.loss < current.loss or (state.converged and trial.loss <= current.loss * (1 + problem.samples * EPS)):
-        state.current = trial
+        state.projection = trial
         state.damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         state.growth = 2.0
     else:
@@ -417,9 +407,9 @@ def _descend(problem: Minimisation[At], state: _Descent[At], rtol: float, last: 
         state.converged = state.converged or state.damping > _STUCK
 
 
-def _follow_secants(problem: Minimisation[At], state: _Descent[At]) -> None:
+def _follow_secants(problem: Minimisation[At], state: Refinement[At]) -> None:
     """The way to the minimum where much is left, so that the curvature is not that of the Jacobian alone (BFGS)."""
-    start, curvature = state.current, np.diag(state.current.gram)
+    start, curvature = state.projection, np.diag(state.projection.gram)
     unit = np.minimum(problem.reach(start), np.sqrt(start.loss / np.where(curvature > 0, curvature, np.inf)))
     if not unit.any() or start.loss == 0:
         return
@@ -432,7 +422,7 @@ def _follow_secants(problem: Minimisation[At], state: _Descent[At]) -> None:
         return at.loss / start.loss, 2 * unit * at.gradient / start.loss
 
     found = minimize(relative, np.zeros(len(unit)), jac=True, method="BFGS", options={"gtol": _FLAT})
-    state.current, state.iterations = best, state.iterations + int(found.nit)
+    state.projection, state.iterations = best, state.iterations + int(found.nit)
     # where the loss rounds, steps end before the slope does
     slope = np.max(np.abs(unit * best.gradient)) / best.loss
     state.converged = bool(found.success or slope < np.sqrt(problem.samples * EPS))

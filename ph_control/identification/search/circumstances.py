@@ -18,13 +18,13 @@ from ..._checks import EPS
 from ..._display import p_value
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ..._units import hertz_size
-from ..regression.free import FreeProjection
+from ..regression.free import FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
-from ..regression.time_rows import FreeRecord, FreeRows, RecordRows, Rows
+from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Problem, Projection
+from ..regression.variable_projection import Problem, Projection, Rows
 
 _RIDGE = 1e-12
 _RATES = 16  # of real poles, over all frequencies
@@ -120,11 +120,16 @@ def delayed(problem: Problem, samples: int) -> Problem:
     def shifted(one: RecordRows) -> RecordRows:
         if not one.driven or not samples:
             return one
-        early, late = slice(None, -abs(samples)), slice(abs(samples), None)
-        u, y = (early, late) if samples > 0 else (late, early)
+        u, y = beside_one_another(samples)
         return replace(one, u=one.u[u], y=one.y[y], observed=one.observed[y], from_rest=one.from_rest and samples > 0)
 
     return changed(problem, shifted)
+
+
+def beside_one_another(delay: int) -> tuple[slice, slice]:
+    """Inputs and the outputs that come so many samples after them, or before."""
+    early, late = slice(None, -abs(delay)), slice(abs(delay), None)
+    return (early, late) if delay > 0 else (late, early)
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------
@@ -233,7 +238,7 @@ class _NearModes:
             (block,) = here.sensitive_blocks(kappa, own[k])
             columns = np.zeros((2 * n * (len(windows) + 1), block.shape[1]))
             columns[2 * n * k : 2 * n * (k + 1)], columns[-2 * n :] = block[: 2 * n] / size, block[2 * n : -1] / size
-            response = _response(spectrum.experiment, d, kappa, 2 * np.pi * bins / spectrum.length)
+            response = _response(spectrum.record, d, kappa, 2 * np.pi * bins / spectrum.length)
             target = np.concatenate([left[window.bins].real, left[window.bins].imag])
             places = np.tile(seen + window.bins - 1, 2)
             found.append((np.abs(left[bins]) ** 2, np.abs(response) ** 2, columns, target, places))

@@ -27,6 +27,13 @@ class Criteria:
     aicc: float
     bic: float
 
+    @classmethod
+    def of(cls, loglik: float, parameters: int, samples: float) -> Criteria:
+        """Criteria of a likelihood with so many parameters, variances among them."""
+        aic, spare = 2 * parameters - 2 * loglik, samples - parameters - 1
+        aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
+        return cls(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+
     def by_name(self, name: str) -> float:
         """Value of a criterion; the likelihood guides a search whose choice is made by what was held out."""
         return self.bic if name == "holdout" else float(getattr(self, name))
@@ -39,12 +46,8 @@ def criteria(problem: Problem, loss: float, n: int) -> Criteria:
 
 def criteria_of(samples: int, loss: float, unknowns: int) -> Criteria:
     """Criteria of a model with so many unknowns that leaves a sum of squares."""
-    parameters, variance = unknowns + 1, max(loss / samples, np.finfo(float).tiny)
-    loglik = -0.5 * samples * float(np.log(2 * np.pi * variance) + 1)
-    aic = 2 * parameters - 2 * loglik
-    spare = samples - parameters - 1
-    aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
-    return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+    variance = max(loss / samples, np.finfo(float).tiny)
+    return Criteria.of(-0.5 * samples * float(np.log(2 * np.pi * variance) + 1), unknowns + 1, samples)
 
 
 def preference(problem: Problem, step: Step, name: str) -> float:

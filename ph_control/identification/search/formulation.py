@@ -195,7 +195,7 @@ class Formulation:
 
         while True:
             # what is left of a record without noise is rounding, and says nothing of its circumstances
-            if isinstance(search, TimeSearch) and not self._is_over(steps[-1]):
+            if isinstance(search, TimeSearch) and steps[-1].loss > floor and len(steps[-1].candidates):
                 other = self._with_background(search, steps[-1])
                 if other is not None:
                     return other.path(guess, largest, **how)
@@ -224,9 +224,6 @@ class Formulation:
             own = replace(own, posed=held[0])
             others = held[1:] if held[1:] and not (others and others[0].searched) else others
         return self._best(own, others, steps, guess, largest, how) if others else own
-
-    def _is_over(self, step: Step) -> bool:
-        return not len(step.candidates) or step.loss <= self.problem.rounding
 
     def _best(
         self, own: Path | None, others: list[Formulation], before: list[Step], guess: Array, largest: int,

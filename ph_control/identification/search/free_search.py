@@ -7,7 +7,7 @@ peaks may be much wider than a bin, it is solved over windows of several widths.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,11 +16,11 @@ import numpy as np
 
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
-from ..regression.free import FreeProjection, PoleRegion
+from ..regression.free import FreeProjection, FreeRows, PoleRegion
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
-from ..regression.time_rows import FreeRecord, FreeRows
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .screening import highest_peaks
 
@@ -175,7 +175,7 @@ class Records(FreeSearch):
 
 def strongest(found: Sequence[tuple[ComplexArray, Array]], width: float) -> tuple[ComplexArray, Array]:
     """Poles, the strongest first, without those that lie within the peaks of stronger ones."""
-    p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    p, gain = _joined(found)
     chosen: list[int] = []
     for k in np.argsort(-gain, kind="stable"):
         apart = width + np.abs(p[k].real)
@@ -205,20 +205,7 @@ class Channels:
 
         Each within a window, in windows of several widths everywhere.
         """
-        found = [(np.zeros(0, complex), np.zeros(0))]
-        for half in TUNING.widths_of_peaks:
-            if 4 * half > self._last and half > TUNING.widths_of_peaks[0]:
-                break
-            half = min(half, (self._last - 1) // 2)
-            if half < 3:
-                break
-            centres = np.arange(half + 1, self._last - half + 1, max(1, half // 6))
-            if self._last > _EVERYWHERE:
-                centres = _peaking(left, half, centres)
-            size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
-            found += [self._local(left, half, centres[k : k + size]) for k in range(0, len(centres), size)]
-        p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return p, gain
+        return _joined([self._local(left, half, centres) for half, centres in _windows(left, 1, self._last)])
 
     def peak(self, left: ComplexArray, place: float) -> tuple[float, float]:
         """Half-width of one mode within the narrowest window about a place (in bins), and its share of the power."""
@@ -274,6 +261,28 @@ def local_modes(E: ComplexArray, inputs: ComplexArray, s: ComplexArray, half: Ar
         weight = 1.0 / (each - pole[:, None, None])
     products, solved = _least_squares(inputs * weight, E)
     return pole, np.sum(products.conj() * solved, axis=(1, 2)).real
+
+
+def _windows(left: ComplexArray, first: int, count: int) -> Iterator[tuple[int, Indices]]:
+    """Half-widths and centres of windows of several widths among so many columns of what is left, some at a time."""
+    for half in TUNING.widths_of_peaks:
+        if 4 * half > count and half > TUNING.widths_of_peaks[0]:
+            return
+        half = min(half, (count - 1) // 2)
+        if half < 3:
+            return
+        centres = first + np.arange(half, count - half, max(1, half // 6))
+        if count > _EVERYWHERE:
+            centres = _peaking(left, half, centres)
+        size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
+        for k in range(0, len(centres), size):
+            yield half, centres[k : k + size]
+
+
+def _joined(found: Sequence[tuple[ComplexArray, Array]]) -> tuple[ComplexArray, Array]:
+    """Poles and gains of several windows."""
+    p, gain = (np.concatenate(parts) for parts in zip((np.zeros(0, complex), np.zeros(0)), *found, strict=True))
+    return p, gain
 
 
 def _peaking(left: ComplexArray, half: int, centres: Indices) -> Indices:
@@ -352,20 +361,8 @@ def _modes_of_lines(omega: Array, left: ComplexArray, weight: Array) -> tuple[Co
 
     Each beside a straight line, within a window of so many points, which need not be equidistant.
     """
-    found, points = [(np.zeros(0, complex), np.zeros(0))], len(omega)
-    for half in TUNING.widths_of_peaks:
-        if 4 * half > points and half > TUNING.widths_of_peaks[0]:
-            break
-        half = min(half, (points - 1) // 2)
-        if half < 3:
-            break
-        centres = np.arange(half, points - half, max(1, half // 6))
-        if points > _EVERYWHERE:
-            centres = _peaking(left * weight, half, centres)
-        size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
-        found += [_local_lines(omega, left, weight, half, centres[k : k + size]) for k in range(0, len(centres), size)]
-    p, gain = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return p, gain
+    windows = _windows(left * weight, 0, len(omega))
+    return _joined([_local_lines(omega, left, weight, half, centres) for half, centres in windows])
 
 
 def _local_lines(

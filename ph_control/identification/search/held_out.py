@@ -22,7 +22,7 @@ def foretelling_order(
     channels: Experiments, start: ComplexArray, most: int, posed: Callable[[Experiments], Any]
 ) -> int:
     """Order of the least error over what is held out, all outputs together; `posed` makes a search in channels."""
-    ahead = [_ahead(one) for one in channels]
+    ahead = [held_out(one.samples, HELD_OUT, isinstance(one, Recording)) for one in channels]
     # the search has only what comes before; its models are judged where the rest is missing
     rest, gaps = (
         [_without(one, hidden, shorter) for one, hidden in zip(channels, ahead, strict=True)]
@@ -43,11 +43,12 @@ def foretelling_order(
     return min(values, key=lambda n: (values[n], n))
 
 
-def _ahead(one: Recording | ResponseMatrix) -> Mask:
-    """Which samples are held out: the end of a recording, points all over a response."""
-    if isinstance(one, Recording):
-        return np.asarray(np.arange(one.samples) >= one.samples - max(1, round(HELD_OUT * one.samples)))
-    return np.asarray(np.diff(np.floor(HELD_OUT * np.arange(one.samples + 1) + 0.5)) > 0)
+def held_out(samples: int, part: float, in_time: bool) -> Mask:
+    """Which samples are held out: the end of a record, points all over a response, since neighbours foretell these."""
+    if in_time:
+        return np.asarray(np.arange(samples) >= samples - max(1, round(part * samples)))
+    # where the running share of what is held out passes a whole number
+    return np.asarray(np.diff(np.floor(part * np.arange(samples + 1) + 0.5)) > 0)
 
 
 def _without(one: Any, hidden: Mask, shorter: bool) -> Any:

@@ -21,13 +21,13 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
-from ..regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
+from ..regression.free import FreeProjection, PoleRegion, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Progress
 from ..uncertainty.residual_tests import ljung_box
-from .circumstances import Cause, Finding, autoregression, correlations
+from .circumstances import Cause, Finding, autoregression, beside_one_another, correlations
 from .criteria import Criteria, past_of_noise
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
@@ -51,14 +51,10 @@ _SWAPS = 6  # modes that are looked for elsewhere, at most
 
 
 @dataclass(frozen=True)
-class FreeOrder:
-    """The best model of an order on the way: logarithm of its likelihood, criteria, and poles."""
+class FreeOrder(Criteria):
+    """The best model of an order on the way."""
 
     order: int
-    loglik: float
-    aic: float
-    aicc: float
-    bic: float
     poles: ComplexArray
 
 
@@ -115,17 +111,18 @@ class FreeFit(Frozen):
     @property
     def intersample(self) -> str:
         """Behaviour of the inputs between samples; 'zoh' for response matrices, which have none."""
-        return _hold_of(self.projection.experiments[0])
+        rows = self.projection.experiments[0]
+        return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
+
+    @property
+    def offset(self) -> int:
+        """Terms of what outputs have beside the modes: none, a constant, or a constant and a drift."""
+        return max(getattr(one, "offset", 0) for one in self.projection.experiments)
 
     @property
     def order(self) -> int:
         """Number of modes."""
         return len(self.projection.p)
-
-    @property
-    def problem(self) -> FreeProblem:
-        """What was minimised."""
-        return FreeProblem(self.projection.experiments, self.region, self.projection.fed)
 
     @property
     def variance(self) -> float:
@@ -137,12 +134,6 @@ class FreeFit(Frozen):
     def covariance(self) -> Array:
         """Covariance of imaginary and real parts of the poles, then of what is shared by outputs of the projection."""
         return self.projection.covariance(self.variance)
-
-
-def residues_of(fit: FreeFit) -> ComplexArray:
-    """Residues in the units of the data, shape (n, p, m)."""
-    found = fit.projection.residues * fit.scales[:, None]
-    return found.reshape(fit.order, -1, len(fit.channels[0].input_labels)) if fit.per_entry else found
 
 
 def feedthrough_of(fit: FreeFit) -> Array:
@@ -268,12 +259,11 @@ def _of_long(
     (delay,) = [int(one.values[0]) for one in found.findings if one.cause is Cause.DELAY] or [0]
     data = [_delayed(one, delay) if isinstance(one, Recording) else one for one in channels]
     part = [slice(one.start, min(one.stop, given.samples)) for one, given in zip(part, data, strict=True)]
-    terms = max(getattr(one, "offset", 0) for one in found.projection.experiments)
     best, path = FreeModel(found.projection, [], found.projection.losses * found.scales**2), None
     while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, data, strict=True)):
         part = [next(stages(one, given.samples), one) for one, given in zip(part, data, strict=True)]
         longer = [cut(given, one) for given, one in zip(data, part, strict=True)]
-        path = FreePath.of(longer, intersample=found.intersample, offset=terms, best=best, **how)
+        path = FreePath.of(longer, intersample=found.intersample, offset=found.offset, best=best, **how)
         at = path.refined(best.p, TUNING.rough, None)
         path.best = best = FreeModel(at, [], at.losses / path.sizes**2)
     whole = path.fit(best.p, len(best.p), False, data, either_hold=intersample == "auto")
@@ -315,20 +305,15 @@ def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
 
 def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
     """The fit with outputs that come some samples after the inputs, or before, where the modes say so."""
-    terms = _constants(found)
     best, gain = found, TUNING.likely
     for delay in sorted(likely_delays(found)):
-        again = anew([_delayed(one, delay) for one in found.channels], terms, None)
+        again = anew([_delayed(one, delay) for one in found.channels], found.offset, None)
         share = found.projection.rows / again.projection.rows
         now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
         if now > gain:
             finding = Finding(Cause.DELAY, (float(delay),), now)
             best, gain = replace(again, findings=(*found.findings, finding)), now
     return best
-
-
-def _constants(found: FreeFit) -> int:
-    return max(getattr(one, "offset", 0) for one in found.projection.experiments)
 
 
 def likely_delays(found: FreeFit) -> set[int]:
@@ -339,11 +324,10 @@ def likely_delays(found: FreeFit) -> set[int]:
     """
     if not found.projection.inputs or isinstance(found.channels[0], ResponseMatrix):
         return set()
-    terms = _constants(found)
-    p, some = found.projection.p, [_first(one, _DELAYS_FROM) for one in found.channels]
+    p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
 
     def late(delay: int, p: ComplexArray = p) -> FreeProjection:
-        rows = _records([_delayed(one, delay) for one in some], found.intersample, terms, True)
+        rows = _records([_delayed(one, delay) for one in some], found.intersample, found.offset, True)
         return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
 
     def bic(at: FreeProjection) -> float:
@@ -384,16 +368,11 @@ def _leaves_traces(at: FreeProjection) -> bool:
     return bool(found) and min(found) * len(found) < TUNING.white
 
 
-def _first(one: Recording, samples: int) -> Recording:
-    return replace(one, time=one.clock[:samples], u=one.u[:, :samples], y=one.y[:, :samples])
-
-
 def _delayed(one: Recording, samples: int) -> Recording:
     """A recording whose outputs are those so many samples after the inputs."""
     if not samples or not one.u.any():
         return one
-    early, late = slice(None, -abs(samples)), slice(abs(samples), None)
-    u, y = (early, late) if samples > 0 else (late, early)
+    u, y = beside_one_another(samples)
     return replace(one, time=one.clock[y], u=one.u[:, u], y=one.y[:, y])
 
 
@@ -518,10 +497,6 @@ def _refuse_unmeasured(one: ResponseMatrix, measured: Array) -> None:
         )
 
 
-def _hold_of(rows: Any) -> str:
-    return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
-
-
 # --- the path --------------------------------------------------------------------------------------------------------
 
 
@@ -592,10 +567,7 @@ class FreePath:
 
     def criteria(self, loglik: float, unknowns: int) -> Criteria:
         """Criteria of a model with so many unknowns beside the variances."""
-        samples, parameters = float(self.counts.sum()), unknowns + len(self.counts)
-        aic, spare = 2 * parameters - 2 * loglik, samples - parameters - 1
-        aicc = aic + 2 * parameters * (parameters + 1) / spare if spare > 0 else np.inf
-        return Criteria(loglik, aic, aicc, parameters * float(np.log(samples)) - 2 * loglik)
+        return Criteria.of(loglik, unknowns + len(self.counts), float(self.counts.sum()))
 
     def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
@@ -641,18 +613,14 @@ class FreePath:
 
     def judged(self, at: FreeProjection) -> FreeModel:
         """Modes with what they leave, entered into the table."""
-        found, n = self.left_by(at), len(at.p)
+        found, n = self.scaled.model(at), len(at.p)
+        found = replace(found, losses=found.losses / self.sizes**2)  # in the units of the data
         one = self.criteria(self.loglik(found.losses), self.search.unknowns(n))
         if n not in self.table or self.table[n].loglik < one.loglik:
-            self.table[n] = FreeOrder(n, one.loglik, one.aic, one.aicc, one.bic, at.p[np.argsort(at.d)])
+            self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[np.argsort(at.d)])
         if self.best is None or self.cost(found) < self.cost(self.best):
             self.best = found
         return found
-
-    def left_by(self, at: FreeProjection) -> FreeModel:
-        """Modes with what they leave, the losses in the units of the data."""
-        found = self.scaled.model(at)
-        return replace(found, losses=found.losses / self.sizes**2)
 
     def report(self, n: int) -> Progress | None:
         """What is told of the iterations of n modes, the mean of the squared rows in a common unit of noise."""
@@ -821,11 +789,6 @@ class FreePath:
         """How much the loss would grow without each mode."""
         return FreeProjection(self.scaled.rows(model.p), model.p).evidence
 
-    def vagueness(self, model: FreeModel) -> Array:
-        """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
-        allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
-        return np.asarray(self.decay_errors(model.at) / allowed)
-
     def decay_errors(self, at: FreeProjection) -> Array:
         """Standard errors of the decay rates."""
         n = len(at.p)
@@ -835,7 +798,9 @@ class FreePath:
     def pruned(self, model: FreeModel) -> FreeModel:
         """Modes dropped as long as the criterion gets better, or their widths are not known."""
         while len(model.p):
-            vague = self.vagueness(model)
+            # errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background
+            allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
+            vague = self.decay_errors(model.at) / allowed
             weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(self.evidence(model)))
             fewer = self.model(np.delete(model.p, weakest))
             if vague.max() <= 1 and self.cost(fewer) >= self.cost(model):

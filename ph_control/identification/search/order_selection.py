@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -21,10 +21,11 @@ from ..._workers import check_workers, mapped
 from ...exceptions import IdentificationError, StructureError
 from ...plotting.validation_plot import order_selection_plot
 from ..regression.frequency_rows import FrequencyRows
-from ..regression.time_rows import RecordRows, Rows
-from ..regression.variable_projection import Problem, refine
+from ..regression.time_rows import RecordRows
+from ..regression.variable_projection import Problem, Rows, refine
 from .criteria import CRITERIA, criteria
 from .formulation import Callback, Formulation, reporter
+from .held_out import held_out
 from .steps import Step
 
 _LARGEST = 10  # by default
@@ -317,27 +318,57 @@ _POLISH = 1e-15  # relative decrease of the loss at which a refinement ends: wha
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The problem of what is not held out, how many rows are, and the errors of a model of each experiment there.
+    """A problem, and the samples of each experiment that are held out of it; of a response none that are missing."""
 
-    Of each record the last part is held out, of a response points all over it, since neighbours foretell these.
-    """
-
-    training: Problem
-    ahead: int
-    errors: tuple[Callable[[Array, Array, Array], Array], ...]
+    problem: Problem
+    hidden: tuple[Mask, ...]
 
     @classmethod
     def of(cls, problem: Problem, part: float) -> HeldOut:
         """Hold out a part of each experiment."""
-        parts = [_split(one, part) for one in problem.experiments]
-        training = replace(problem, experiments=tuple(first for first, _, _ in parts))
-        return cls(training, sum(rows for _, rows, _ in parts), tuple(errors for _, _, errors in parts))
+        hidden = []
+        for one in problem.experiments:
+            observed = _record(one).observed
+            if isinstance(one, RecordRows):
+                hidden.append(held_out(len(observed), part, True))
+            else:
+                hidden.append(np.zeros(len(observed), bool))
+                hidden[-1][observed] = held_out(int(observed.sum()), part, False)
+        return cls(problem, tuple(hidden))
+
+    @cached_property
+    def training(self) -> Problem:
+        """The problem of what is not held out."""
+        rows: list[Any] = []
+        for one, hidden in zip(self.problem.experiments, self.hidden, strict=True):
+            if isinstance(one, RecordRows):
+                rows.append(replace(one, u=one.u[~hidden], y=one.y[~hidden], observed=one.observed[~hidden]))
+            else:
+                record = _record(one)
+                rows.append(replace(one, record=replace(record, response=np.where(hidden, np.nan, record.response))))
+        return replace(self.problem, experiments=tuple(rows))
+
+    @property
+    def ahead(self) -> int:
+        """Number of equations that are held out."""
+        return self.problem.samples - self.training.samples
 
     def loss(self, d: Array) -> float:
         """Mean squared error over what is held out, of the model that fits the rest best about these frequencies."""
         at = refine(self.training, d, rtol=_POLISH).projection
-        found = [errors(at.d, at.kappa, own) for errors, own in zip(self.errors, at.own, strict=True)]
+        found = []
+        for one, own, hidden in zip(self.problem.experiments, at.own, self.hidden, strict=True):
+            record, predicted = _record(one), one.at(at.d).predict(at.kappa, own)
+            if isinstance(one, RecordRows):
+                found.append((one.y - predicted)[hidden & one.observed])
+            else:
+                left = ((record.response - predicted) * np.sqrt(record.weights))[hidden]
+                found += [left.real, left.imag]
         return float(np.mean(np.concatenate(found) ** 2))
+
+
+def _record(one: Rows) -> Any:
+    return one.record if isinstance(one, FrequencyRows) else one
 
 
 def held_out_losses(
@@ -364,35 +395,3 @@ def held_out_losses(
     # a path that ended in rounding has no better model of higher order
     last = losses[len(path[-1].d)] if path and len(path[-1].d) < largest else np.inf
     return rest.ahead, np.array([losses.get(n, last if n <= largest else np.inf) for n in orders])
-
-
-def _split(one: Rows, part: float) -> tuple[Rows, int, Callable[[Array, Array, Array], Array]]:
-    """The part of an experiment to fit to, how many rows the rest has, and the errors of a model there."""
-    if isinstance(one, FrequencyRows):
-        return _thinned(one, part)
-    one = cast(RecordRows, one)
-    cut = len(one.u) - max(1, round(part * len(one.u)))
-    first = replace(one, u=one.u[:cut], y=one.y[:cut], observed=one.observed[:cut])
-    return first, int(one.observed[cut:].sum()), partial(_errors_after, one, cut)
-
-
-def _errors_after(one: RecordRows, cut: int, d: Array, kappa: Array, own: Array) -> Array:
-    return np.asarray((one.y - one.at(d).predict(kappa, own))[cut:][one.observed[cut:]])
-
-
-def _thinned(one: FrequencyRows, part: float) -> tuple[Rows, int, Callable[[Array, Array, Array], Array]]:
-    """Points held out evenly, real and imaginary part of each."""
-    record = one.record
-    seen = np.flatnonzero(record.observed)
-    # where the running share of what is held out passes a whole number
-    out = seen[np.diff(np.floor(part * np.arange(len(seen) + 1) + 0.5)) > 0]
-    response = record.response.copy()
-    response[out] = np.nan
-    first = replace(one, record=replace(record, response=response))
-    return first, 2 * len(out), partial(_errors_at, one, out)
-
-
-def _errors_at(one: FrequencyRows, out: Indices, d: Array, kappa: Array, own: Array) -> Array:
-    record = one.record
-    left = ((record.response - one.at(d).predict(kappa, own)) * np.sqrt(record.weights))[out]
-    return np.concatenate([left.real, left.imag])

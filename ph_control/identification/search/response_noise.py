@@ -124,20 +124,16 @@ def estimated_law(problem: Problem, d: Array) -> tuple[NoiseLaw, list[Array], Ar
     unknowns, floor = search.damped_search.unknowns(len(step.p)), problem.rounding
     damped = criteria_of(problem.samples, max(step.loss, floor), unknowns).bic
     simpler = criteria(problem, max(lossless.loss, floor), len(d)).bic <= damped
-    squares, shares, gains = [], [], []
+    found = []
     parts = zip(search.damped_search.data, search.experiments, step.left, lossless.predicted(), strict=True)
     for free, rows, (left,), predicted in parts:
         columns = next(free.at(step.p).blocks())
         if simpler:
             columns = next(rows.at(lossless.d).sensitive_blocks(lossless.kappa, np.zeros(0)))
             left = rows.target - predicted[rows.record.observed] * rows.scale
-        squares.append(np.abs(left / rows.scale) ** 2)
-        shares.append(_spare(columns[:-1]))
-        gains.append(np.abs(rows.target - left) / rows.scale)
-    if step.loss <= problem.rounding:
-        return NoiseLaw(NoiseKind.CONSTANT, 1.0), gains, step.at.d
-    law, _ = _likeliest(np.concatenate(squares), np.concatenate(shares), np.concatenate(gains))
-    return law, gains, step.at.d
+        found.append(_points(left, rows.target, rows.scale, _spare(columns[:-1])))
+    law = NoiseLaw(NoiseKind.CONSTANT, 1.0) if step.loss <= problem.rounding else _likeliest(found)[0]
+    return law, [gain for _, _, gain in found], step.at.d
 
 
 def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
@@ -146,7 +142,7 @@ def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
     Then whether no point draws the modes through itself, so that all tell of their noise.
     """
     search = Responses([one for one in at.experiments if isinstance(one, FreeResponse)])
-    parts: list[list[tuple[Array, Array, Array]]] = [[] for _ in range(at.shared.shape[1])]
+    parts: list[list[_Points]] = [[] for _ in range(at.shared.shape[1])]
     for rows, left in zip(search.data, search.left(at), strict=True):
         q, slopes = len(rows.outputs), 2 * len(at.p)
         columns = next(rows.at(at.p).blocks())[:-q]
@@ -154,15 +150,21 @@ def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
         alone, together = _spare(columns[:-slopes]), _spare(columns)
         spare = alone + (together - alone) / len(parts)
         for output, each, target in zip(rows.outputs.tolist(), left, rows.target, strict=True):
-            gain = np.abs(target - each) / rows.weight
-            parts[output].append((np.abs(each / rows.weight) ** 2, spare, gain))
-    joined = [[np.concatenate(each) for each in zip(*one, strict=True)] for one in parts]
-    free = all(spare.min(initial=1.0) > _FREE for _, spare, _ in joined)
-    return [_likeliest(squares, spare, gain, len(parts)) for squares, spare, gain in joined], free
+            parts[output].append(_points(each, target, rows.weight, spare))
+    free = all(spare.min(initial=1.0) > _FREE for one in parts for _, spare, _ in one)
+    return [_likeliest(one, len(parts)) for one in parts], free
 
 
-def _likeliest(squares: Array, spare: Array, gain: Array, entries: int = 1) -> tuple[NoiseLaw, float]:
+_Points = tuple[Array, Array, Array]  # squares of what is left, share of the noise that it has, and gain
+
+
+def _points(left: ComplexArray, target: ComplexArray, weight: Array, spare: Array) -> _Points:
+    return np.abs(left / weight) ** 2, spare, np.abs(target - left) / weight
+
+
+def _likeliest(parts: Sequence[_Points], entries: int = 1) -> tuple[NoiseLaw, float]:
     """The law of one of several entries, and how much likelier it is than a constant."""
+    squares, spare, gain = (np.concatenate(each) for each in zip(*parts, strict=True))
     if spare.sum() < TUNING.fewest_points or not np.ptp(gain):
         return NoiseLaw(NoiseKind.CONSTANT, 1.0), 0.0
     unit = float(np.mean(gain**2))

@@ -64,7 +64,7 @@ class Screen:
 
     def __init__(self, spectra: list[Spectrum], signed: bool = False) -> None:
         self.spectra, self.signed = spectra, signed
-        self._finest = min(spectra, key=lambda one: one.experiment.bin)
+        self._finest = min(spectra, key=lambda one: one.record.bin)
         self._everywhere = self._finest.length <= _EVERYWHERE
         self._kept: dict[tuple[int, int], _CandidateColumns] = {}
 
@@ -72,20 +72,16 @@ class Screen:
         """What is kept to save work does not travel to other processes."""
         return {**self.__dict__, "_kept": {}}
 
-    @cached_property
-    def _all(self) -> Array:
-        """Candidates in every bin of the longest experiment."""
-        return self._candidates(np.arange(self._finest.length // 2 + 1))
-
     def _candidates(self, bins: Indices) -> Array:
         one = self._finest
         places = (bins[:, None] + _OFFSETS).ravel()
-        largest = one.experiment.largest_phase * one.length / (2 * np.pi)
+        largest = one.record.largest_phase * one.length / (2 * np.pi)
         return np.asarray(one.frequency(places[(places > 0) & (places < largest)]))
 
     def ranked(self, residuals: list[ComplexArray]) -> tuple[Array, Array]:
         """Candidate frequencies by what they explain of the residuals' transforms, the best first, and how much."""
-        d = self._all if self._everywhere else self._candidates(self._peaking(residuals))
+        every = np.arange(self._finest.length // 2 + 1)
+        d = self._candidates(every if self._everywhere else self._peaking(residuals))
         gains = np.concatenate(
             [self._near(d[first : first + _BATCH], first, residuals) for first in range(0, len(d), _BATCH)]
         )
@@ -171,7 +167,7 @@ def _columns(spectrum: Spectrum, d: Array, bins: Indices) -> _CandidateColumns:
 
     With `(z - lambda) (z - conj(lambda))` below, the numerators of both poles together have real coefficients.
     """
-    one, place, turn = spectrum.experiment, spectrum.place(d), 2j * np.pi / spectrum.length
+    one, place, turn = spectrum.record, spectrum.place(d), 2j * np.pi / spectrum.length
     offset = place - np.rint(place)
     moved = np.where(np.abs(offset) < _OFF_BIN, np.copysign(_OFF_BIN, offset) - offset, 0.0)
     p, weight = imaginary(d), output_weight(d, one.quantity)[0].conj()

@@ -115,7 +115,7 @@ class TimeSearch(Search):
         if not self._windowed or np.any(d < self._slow):
             return problem
         pairs = zip(self._spectra, problem.experiments, strict=True)
-        windows = (Window.about(replace(one, experiment=cast(RecordRows, rows)), d) for one, rows in pairs)
+        windows = (Window.about(replace(one, record=cast(RecordRows, rows)), d) for one, rows in pairs)
         return Problem(tuple(windows), problem.signed)
 
     def _refined(self, d: Array, rtol: float, report: Report | None) -> Step:

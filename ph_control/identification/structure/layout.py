@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..._types import Array, ComplexArray, Indices
-from ..search.modal_search import FreeFit
 
 POWERS = {"displacement": 0, "free": 0, "velocity": 1, "acceleration": 2}
 
@@ -36,14 +35,6 @@ class ChannelLayout:
     quantities: tuple[str, ...]
     ports: tuple[tuple[int, int], ...] = ()
     per_entry: bool = field(default=False)
-
-    @classmethod
-    def of(cls, fit: FreeFit, quantities: tuple[str, ...], ports: tuple[tuple[int, int], ...] = ()) -> ChannelLayout:
-        """Channels of a free fit."""
-        first = fit.channels[0]
-        outputs, inputs = len(first.output_labels), len(first.input_labels)
-        driven = inputs if fit.per_entry else fit.projection.inputs
-        return cls(outputs, driven, fit.scales, quantities, ports, fit.per_entry)
 
     @property
     def powers(self) -> Indices:
