@@ -83,6 +83,30 @@ def test_page_of_a_lossless_fit_and_files_that_are_there(tmp_path):
         result.report(tmp_path / "none" / "fit.html")
 
 
+def test_page_tells_experiments_apart_and_says_why_there_is_no_picture(tmp_path):
+    rng, plant = np.random.default_rng(1), phc.ph(phc.modes([1.0, 2.5], [1.0, 0.4]))
+    inputs = [rng.standard_normal(400) for _ in range(2)]
+    steps = [0.1, 0.15]
+    records = []
+    for u, h in zip(inputs, steps, strict=True):
+        y = phc.forced_response(plant, h * np.arange(400), u, intersample="zoh").outputs
+        records.append((u, y + 0.1 * rng.standard_normal(400)))
+    phc.pem(records, 2, dt=steps).report(tmp_path / "fit.html")
+    text = (tmp_path / "fit.html").read_text(encoding="utf-8")
+    assert "Experiment 1. The data" in text and "Experiment 2. The data" in text
+    assert "No picture: the records have steps" in text
+
+
+def test_page_of_a_response_shows_it_once(tmp_path):
+    omega = np.linspace(0.3, 3.0, 200)
+    plant, rng = phc.spring_chain([1.0], [], ground=1.0, ground_c=0.05), np.random.default_rng(0)
+    noise = 0.01 * (rng.standard_normal(200) + 1j * rng.standard_normal(200))
+    result = phc.pem(ct.frd(plant(1j * omega) + noise, omega), 1, structure="passive", ports=[(0, 0)])
+    result.report(tmp_path / "fit.html")
+    headings = Page((tmp_path / "fit.html").read_text(encoding="utf-8")).headings
+    assert "Frequency responses" in headings and "Measured and predicted" not in headings
+
+
 def test_command_line_writes_the_page(tmp_path):
     rng = np.random.default_rng(2)
     plant, u = phc.ph(phc.modes(1.0, 1.0)), rng.standard_normal(400)

@@ -9,6 +9,7 @@ from io import BytesIO
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib import rc_context
 
 from ..._display import escaped, html_report, html_table, p_value
@@ -19,12 +20,12 @@ from ..fit.result import PEMResult
 _PICTURES = (
     ("fit", "Measured and predicted", "The data, the model, and below what the model leaves unexplained."),
     ("responses", "Frequency responses", "Of the model and of the data."),
-    ("shapes", "Mode shapes", "Over the sensors, in the order of the outputs."),
+    ("shapes", "Mode shapes", "Over the sensors, in the order of the outputs; of one sensor over the inputs."),
     ("assurance", "Modal assurance", "Likeness of the shapes of each two modes: 1 alike, 0 orthogonal."),
     ("stabilisation", "Stabilisation", "Poles of models of ascending order; those that stay are modes."),
     ("residuals", "Residuals", "What a good model leaves is white, and has nothing to do with the input."),
 )
-_OF_SEVERAL = ("shapes", "assurance")  # that say nothing of one output
+_OF_SEVERAL = ("shapes", "assurance")  # that say nothing of one output and one input
 _EXPERIMENTS = 4  # drawn one by one
 _SETTINGS = (
     "structure", "quantity", "quantities", "intersample", "method", "representation", "ports", "shapes_scaled",
@@ -51,7 +52,10 @@ def page_of(result: PEMResult, title: str) -> str:
         rows = [[one.hypothesis, f"{one.likelihood_ratio:.4g}", str(one.dof), p_value(one.p)] for one in result.tests]
         parts += ["<h2>Tests of structure</h2>", html_table(["hypothesis", "likelihood ratio", "dof", "p"], rows)]
     for kind, heading, caption in _PICTURES:
-        if kind in _OF_SEVERAL and result.residues.shape[1] == 1:
+        if kind in _OF_SEVERAL and max(result.residues.shape[1:]) == 1:
+            continue
+        # the responses of the next section are the data themselves
+        if kind == "fit" and np.iscomplexobj(result.predicted):
             continue
         parts += _section(result, kind, heading, caption)
     settings = [[name, str(getattr(result, name))] for name in _SETTINGS if getattr(result, name, None) is not None]
@@ -85,9 +89,10 @@ def _section(result: PEMResult, kind: str, heading: str, caption: str) -> list[s
         for experiment in range(count):
             for output in range(outputs):
                 chosen = {"output": output} if outputs > 1 else {}
-                found.append(_picture(result, kind, experiment, chosen, caption))
+                which = f"Experiment {experiment + 1}. " if several and len(result.experiments) > 1 else ""
+                found.append(_picture(result, kind, experiment, chosen, which + caption))
     except StructureError as error:
-        found.append(f"<p>{escaped(error)}</p>")
+        found.append(f"<p>No picture: {escaped(error)}.</p>")
     if several and len(result.experiments) > count:
         found.append(f"<p>The first {count} of {len(result.experiments)} experiments are drawn.</p>")
     return [f"<h2>{escaped(heading)}</h2>", *found]
