@@ -620,3 +620,18 @@ def test_dots_of_an_accelerometer_lie_on_the_curve_up_to_the_nyquist_frequency(h
             off = np.mod(values[high] - expected + 180, 360) - 180
             assert high.sum() > 50 and np.abs(np.median(off)) < limit * unit and np.abs(off).mean() < limit * unit
     plt.close("all")
+
+
+def test_shapes_of_one_sensor_are_those_over_the_inputs():
+    one = result(p=1, m=9)
+    one.participation = one.residues[:, 0] / one.shapes
+    one.quantities, one.output_labels, one.input_labels = ("acceleration",), ["a"], [f"hit {k}" for k in range(9)]
+    plot = phc.shape_plot(one)
+    assert plot.axes[0, 0].get_xlabel() == "Input"
+    assert [text.get_text() for text in plot.axes[0, 0].get_xticklabels()] == one.input_labels
+    for l, lines in enumerate(plot.lines.flat):
+        drawn, true = lines[0].get_ydata(), np.cos(l * np.arange(1, 10))
+        np.testing.assert_allclose(drawn / np.abs(drawn).max(), np.sign(drawn @ true) * true / np.abs(true).max())
+    assurance = phc.mac_plot(one).lines[0, 0][0].get_array()
+    assert np.abs(assurance - np.eye(3)).max() < 0.2
+    plt.close("all")

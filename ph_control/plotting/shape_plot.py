@@ -48,6 +48,7 @@ _MOST = 12  # modes of one picture
 _IN_CELLS = 12  # modes of which a matrix has room for numbers
 _COLLINEAR = 0.99  # beyond which the imaginary part of a shape is as thin as its line
 _NAMED = 12  # sensors that an axis has room to name
+_POWERS = {"velocity": 1, "acceleration": 2}  # of the pole in the residues of an output, beside a displacement
 _BUBBLE = 220.0  # area of the largest entry of a shape, in points squared
 _VIEW = np.radians([-60.0, 25.0])  # azimuth and elevation from which positions in space are seen
 _CIRCLE = 4.0  # half widths of a resonance of which its circle is drawn
@@ -107,6 +108,9 @@ def shape_plot(
     or opposed; below 0.99 the imaginary part is dotted.  Intervals are those of the real part, as if the errors of real
     and imaginary parts were independent.
 
+    Of a result of one output and several inputs, as of a roving hammer, the shapes are those over the inputs, since a
+    force moves the sensor as much as one at the sensor moves that place; there are no intervals.
+
     In a plane or in space the area of each mark is that of the entry squared, filled where it is positive and hollow
     where it is negative; there are no intervals.
 
@@ -134,11 +138,13 @@ def shape_plot(
             if flat:
                 drawn.lines.flat[k] = _draw_along_line(axis, places[:, 0], table, int(l), look)
                 axis.set(
-                    xlabel=labelled(position_label or ("Sensor" if positions is None else "Position"), position_unit)
+                    xlabel=labelled(
+                        position_label or (table.places if positions is None else "Position"), position_unit
+                    )
                 )
                 axis.set_ylabel(labelled("Mode shape", shape_unit))
                 if positions is None:
-                    _name_sensors(axis, table.output_labels)
+                    _name_sensors(axis, table.labels)
             else:
                 drawn.lines.flat[k] = _draw_in_plane(axis, places, table.shapes[l].real, look)
                 if places.shape[1] == 2:
@@ -322,7 +328,8 @@ class ShapeTable:
     titles: list[str]
     ticks: list[str]
     unit_name: str | None
-    output_labels: list[str] | None
+    labels: list[str] | None
+    places: str
     interval: str
 
 
@@ -333,7 +340,10 @@ def shape_table(
     _checks.level("level", level)
     source = getattr(given, "modes", given) if not hasattr(given, "shapes") else given
     found = getattr(source, "shapes", given)
-    c = _checked_shapes(found)
+    c, places, names = _checked_shapes(found), "Sensor", "output_labels"
+    moved = _over_inputs(given)
+    if moved is not None:
+        c, places, names = moved, "Input", "input_labels"
     unit = unit_for(time_unit, given)
     if poles is None:
         d, zeta = (getattr(source, name, None) for name in ("natural_frequencies", "damping_ratios"))
@@ -346,7 +356,7 @@ def shape_table(
     shapes, turn = aligned_shapes(c)
     reach = np.full(c.shape, np.nan)
     errors = getattr(source, "stderr", {}).get("shapes") if hasattr(source, "stderr") else None
-    if errors is not None:
+    if errors is not None and moved is None:
         errors = np.asarray(errors, complex)
         reach = float(ndtri(0.5 + 0.5 * level)) * np.hypot(turn.real * errors.real, turn.imag * errors.imag)
     numbers = [str(k + 1) for k in range(len(c))]
@@ -356,10 +366,19 @@ def shape_table(
         ticks = [f"{one / size:.4g}" for one in d]
         ratios = [""] * len(c) if zeta is None else [f", {100 * one:.2f} %" for one in zeta]
         titles = [f"{tick} {name}{ratio}" for tick, ratio in zip(ticks, ratios, strict=True)]
-    labels = getattr(given, "output_labels", None)
+    labels = getattr(given, names, None)
     labels = list(labels) if labels is not None and len(labels) == c.shape[1] else None
     interval = f"{100 * level:g} % interval"
-    return ShapeTable(shapes, reach, phase_collinearity(c), titles, ticks, name, labels, interval)
+    return ShapeTable(shapes, reach, phase_collinearity(c), titles, ticks, name, labels, places, interval)
+
+
+def _over_inputs(given: Any) -> ComplexArray | None:
+    """Shapes over the places of the forces (n, m), of a result of one output and several inputs."""
+    b, quantities = (getattr(given, name, None) for name in ("participation", "quantities"))
+    if b is None or quantities is None or len(quantities) > 1 or b.shape[1] < 2:
+        return None
+    p = given.poles
+    return np.asarray(b * (2j * p.imag / p ** _POWERS.get(quantities[0], 0))[:, None])
 
 
 def _checked_shapes(found: Any) -> ComplexArray:
