@@ -13,19 +13,19 @@ from .options import Parser
 from .outcome import EXIT_CODES, guarded
 
 COMMANDS = {
-    "demo": "identify three known plants from noisy recordings, compare with the truth",
+    "demo": "identify three known plants from simulated recordings",
     "fit": "identify a model from recordings or frequency responses",
-    "fit-many": "identify a model from each recording, and track modes",
+    "fit-many": "identify a model from each of many recordings, and track the modes",
     "info": "show the modes and the structure of a model",
-    "convert": "turn a model into another form or file format",
-    "reduce": "reduce a model to fewer states, still port-Hamiltonian",
+    "convert": "convert a model to another form or file format",
+    "reduce": "reduce the number of states of a model",
     "netlist": "write a circuit of a model as SPICE text",
     "compare": "compare models with recordings",
-    "plot": "draw models: bode, step, impulse, modes, poles, energy, fit",
+    "plot": "plot models: bode, step, impulse, modes, poles, energy, fit",
 }
 
-_EPILOG = f"""Each command has its own help, with examples: ph-control fit --help. In place of a file name, - is
-standard input or standard output. Files that exist are replaced only with --overwrite. {EXIT_CODES}"""
+_EPILOG = f"""Each command has its own help, with examples: ph-control fit --help. The file name - is
+standard input or standard output. Existing files are replaced only with --overwrite. {EXIT_CODES}"""
 
 _HELP = """Modes and port-Hamiltonian models from recordings, for python-control.
 
@@ -48,9 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 done; 1 the answer is no, such as a system that is not lossless; 2 wrong usage, bad input, or
-        an output that cannot be written; 3 an error of the program itself; 130 interrupted; 141 nobody reads the
-        output any more.  A message of one line on standard error says why.
+        Exit status: 0 done; 1 negative answer, such as a system that is not lossless; 2 wrong usage, bad input, or
+        an output that cannot be written; 3 internal error; 130 interrupted; 141 closed output pipe.  A message of
+        one line on standard error gives the reason.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if "matplotlib" not in sys.modules:
@@ -81,8 +81,8 @@ def _parser() -> Parser:
     parser = Parser(_HELP, _EPILOG, prog="ph-control", usage=usage)
     version = getattr(phc, "__version__", "(not installed)")
     parser.add_argument("--version", action="version", version=f"%(prog)s {version}")
-    parser.add_argument("--traceback", action="store_true", help="show where in the program an error arose")
+    parser.add_argument("--traceback", action="store_true", help="show the Python traceback of an error")
     group = parser.add_argument_group("commands")
     group.description = "\n".join(f"{name:9} {text}" for name, text in COMMANDS.items())
-    group.add_argument("command", choices=tuple(COMMANDS), metavar="COMMAND", help="a command of the list above")
+    group.add_argument("command", choices=tuple(COMMANDS), metavar="COMMAND", help="one of the commands above")
     return parser

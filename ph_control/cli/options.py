@@ -142,7 +142,7 @@ def _number(word: str) -> float:
 
 def add_json(parser: argparse._ActionsContainer) -> None:
     """How the answer is given."""
-    parser.add_argument("--json", action="store_true", help="print the answer as JSON, with all digits")
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON with all digits")
 
 
 def add_written(parser: argparse._ActionsContainer) -> None:
@@ -153,7 +153,7 @@ def add_written(parser: argparse._ActionsContainer) -> None:
 
 def add_labels(parser: Parser) -> None:
     """Models, and their names."""
-    parser.add_argument("models", nargs="*", metavar="MODEL", help="models, as ph-control info reads them")
+    parser.add_argument("models", nargs="*", metavar="MODEL", help="models; ph-control info --help lists the formats")
     parser.add_argument(
         "--label", action="append", metavar="NAME", help="name of a model, in order (default: the file)"
     )
@@ -163,20 +163,20 @@ def add_recording(parser: Parser) -> None:
     """How tables are read, in time and in frequency."""
     table = parser.add_argument_group(
         "recordings",
-        "text tables: columns between commas, semicolons, tabs or white space, by name or number from 0;\n"
+        "text tables: columns separated by commas, semicolons, tabs or white space, by name or number from 0;\n"
         ".mat: variables by name; .uff, .unv: places such as 3+Z",
     )
-    table.add_argument("--input", metavar="COLUMN", help="column of the input")
-    table.add_argument("--output", metavar="COLUMN", help="column of the output")
+    table.add_argument("--input", metavar="COLUMN", help="input column")
+    table.add_argument("--output", metavar="COLUMN", help="output column")
     table.add_argument("--inputs", type=names, metavar="LIST", help="columns of several inputs, such as force1,force2")
     table.add_argument("--outputs", type=names, metavar="LIST", help="columns of several outputs")
-    table.add_argument("--no-input", action="store_true", help="the recording is a free motion, without an input")
-    table.add_argument("--time", metavar="COLUMN", help="column of the time")
+    table.add_argument("--no-input", action="store_true", help="free motion, without an input")
+    table.add_argument("--time", metavar="COLUMN", help="time column")
     table.add_argument("--no-time", action="store_true", help="the table has no time column; needs --dt")
-    table.add_argument("--dt", type=float, metavar="STEP", help="time between samples, without a time column")
+    table.add_argument("--dt", type=float, metavar="STEP", help="sampling interval of a table without a time column")
     table.add_argument(
         "--time-unit", metavar="UNIT",
-        help="unit of time: ns, us, ms, s, min or h (default: that in the name of its column)",
+        help="unit of time: ns, us, ms, s, min or h (default: from the column name)",
     )  # fmt: skip
     table.add_argument("--delimiter", metavar="CHARACTER", help="column separator (default: detected)")
     table.add_argument("--decimal", choices=(".", ","), help="decimal mark (default: detected)")
@@ -185,36 +185,34 @@ def add_recording(parser: Parser) -> None:
     )
     response = parser.add_argument_group(
         "frequency responses",
-        "tables with a column of frequencies, and magnitude and phase or both parts;\n.uff, .unv; Touchstone (.s1p, "
+        "tables with frequency, and magnitude and phase or real and imaginary part;\n.uff, .unv; Touchstone (.s1p, "
         ".s2p, ...); .mat: --frequency and --outputs name variables",
     )
     for role in ("frequency", "magnitude", "phase", "real", "imag"):
         part = _PARTS.get(role, role)
         response.add_argument(f"--{role}", metavar="COLUMN", help=f"column of the {part}")
-    response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: that in the name of the column")
-    response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: that in the name, or linear")
-    response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: that in the name of the column")
+    response.add_argument("--frequency-unit", choices=FREQUENCY_UNITS, help="default: from the column name")
+    response.add_argument("--magnitude-unit", choices=("linear", "dB"), help="default: from the column name, or linear")
+    response.add_argument("--phase-unit", choices=("deg", "rad"), help="default: from the column name")
     response.add_argument(
         "--parameter", choices=PARAMETERS,
-        help="of Touchstone files: impedance Z (default), admittance Y or scattering S",
+        help="Touchstone files: impedance Z (default), admittance Y or scattering S",
     )  # fmt: skip
-    response.add_argument("--weights", metavar="COLUMN", help="column of weights, as 1/variance")
+    response.add_argument("--weights", metavar="COLUMN", help="column of weights, proportional to 1/variance")
 
 
 def add_meeting(parser: argparse._ActionsContainer, states: Sequence[str], auto: str) -> None:
     """How a model meets samples, and what the default of the input between them means."""
     parser.add_argument(
         "--method", choices=METHODS, default="exact",
-        help="exact (default); midpoint and euler for data made by such an integrator only",
+        help="exact (default); midpoint and euler only for data made by these rules",
     )  # fmt: skip
     parser.add_argument(
         "--intersample", choices=("auto", *INTERSAMPLE), default="auto",
         help=f"input between samples: {auto} (default), held or linear",
     )  # fmt: skip
-    parser.add_argument(
-        "--initial-state", choices=states, default="estimate", help="state at the start (default: estimate)"
-    )
-    parser.add_argument("--offset", action="store_true", help="estimate a constant added to the output")
+    parser.add_argument("--initial-state", choices=states, default="estimate", help="initial state (default: estimate)")
+    parser.add_argument("--offset", action="store_true", help="estimate a constant offset of the output")
 
 
 def add_model(parser: Parser) -> None:

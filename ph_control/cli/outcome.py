@@ -20,8 +20,8 @@ from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlErro
 DONE, NO, BAD, BROKEN, INTERRUPTED, UNREAD = 0, 1, 2, 3, 130, 141
 
 EXIT_CODES = (
-    "Exit status: 0 done, 1 the answer is no (not lossless, not described), 2 wrong usage or bad input, 3 an error of "
-    "the program, 130 interrupted."
+    "Exit status: 0 done, 1 negative answer (not passive, no model describes the data), 2 wrong usage or bad input, "
+    "3 internal error, 130 interrupted."
 )
 
 # what messages of the library say in Python, as options

@@ -1,7 +1,7 @@
 """Compare models of any kind with recordings or frequency responses.
 
-The answer is the fit of each model in percent. A fit to the recording that a model was made from
-flatters it; use another one.
+The output is the fit of each model in percent. Use a recording that was not used for the identification of the models;
+otherwise the fit is optimistic.
 
 Examples
 --------
@@ -31,11 +31,11 @@ def add_options(parser: Parser) -> None:
     """Declare the options."""
     parser.add_argument("first", metavar="RECORDING", help="table of measurements; - for standard input")
     add_labels(parser)
-    parser.add_argument("--recording", action="append", default=[], metavar="FILE", help="one more experiment")
-    parser.add_argument("--at-least", type=float, metavar="PERCENT", help="exit status 1 if the best fit is below")
+    parser.add_argument("--recording", action="append", default=[], metavar="FILE", help="additional experiment")
+    parser.add_argument("--at-least", type=float, metavar="PERCENT", help="exit status 1 if the best fit is lower")
     add_meeting(parser, ("estimate", "zero", "fitted"), "as in the fits, else held")
     parser.add_argument("--plot", metavar="FILE", help="measured and simulated outputs, and the errors (png, svg, pdf)")
-    parser.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to draw (default 1)")
+    parser.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to plot (default 1)")
     add_recording(parser)
     add_model(parser)
     add_written(parser)

@@ -1,7 +1,8 @@
-"""Turn a port-Hamiltonian model into another form, and into another file format, chosen by the suffix.
+"""Convert a port-Hamiltonian model to another form or file format.
 
-.json, .mat (A, B, C, D, with losses also Q, G, J, R, P, S, N; or num, den), .txt and .csv (coefficients of the transfer
-function, or modes). Standard output gets JSON. Exit status 1 if the model has no port-Hamiltonian form.
+The suffix selects the format: .json, .mat (A, B, C, D, with losses also Q, G, J, R, P, S, N; or num, den), .txt or .csv
+(coefficients of the transfer function, or modes). Standard output is JSON. Exit status 1 if the model has no
+port-Hamiltonian form.
 
 Examples
 --------
@@ -40,9 +41,11 @@ def add_options(parser: Parser) -> None:
     """Declare the options."""
     add_files(parser, "file")
     listed = "; ".join(f"{form}: {meaning}" for form, meaning in FORMS.items())
-    parser.add_argument("--to", choices=tuple(FORMS), help=f"form ({listed}); default: as it is, or ph; tf for texts")
+    parser.add_argument(
+        "--to", choices=tuple(FORMS), help=f"form ({listed}); default: unchanged, or ph; tf for text files"
+    )
     parser.add_argument("--format", choices=FORMATS, help="file format (default: from the suffix)")
-    parser.add_argument("--name", type=system_name, help="name of the system that is written")
+    parser.add_argument("--name", type=system_name, help="name of the converted system")
     add_written(parser)
 
 

@@ -1,7 +1,7 @@
-"""Record three known plants with noise: a damped structure with two shakers, and the two systems of the paper.
+"""Simulate noisy recordings of three known plants, identify them, and compare the models with the truth.
 
-The models are compared with the truth. Recordings (CSV), models (JSON), pictures (PNG) and a report (HTML) are left in
-a folder.
+The plants are a damped structure with two shakers and the two systems of the paper. Recordings (CSV), models (JSON),
+plots (PNG) and a report (HTML) are written to a folder.
 
 Examples
 --------
@@ -32,7 +32,7 @@ USAGE = "[options]"
 
 def add_options(parser: Parser) -> None:
     """Declare the options."""
-    parser.add_argument("--folder", type=Path, help="new or empty folder for what it makes (default: a new one here)")
+    parser.add_argument("--folder", type=Path, help="new or empty folder for the output (default: a new folder here)")
     parser.add_argument(
         "--seed", type=within(int, 0, inf), default=0, metavar="N", help="seed of input and noise (default 0)"
     )

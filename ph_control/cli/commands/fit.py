@@ -1,7 +1,7 @@
-"""Identify a model from recordings, or frequency responses, of any number of inputs and outputs.
+"""Identify a model from recordings or frequency responses with any number of inputs and outputs.
 
-Several files are several experiments with one plant. The model is the simplest that the data do not reject: lossless,
-classical, passive or free. Exit status 1 if none describes the data.
+Several files are several experiments with one plant. By default the model has the simplest structure that the data do
+not reject: lossless, classical, passive or free. Exit status 1 if no model describes the data.
 
 Examples
 --------
@@ -56,13 +56,13 @@ def add_options(parser: Parser) -> None:
     )
     add_recording(parser)
     add_fitted(parser)
-    out = parser.add_argument_group("what is written")
-    out.add_argument("--model", metavar="FILE", help="the model (JSON); - for standard output, in place of the summary")
-    out.add_argument("--result", metavar="FILE", help="the whole result, uncertainty and residuals too (JSON)")
-    out.add_argument("--report", metavar="FILE", help="summary, tables and pictures on one page (html)")
-    out.add_argument("--plot", metavar="FILE", help="measured, predicted and residual (png, svg, pdf)")
-    out.add_argument("--bode", metavar="FILE", help="Bode picture of the model and the measurement (png, svg, pdf)")
-    out.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to draw (default 1)")
+    out = parser.add_argument_group("output")
+    out.add_argument("--model", metavar="FILE", help="model (JSON); - for standard output, instead of the summary")
+    out.add_argument("--result", metavar="FILE", help="complete result with uncertainty and data (JSON)")
+    out.add_argument("--report", metavar="FILE", help="summary, tables and plots on one page (html)")
+    out.add_argument("--plot", metavar="FILE", help="measurement, prediction and residual (png, svg, pdf)")
+    out.add_argument("--bode", metavar="FILE", help="Bode plot of model and measurement (png, svg, pdf)")
+    out.add_argument("--experiment", type=int, default=1, metavar="N", help="experiment to plot (default 1)")
     out.add_argument("--name", type=system_name, help="name of the model (default: that of the recording)")
     add_written(out)
 
@@ -72,37 +72,37 @@ def add_fitted(parser: Parser) -> None:
     model = parser.add_argument_group("the model")
     model.add_argument("--order", type=order, default="auto", metavar="N", help="number of modes, or auto (default)")
     model.add_argument("--max-order", type=int, default=20, metavar="N", help="largest order of auto (default 20)")
-    model.add_argument("--criterion", choices=CRITERIA, default="bic", help="what auto minimises (default bic)")
+    model.add_argument(
+        "--criterion", choices=CRITERIA, default="bic", help="criterion that auto minimises (default bic)"
+    )
     model.add_argument(
         "--structure", choices=STRUCTURES, default="auto",
         help="assumption about losses and sensors (default auto: the simplest that the data do not reject)",
     )  # fmt: skip
     model.add_argument(
-        "--ports", type=ports, metavar="LIST", help="driving points, such as y1:u1,y2:u2: labels of output and input"
+        "--ports", type=ports, metavar="LIST", help="driving points as output:input, such as y1:u1,y2:u2"
     )
     model.add_argument(
         "--quantity", type=quantities, metavar="LIST",
-        help="velocity, displacement, acceleration or free: of all outputs, or of each (default: from the file, "
+        help="velocity, displacement, acceleration or free, for all outputs or for each (default: from the file, "
         "its labels or units, else velocity)",
     )  # fmt: skip
-    add_meeting(model, ("estimate", "zero"), "what the data prefer")
+    add_meeting(model, ("estimate", "zero"), "whichever fits better")
     model.add_argument(
         "--no-offset", dest="offset", action="store_false",
-        help="do not estimate an offset (default: an offset or a drift where the data show it)",
+        help="no offset (default: an offset or a drift if the data show it)",
     )  # fmt: skip
     parser.set_defaults(offset="auto")
     model.add_argument(
         "--representation", choices=REPRESENTATIONS, default="observable",
-        help="allow free motion of modes with zero weight (observable, default) or not",
+        help="allow free motion of modes with zero weight (observable, default) or not (controllable)",
     )  # fmt: skip
-    model.add_argument("--guess", metavar="MODEL", help="model to start from, in place of the search")
+    model.add_argument("--guess", metavar="MODEL", help="initial model, instead of the search")
+    model.add_argument("--seed", type=within(int, 0, inf), metavar="N", help="seed of random starts (default: fixed)")
     model.add_argument(
-        "--seed", type=within(int, 0, inf), metavar="N", help="seed of further starts (default: always the same)"
+        "--timeout", type=within(float, 1e-3, 1e9), metavar="SECONDS", help="stop after this time, keep the best model"
     )
-    model.add_argument(
-        "--timeout", type=within(float, 1e-3, 1e9), metavar="SECONDS", help="stop the search then, keep the best model"
-    )
-    model.add_argument("--workers", type=int, default=1, metavar="N", help="processes, -1 for all (default 1)")
+    model.add_argument("--workers", type=int, default=1, metavar="N", help="processes, -1 for all cores (default 1)")
 
 
 def keywords_of(options: Namespace) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Identify a model from each of many recordings, in processes or on a Dask cluster, and track the modes.
 
-Files are named one by one or by patterns in quotes. The table has one row for each recording and mode, and says which
-mode of the other recordings it is. With --store a run that was ended at any moment goes on where it was. Status 1 if
-recordings failed: their rows say why.
+Name files one by one or by patterns in quotes. The table has one row for each recording and mode; its column track
+identifies the same mode in all recordings. With --store an interrupted run resumes. Exit status 1 if recordings failed;
+their rows give the reason.
 
 Examples
 --------
@@ -39,12 +39,16 @@ def add_options(parser: Parser) -> None:
     parser.add_argument("recordings", nargs="+", metavar="RECORDING", help="files, or patterns such as 'data/*.csv'")
     add_recording(parser)
     add_fitted(parser)
-    where = parser.add_argument_group("where it is done")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://host:8786")
-    where.add_argument("--store", metavar="FOLDER", help="folder of results; skip recordings that have one there")
-    out = parser.add_argument_group("what is written")
+    where = parser.add_argument_group("execution")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="Dask cluster, such as tcp://host:8786")
+    where.add_argument(
+        "--store", metavar="FOLDER", help="folder of results; recordings with a result there are skipped"
+    )
+    out = parser.add_argument_group("output")
     out.add_argument("--table", metavar="FILE", help="a row for each recording and mode (CSV); - for standard output")
-    out.add_argument("--plot", metavar="FILE", help="frequencies and dampings over the recordings (png, svg, pdf)")
+    out.add_argument(
+        "--plot", metavar="FILE", help="frequencies and damping ratios over the recordings (png, svg, pdf)"
+    )
     add_written(out)
 
 

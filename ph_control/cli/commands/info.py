@@ -1,8 +1,7 @@
 """Show the modes of a model, and whether it is lossless, passive or neither.
 
-Models are JSON files written by this package or with fields such as A, B, C, D, .mat files with such variables, and
-texts with the numerator and the denominator of a transfer function. Exit status 1 if a model has no
-port-Hamiltonian form, because it is not passive.
+Models are JSON files of this package, JSON or .mat files with fields such as A, B, C, D, and text files with numerator
+and denominator of a transfer function. Exit status 1 if a model is not passive and so has no port-Hamiltonian form.
 
 Examples
 --------

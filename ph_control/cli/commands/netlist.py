@@ -1,7 +1,7 @@
 """Write a circuit of inductors, capacitors and resistors with the transfer function of a model, as SPICE text.
 
 The model is lossless or has classical damping; its transfer function is the admittance (voltage in, current out) unless
---kind impedance. Netlists (.cir, .net, .sp) are models too, for this and all other commands. Exit status 1 if the model
+--kind impedance. All commands also accept netlists (.cir, .net, .sp) as models. Exit status 1 if the model
 has no port-Hamiltonian form.
 
 Examples
@@ -29,10 +29,13 @@ def add_options(parser: Parser) -> None:
     add_files(parser, "netlist")
     parser.add_argument(
         "--form", choices=("foster1", "foster2", "cauer1", "cauer2"),
-        help="form of a lossless one-port; default: one resonator for each mode",
+        help="form of a lossless one-port (default: one resonator for each mode)",
     )  # fmt: skip
     parser.add_argument(
-        "--kind", choices=("admittance", "impedance"), default="admittance", help="what the transfer function is"
+        "--kind",
+        choices=("admittance", "impedance"),
+        default="admittance",
+        help="meaning of the transfer function (default: admittance)",
     )
     add_written(parser)
 

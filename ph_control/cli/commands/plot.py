@@ -1,7 +1,7 @@
-"""Draw models, several in one picture.
+"""Plot one or several models.
 
-The suffix chooses the format: .png, .svg, .pdf. Bode, step, impulse and poles take systems that are not lossless
-too; fit takes the result of a fit (ph-control fit --result).
+The suffix selects the format: .png, .svg or .pdf. bode, step, impulse and poles accept any linear system, modes and
+energy passive systems, and fit the result of a fit (ph-control fit --result).
 
 Examples
 --------
@@ -43,11 +43,11 @@ def add_options(parser: Parser) -> None:
     """Declare the options."""
     parser.add_argument("kind", choices=tuple(_PICTURES), metavar="KIND", help=", ".join(_PICTURES))
     add_labels(parser)
-    parser.add_argument("-o", "--out", required=True, metavar="FILE", help="picture to write; - for standard output")
+    parser.add_argument("-o", "--out", required=True, metavar="FILE", help="plot to write; - for standard output")
     parser.add_argument("--format", metavar="NAME", help="png, svg or pdf (default: from the suffix)")
-    parser.add_argument("--title", help="title of the picture")
+    parser.add_argument("--title", help="title of the plot")
     parser.add_argument("--hz", action="store_true", help="frequencies in Hz (bode, modes, poles)")
-    parser.add_argument("--omega", type=pair, metavar="LOW,HIGH", help="ends of the frequency axis (bode)")
+    parser.add_argument("--omega", type=pair, metavar="LOW,HIGH", help="limits of the frequency axis (bode)")
     parser.add_argument(
         "--until",
         type=within(float, 1e-300, 1e300),
@@ -57,13 +57,13 @@ def add_options(parser: Parser) -> None:
     parser.add_argument(
         "--band", type=float, metavar="LEVEL", help="shade the confidence band of a fit at this level, such as 0.95"
     )
-    parser.add_argument("--unit", help="unit of the response, or of the energy")
-    parser.add_argument("--experiment", type=int, metavar="N", help="which of several experiments (fit; default 1)")
+    parser.add_argument("--unit", help="unit of the response or energy")
+    parser.add_argument("--experiment", type=int, metavar="N", help="experiment to plot (fit; default 1)")
     parser.add_argument("--size", type=size, metavar="WIDTH,HEIGHT", help="in inches")
     parser.add_argument(
         "--dpi", type=within(float, 10, 2400), default=150.0, help="dots per inch of a png (default 150)"
     )
-    parser.add_argument("--recording", metavar="FILE", help="measurement to draw (bode), or input to use (energy)")
+    parser.add_argument("--recording", metavar="FILE", help="measurement (bode), or recorded input (energy)")
     add_recording(parser)
     add_model(parser)
     add_written(parser)

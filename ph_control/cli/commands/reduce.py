@@ -1,6 +1,7 @@
-"""Reduce a model to fewer states, still port-Hamiltonian, and write it as .json, .mat, .txt or .csv, by the suffix.
+"""Reduce the number of states of a model; the reduced model is port-Hamiltonian.
 
-Of a fit, its model is reduced. Exit status 1 if the model is not passive.
+The suffix selects the format: .json, .mat, .txt or .csv. For the result of a fit, its model is reduced. Exit status 1
+if the model is not passive.
 
 Examples
 --------
@@ -28,15 +29,18 @@ USAGE = "MODEL FILE [options]"
 def add_options(parser: Parser) -> None:
     """Declare the options."""
     add_files(parser, "file")
-    parser.add_argument("--order", type=int, metavar="N", help="largest number of states")
+    parser.add_argument("--order", type=int, metavar="N", help="maximum number of states")
     parser.add_argument(
-        "--tolerance", type=float, metavar="X", help="fewest states with an error below this part of the largest gain"
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="maximum error relative to the largest gain; uses the fewest states",
     )
     parser.add_argument(
-        "--band", type=pair, metavar="LOW,HIGH", help="keep the natural frequencies between these, rad per unit time"
+        "--band", type=pair, metavar="LOW,HIGH", help="natural frequencies to keep, in rad per unit time"
     )
     parser.add_argument(
-        "--method", choices=("modal", "balanced", "h2"), default="modal", help="what to keep (default: modal)"
+        "--method", choices=("modal", "balanced", "h2"), default="modal", help="reduction method (default: modal)"
     )
     parser.add_argument("--format", choices=FORMATS, help="file format (default: from the suffix)")
     add_written(parser)
