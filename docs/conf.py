@@ -84,7 +84,9 @@ def public_pages():
 
 
 def local_names(docname):
-    """Names that mean a member or a parameter of what a page of the reference is about, rather than a function."""
+    """Names that mean a command, a member or a parameter on their page, rather than a function."""
+    if docname == "command_line":
+        return {"reduce", "netlist", "compare", "recording"}  # commands, and a key of an answer
     value = getattr(ph_control, docname.removeprefix("api/ph_control."), None) if docname.startswith("api/") else None
     names = {name for name in dir(value) if not name.startswith("_")} if inspect.isclass(value) else set()
     for one in (getattr(value, name) for name in names) if names else [value]:
@@ -130,13 +132,26 @@ def link_types(app, doctree, docname):
         text.parent.replace(text, linked)
 
 
+def trim_code(app, doctree):
+    """Take the empty lines off the end of code, which a doctest needs before the closing fence."""
+    for block in doctree.findall(nodes.literal_block):
+        if len(block) == 1 and isinstance(block[0], nodes.Text):
+            block.rawsource = block.astext().rstrip("\n")
+            block[:] = [nodes.Text(block.rawsource)]
+
+
 def break_long_code(app, pagename, templatename, context, doctree):
-    """Let long code of tables break after punctuation, and nowhere else."""
+    """Let long code break after punctuation, but not after the dashes of an option."""
     if "body" in context:
-        code = re.compile(r'(<code class="[^"]*\blong\b[^"]*">)(.*?)(</code>)', flags=re.S)
-        context["body"] = code.sub(
-            lambda m: m[1] + re.sub(r"(?<=[(,._/=\[|:])(?=[^\s<&])(?![^<]*>)", "<wbr>", m[2]) + m[3], context["body"]
-        )
+        code = re.compile(r'(<code class="[^"]*\bliteral\b[^"]*">)(.*?)(</code>)', flags=re.S)
+        context["body"] = code.sub(lambda found: found[1] + _breakable(found[1], found[2]) + found[3], context["body"])
+
+
+def _breakable(tag, text):
+    """Text of code with places to break after punctuation, and options held together."""
+    if "long" in tag:
+        text = re.sub(r"(?<=[(,._/=\[|:])(?=[^\s<&.:)\]])(?![^<]*>)", "<wbr>", text)
+    return re.sub(r"(?<![\w-])(--[a-z-]+)(?![^<]*>)", r'<span class="whole">\1</span>', text)
 
 
 def without_private(_app, _what, _name, _obj, _options, signature, return_annotation):
@@ -159,6 +174,7 @@ def visit_displaymath(self, node):
 def setup(app):
     """Add what the extensions above do not do."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
+    app.connect("doctree-read", trim_code)
     app.connect("doctree-resolved", link_names)
     app.connect("doctree-resolved", link_types)
     app.connect("html-page-context", break_long_code)

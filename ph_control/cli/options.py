@@ -163,7 +163,7 @@ def add_recording(parser: Parser) -> None:
     """How tables are read, in time and in frequency."""
     table = parser.add_argument_group(
         "recordings",
-        "text tables: columns separated by commas, semicolons, tabs or white space, by name or number from 0;\n"
+        "text tables: columns by name or number from 0, between commas, semicolons, tabs or spaces;\n"
         ".mat: variables by name; .uff, .unv: places such as 3+Z",
     )
     table.add_argument("--input", metavar="COLUMN", help="input column")
