@@ -338,3 +338,14 @@ def test_a_motion_before_the_input_is_estimated_where_it_shows():
         found = phc.pem((force, y), dt=0.2, structure="free")
         assert found.order == 2 and found.experiments[0].free_amplitudes.any()
         assert np.all(np.abs(found.damping_ratios - plant.damping_ratios) < 4.5 * found.stderr["damping_ratios"])
+
+
+@pytest.mark.parametrize("electrodes", [5e-12, 0.0])
+def test_the_summary_tells_of_a_background_that_the_system_does_not_contain(electrodes):
+    rng, s = np.random.default_rng(0), 2j * np.pi * (1e7 + np.linspace(-3e3, 3e3, 101))
+    crystal = 1 / (15 + 12.665e-3 * s + 1 / (20e-15 * s)) + electrodes * s
+    data = ct.frd(crystal + 1e-7 * (rng.standard_normal(101) + 1j * rng.standard_normal(101)), s.imag)
+    result = phc.pem(data, 1, ports=[(0, 0)])
+    assert ("  background      " in result.summary()) is bool(electrodes)
+    rest = (result.predicted - result.system(s)).ravel()
+    assert np.allclose(rest, electrodes * s, atol=1e-7)

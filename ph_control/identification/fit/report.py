@@ -16,6 +16,7 @@ from ..data.time_record import Record
 
 _SHOWN = 6  # experiments listed one by one
 _NAMED = 4  # channels
+_BACKGROUND = 0.01  # of the response, from which it is told
 
 
 class FitReport(Report):
@@ -221,7 +222,26 @@ def _channel_lines(result: Any) -> list[str]:
     several = f"{len(records)} experiments, " * (len(records) > 1)
     measured = [f"  measured        {measured_by(result.quantities, result.output_labels)}"]
     if not hasattr(records[0], "dt"):
-        return [f"  response        {several}{samples} frequencies{tail}", *measured]
+        return [f"  response        {several}{samples} frequencies{tail}", *measured, *_background_line(result)]
     held = {"zoh": "held", "foh": "linear"}[result.intersample]
     between = f", input {held} between samples" * bool(result.input_labels)
     return [f"  record          {several}{samples} samples, {step_of(records[0])}{tail}{between}", *measured]
+
+
+def _background_line(result: Any) -> list[str]:
+    """What a fit of responses has beside its modes, and `system` has not; nothing where that is small."""
+    shares = [np.zeros(0)]
+    for one in result.experiments if result.order else ():
+        modes = result.observed_system(1j * one.record.omega, squeeze=False, warn_infinite=False)
+        if np.size(one.predicted) != modes.size:
+            continue
+        predicted = np.reshape(one.predicted, modes.shape)
+        with np.errstate(all="ignore"):
+            share = np.abs(predicted - modes) / np.abs(predicted)
+        shares.append(share[np.isfinite(share)])
+    together = np.concatenate(shares)
+    typical = float(np.median(together)) if len(together) else 0.0
+    if not typical >= _BACKGROUND:
+        return []
+    size = f"{100 * typical:.{int(typical < 0.1)}f}"
+    return [f"  background      {size} % of the response (median), in predicted and not in system"]
