@@ -335,7 +335,8 @@ def _default_limits(extents: Array, measured: Curve | None, unit: float) -> Arra
     """Full decades that hold all systems, 0.1 to 10 for none; with a measurement what it covers and they need."""
     if measured is not None:
         top = measured.omega[-1] if measured.nyquist is None else measured.nyquist
-        everything = np.concatenate([extents, [measured.omega[0] / 1.1, top * 1.1]])
+        margin = min(1.1, (top / measured.omega[0]) ** 0.05) if top > measured.omega[0] else 1.1
+        everything = np.concatenate([extents, [measured.omega[0] / margin, top * margin]])
         return np.array([everything.min(), everything.max()])
     if not len(extents):
         return np.array([0.1, 10.0]) * unit
