@@ -19,7 +19,7 @@ from ..exceptions import StructureError
 from ..modal.discretization import Hold
 from ..modal.modal_form import imaginary
 from ..modal.propagation import discretize, simulate, step_through
-from ..numerics.polynomials import cofactors
+from ..numerics.polynomials import companion_maps
 from ..symplectic.forms_and_williamson import apply_form, symplectic_inverse
 from ..systems.affine import AffineHamiltonian
 from ..systems.base import LosslessSystem
@@ -183,25 +183,6 @@ def _with_digits(sys: Any, rows: Array, error: Array, exact: Callable[[], Array]
             raise
     warn_of_lost_digits(sys.n, left, "modal form, in which so many samples of states are computed,", stacklevel=2)
     return rows
-
-
-def companion_maps(d: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Maps `W` of states of a companion matrix to its modes, poles `lambda = -i d`, and `L`, shape (n, 2n) each.
-
-    Rows of `W` are `sum_k b_k (lambda s_{2k+1} + s_{2k+2})` with the coefficients of the other modes' polynomial, rows
-    of `L` are `lambda^{k-1} / (lambda prod_{j != l} (d_j^2 - d_l^2))`: residues of `s^{k-1}/P(s)`, twice.  States of
-    the controllable form are `Re L^T w` of what is `w = W s`, those of the observable one `Re W^T w` of `w = L s`.
-    """
-    n, b = len(d), cofactors(d)
-    W = np.empty((n, 2 * n), complex)
-    W[:, 0::2], W[:, 1::2] = -1j * d[:, None] * b, b
-    gaps = (d - d[:, None]) * (d + d[:, None])
-    np.fill_diagonal(gaps, 1.0)
-    # interleaved, so that powers and products do not leave the range of doubles one after the other
-    with np.errstate(all="ignore"):
-        ratio = (d[:, None] ** 2 / np.where(np.eye(n, dtype=bool), d**2, gaps)).prod(axis=1)
-        L = ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1)) * (-1j) ** (np.arange(2 * n) - 1)
-    return W, L
 
 
 def check_finite(y: Array, z: Array | None, growth: float, rule: Hold) -> None:

@@ -18,12 +18,13 @@ from .. import _checks
 from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import SAFETY, clusters, eigenvalues_of, invariant_block, schur_form
+from ..numerics.polynomials import companion_maps
 from ..symplectic.forms_and_williamson import symplectic_inverse
 from ..systems.base import LosslessSystem
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .filters import MARGIN, Verdict, compare_filters, separation_of
-from .morphisms import balanced, comparable, controllable_morphism, is_morphism
+from .morphisms import balanced, comparable, is_morphism
 from .unique_coordinates import norm_of
 
 _NEAR = (1e-12, 1e-9, 1e-6, 1e-3)  # relative distances of frequencies below which modes are taken to mix
@@ -186,17 +187,12 @@ def _modal_coordinates(sys: LosslessSystem) -> tuple[Array, Array]:
 
     Both by formula, so that no digits are lost by elimination.
     """
-    n, d = sys.n, sys.modes.d
     if isinstance(sys, PortHamiltonian):
         nu = _complex_rows(sys.S @ sys.B)[:, 0]
         return real_form(np.diag(1 / nu)) @ sys.S, symplectic_inverse(sys.S) @ real_form(np.diag(nu))
     # `w` are the states of the normal form with unit weights
-    gaps = (d[:, None] - d) * (d[:, None] + d)
-    np.fill_diagonal(gaps, 1.0)
-    # entry (k, l) is (-d_l^2)^k / prod_{j != l} (d_j^2 - d_l^2)
-    inverse = np.vander(-(d**2), n, increasing=True).T / gaps.prod(axis=0)
-    there, back = controllable_morphism(d, np.repeat([1.0, 0.0], n)), np.zeros((2 * n, 2 * n))
-    back[1::2, :n], back[0::2, n:] = inverse, -inverse / d
+    W, L = companion_maps(sys.modes.d)
+    there, back = np.concatenate([W.real, W.imag]), np.concatenate([L.real, -L.imag]).T
     if isinstance(sys, ControllableHamiltonian):
         return there, back
     # the transpose of it: s_{2k+1} = sum_l kappa_l b_k d_l Im w_l and s_{2k+2} = sum_l kappa_l b_k Re w_l

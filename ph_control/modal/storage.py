@@ -213,13 +213,13 @@ def _seen_from(system: Matrices, frequency: float) -> tuple[Any, Any, Any, Any]:
 
 
 @dataclass(frozen=True)
-class _Known:
+class KnownDirections:
     """Directions `V` (n, k), orthonormal, on which `X V = Y` is known."""
 
     V: Array
     Y: Array
 
-    def with_directions(self, V: ComplexArray, Y: ComplexArray, new: float) -> _Known:
+    def with_directions(self, V: ComplexArray, Y: ComplexArray, new: float) -> KnownDirections:
         """These and others, of which what is known already is left out."""
         V, Y = np.hstack([V.real, V.imag]), np.hstack([Y.real, Y.imag])
         for _ in range(2):  # twice is enough
@@ -232,10 +232,10 @@ class _Known:
         Y = Y + self.V @ (self.Y.T @ V - self.V.T @ Y)
         skew = V.T @ Y
         Y = Y - V @ (0.5 * (skew - skew.T))
-        return _Known(np.hstack([self.V, V]), np.hstack([self.Y, Y]))
+        return KnownDirections(np.hstack([self.V, V]), np.hstack([self.Y, Y]))
 
 
-def _block(known: _Known, system: Any) -> tuple[Any, Any]:
+def _block(known: KnownDirections, system: Any) -> tuple[Any, Any]:
     """`W` on the known directions and all inputs, and the sizes of what is summed in it."""
     A, B, C, D = system
     V, Y = known.V, known.Y
@@ -255,10 +255,10 @@ def _null_space(K: Any, sizes: Array, null: float) -> tuple[Any, Any, Array]:
     return W[:, zero], W[:, ~zero], k[~zero]
 
 
-def _all_known(system: Matrices, points: list[float], null: float) -> _Known:
+def _all_known(system: Matrices, points: list[float], null: float) -> KnownDirections:
     """All directions that follow from `W >= 0`."""
     n = len(system[0])
-    known = _Known(np.zeros((n, 0)), np.zeros((n, 0)))
+    known = KnownDirections(np.zeros((n, 0)), np.zeros((n, 0)))
     views = [_seen_from(system, point) for point in points]
     before = -1
     while known.V.shape[1] > before:
@@ -277,44 +277,33 @@ def _all_known(system: Matrices, points: list[float], null: float) -> _Known:
 # --- the rest ------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Rest:
-    """Riccati equation of what is not known of `X`: `W22 - W21 K^-1 W12 = 0`.
+def _rest(a: Array, b: Array, q: Array, e: Array, k: Array) -> Array:
+    """What is not known of `X`: solution of the Riccati equation `W22 - W21 K^-1 W12 = 0`, with `K = diag(k)`.
 
-    In the coordinates `[V, rest]`, `W22 = -(Z a + a^T Z) - q` and `W21 = -(e + Z b)` on inputs of weights `k`.
+    Newton's method follows the solver, as long as the residual falls.
     """
+    if not len(k):
+        raise LinAlgError("no input weighs what is not known")
 
-    a: Array
-    b: Array
-    q: Array
-    e: Array
-    k: Array
+    def residual(Z: Array) -> Array:
+        coupling, Za = e + Z @ b, Z @ a
+        return np.asarray(-(Za + Za.T) - q - coupling / k @ coupling.T, float)
 
-    def least(self) -> Array:
-        if not len(self.k):
-            raise LinAlgError("no input weighs what is not known")
-        return self._refined(solve_continuous_are(self.a, self.b, self.q, -np.diag(self.k), s=self.e))
-
-    def _refined(self, Z: Array) -> Array:
-        """Newton's method, as long as the residual falls."""
-        Z = 0.5 * (Z + Z.T)
-        residual = self.residual(Z)
-        for _ in range(_REFINED):
-            closed = self.a + self.b / self.k @ (self.e + Z @ self.b).T
-            try:
-                step = solve_continuous_lyapunov(closed.T, residual)
-            except (LinAlgError, ValueError):
-                break
-            again = Z + 0.5 * (step + step.T)
-            better = self.residual(again)
-            if not np.linalg.norm(better) < 0.5 * np.linalg.norm(residual):
-                break
-            Z, residual = again, better
-        return Z
-
-    def residual(self, Z: Array) -> Array:
-        coupling, Za = self.e + Z @ self.b, Z @ self.a
-        return np.asarray(-(Za + Za.T) - self.q - coupling / self.k @ coupling.T, float)
+    Z = solve_continuous_are(a, b, q, -np.diag(k), s=e)
+    Z = 0.5 * (Z + Z.T)
+    left = residual(Z)
+    for _ in range(_REFINED):
+        closed = a + b / k @ (e + Z @ b).T
+        try:
+            step = solve_continuous_lyapunov(closed.T, left)
+        except (LinAlgError, ValueError):
+            break
+        again = Z + 0.5 * (step + step.T)
+        better = residual(again)
+        if not np.linalg.norm(better) < 0.5 * np.linalg.norm(left):
+            break
+        Z, left = again, better
+    return np.asarray(Z, float)
 
 
 def _least_storage(system: Matrices, points: list[float], null: float) -> Array:
@@ -331,6 +320,6 @@ def _least_storage(system: Matrices, points: list[float], null: float) -> Array:
         a11, a12, a21, a22 = a[:k, :k], a[:k, k:], a[k:, :k], a[k:, k:]
         q = X2.T @ a12
         e = np.hstack([X2.T @ a11 + a12.T @ X1 + a22.T @ X2.T, X2.T @ b[:k] - c[:, k:].T])
-        Z = _Rest(a22, np.hstack([a21, b[k:]]) @ basis, q + q.T, e @ basis, weight).least()
+        Z = _rest(a22, np.hstack([a21, b[k:]]) @ basis, q + q.T, e @ basis, weight)
     X = T @ np.block([[X1, X2], [X2.T, Z]]) @ T.T
     return 0.5 * (X + X.T)

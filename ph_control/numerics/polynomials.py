@@ -17,7 +17,7 @@ import numpy as np
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array, NDArray
+from .._types import Array, ComplexArray, NDArray
 
 Exponents = NDArray[np.int64]
 Decimals = NDArray[np.object_]
@@ -172,6 +172,25 @@ def cofactors(d: Array) -> Array:
     after = list(accumulate(factors[:0:-1], np.convolve, initial=one))[::-1]
     rows = [np.convolve(low, high) for low, high in zip(before, after, strict=True)]
     return np.array(rows[: len(factors)]).reshape(len(factors), len(factors))
+
+
+def companion_maps(d: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Maps `W` of states of a companion matrix to its modes, poles `lambda = -i d`, and `L`, shape (n, 2n) each.
+
+    Rows of `W` are `sum_k b_k (lambda s_{2k+1} + s_{2k+2})` with the coefficients of the other modes' polynomial, rows
+    of `L` are `lambda^{k-1} / (lambda prod_{j != l} (d_j^2 - d_l^2))`: residues of `s^{k-1}/P(s)`, twice.  States of
+    the controllable form are `Re L^T w` of what is `w = W s`, those of the observable one `Re W^T w` of `w = L s`.
+    """
+    n, b = len(d), cofactors(d)
+    W = np.empty((n, 2 * n), complex)
+    W[:, 0::2], W[:, 1::2] = -1j * d[:, None] * b, b
+    gaps = (d - d[:, None]) * (d + d[:, None])
+    np.fill_diagonal(gaps, 1.0)
+    # interleaved, so that powers and products do not leave the range of doubles one after the other
+    with np.errstate(all="ignore"):
+        ratio = (d[:, None] ** 2 / np.where(np.eye(n, dtype=bool), d**2, gaps)).prod(axis=1)
+        sizes = ratio[:, None] * d[:, None] ** (np.arange(2 * n) - 1 - 2 * (n - 1))
+    return W, sizes * np.resize([1j, 1.0, -1j, -1.0], 2 * n)
 
 
 # --- how many digits coefficients carry, and the way back --------------------------------------------------------

@@ -593,12 +593,7 @@ def _pairs(members: Sequence[PortHamiltonian], ports: Any, ratio: ArrayLike) -> 
 
 
 def _port(system: PortHamiltonian, port: Any, which: str) -> int:
-    if isinstance(port, str) and port in system.input_labels:
-        return system.input_labels.index(port)
-    whole = isinstance(port, int | np.integer) and not isinstance(port, bool)
-    if not whole or not 0 <= port < system.ninputs:
-        raise StructureError(
-            f"{_checks.shown(port)} is not a port of the {which} system; its {system.ninputs} are counted from 0, with "
-            f"inputs {', '.join(system.input_labels)}"
-        )
-    return int(port)
+    try:
+        return _checks.signal_number("input", port, system.input_labels)
+    except StructureError as error:
+        raise StructureError(f"no such port of the {which} system: {error}") from None

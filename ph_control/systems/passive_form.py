@@ -28,7 +28,7 @@ from .._checks import EPS
 from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.positive_real import Passivity, Split, is_positive, split_axis, violations, well_conditioned
-from ..modal.storage import dissipation, semidefinite, storage_coordinates
+from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import equilibrated
 
 Parts = dict[str, Array]
@@ -408,22 +408,17 @@ def _lumped(stiffness: Array, b: Array, c: Array) -> Array | None:
 
 def _determined(stiffness: Array, damping: Array, b: Array, c: Array) -> Array | None:
     """The symmetric `M` with `M b = c^T`, `M F` and `M damping` symmetric, by all directions that follow from `b`."""
-    V, Y = np.zeros((len(b), 0)), np.zeros((len(b), 0))
+    known = KnownDirections(np.zeros((len(b), 0)), np.zeros((len(b), 0)))
     maps = [M / (np.linalg.norm(M, 2) or 1.0) for M in (stiffness, damping)]
     new, value = b / (np.linalg.norm(b, 2) or 1.0), c.T / (np.linalg.norm(b, 2) or 1.0)
-    while new.shape[1]:
-        for _ in range(2):
-            overlap = V.T @ new
-            new, value = new - V @ overlap, value - Y @ overlap
-        U, s, W = svd(new, full_matrices=False)
-        kept = s > _NEW
-        new, value = U[:, kept], (value @ W.T)[:, kept] / s[kept]
-        V, Y = np.hstack([V, new]), np.hstack([Y, value])
-        if V.shape[1] == len(V):
-            M = Y @ V.T
-            return 0.5 * (M + M.T)
-        new, value = np.hstack([M @ new for M in maps]), np.hstack([M.T @ value for M in maps])
-    return None
+    count = -1
+    while known.V.shape[1] > count:
+        count = known.V.shape[1]
+        known = known.with_directions(new, value, _NEW)
+        V, Y = known.V[:, count:], known.Y[:, count:]
+        new, value = np.hstack([M @ V for M in maps]), np.hstack([M.T @ Y for M in maps])
+    M = known.Y @ known.V.T
+    return 0.5 * (M + M.T) if count == len(b) else None
 
 
 def _is_positive(M: Array) -> bool:

@@ -20,8 +20,8 @@ import numpy as np
 
 from ... import _checks
 from ..._types import Array, ComplexArray
-from ...analysis.trajectories import companion_maps
 from ...exceptions import ConditioningWarning, StructureError
+from ...numerics.polynomials import companion_maps
 from ..data.time_record import Record
 from ..regression.modal_regressors import output_weight
 from ..regression.prediction import chosen_experiment
