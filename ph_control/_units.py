@@ -1,4 +1,4 @@
-"""The unit of time that data bring along: how headers spell it, and what frequencies are called in it.
+"""Units that data bring along: how labels spell them, that of time, and what frequencies are called in it.
 
 Times and what is made of them stay in that unit; only Hz are converted.  A unit that nobody has told is not known, and
 never shown.  Data, and results of fits, tell theirs by an attribute `time_unit`, one of `SECONDS` or None.
@@ -6,6 +6,7 @@ never shown.  Data, and results of fits, tell theirs by an attribute `time_unit`
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,33 @@ _SPELLINGS = {
 }
 _UNITS = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 
+_UNIT_NAME = (
+    r"(?:(?:da|[YZEPTGMkhcdmuµμnpf])?(?:mol|cd|Pa|Hz|Wb|bar|rad|ohm|Ohm|Ω|sr|eV|min|sec|dB|[mgsAKNJWVCFSHTlLth])"
+    r"|°[CF]?|deg|degC|%|rpm|in|ft|lb|lbf|psi|hours?|minutes?|(?:milli|micro|nano)?seconds?|met(?:er|re)s?|newtons?"
+    r"|volts?|amperes?|pascals?|radians?|degrees?|kelvins?|counts?)"
+)
+_UNIT_FACTOR = _UNIT_NAME + r"(?:(?:\^|\*\*)?\(?[+-]?[0-9]\)?|[⁻]?[⁰¹²³⁴-⁹])?"
+UNIT = re.compile(rf"(?:1/|√)?{_UNIT_FACTOR}(?:\s*[*·.⋅/ ]\s*(?:√|\()?{_UNIT_FACTOR}\)?){{0,5}}")
+
 
 def known_unit(text: str) -> str | None:
     """Unit of time that a text spells, or None; of two letters, `mS` and `Ms` are other units."""
     return _UNITS.get(text.lower() if len(text) > 2 or text.isupper() else text)
+
+
+def without_unit(label: str) -> str:
+    """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
+    return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
+
+
+def parted(label: str) -> tuple[str, str]:
+    """Label and unit of `force [N]`, `Acc (g)` and `v[m/s]`; a whole label without one, as `Acc (left)` or `y[0]`."""
+    bare = without_unit(label)
+    behind = label.strip()[len(bare) :]
+    unit = behind.strip()[1:-1].strip()
+    if bare and unit and (behind.startswith(" [") or (behind.strip()[0] in "[(" and UNIT.fullmatch(unit))):
+        return bare, unit
+    return label, ""
 
 
 def checked_unit(value: Any) -> str | None:

@@ -238,6 +238,15 @@ def test_an_envelope_and_a_tuned_damper_are_told_in_the_unit_of_the_system():
     assert "rad/s and" in str(phc.optimal_damping(plant, mass=0.1))
 
 
+@pytest.mark.parametrize(("label", "unit"), [("acc [g]", "g"), ("acc (g)", "g"), ("acc (left)", ""), ("acc", "")])
+def test_brackets_tell_the_unit_of_pictures(label, unit):
+    model = ct.ss(phc.ph(phc.modes(D, R)))
+    model.input_labels, model.output_labels = ["hammer (N)"], [label]
+    plot = phc.bode_plot(model)
+    assert plot.axes[0, 0].get_ylabel() == f"Magnitude [dB{f' re 1 {unit}/N' if unit else ''}]"
+    plt.close(plot.figure)
+
+
 def test_a_unit_of_the_gain_that_the_measurement_tells_is_that_of_the_model():
     model = ct.tf([1.0, 0.0], [1.0, 0.1, 1.0])
     data = ct.frd(

@@ -21,7 +21,7 @@ import numpy as np
 from .. import _checks
 from .._display import counted
 from .._types import Array, Mask
-from .._units import known_unit
+from .._units import UNIT, known_unit, without_unit
 from ..exceptions import FileFormatError, StructureError
 from .files import read_bytes, source_name
 
@@ -42,14 +42,6 @@ _SPELLED = {" ": "white space", "\t": "tab", ",": "comma", ";": "semicolon"}
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _SUFFIX = re.compile(r"(.+?)(?:\s*[/,_]\s*|\s+in\s+|\s+)([^\W\d_]+|rad_s)")  # a unit without brackets
 _HEADER_WORD = re.compile(r'"[^"]*"|\S+(?:\s+[\[(][^\])]*[\])])*')
-
-_UNIT_NAME = (
-    r"(?:(?:da|[YZEPTGMkhcdmuµμnpf])?(?:mol|cd|Pa|Hz|Wb|bar|rad|ohm|Ohm|Ω|sr|eV|min|sec|dB|[mgsAKNJWVCFSHTlLth])"
-    r"|°[CF]?|deg|degC|%|rpm|in|ft|lb|lbf|psi|hours?|minutes?|(?:milli|micro|nano)?seconds?|met(?:er|re)s?|newtons?"
-    r"|volts?|amperes?|pascals?|radians?|degrees?|kelvins?|counts?)"
-)
-_UNIT_FACTOR = _UNIT_NAME + r"(?:(?:\^|\*\*)?\(?[+-]?[0-9]\)?|[⁻]?[⁰¹²³⁴-⁹])?"
-_UNIT = re.compile(rf"(?:1/|√)?{_UNIT_FACTOR}(?:\s*[*·.⋅/ ]\s*(?:√|\()?{_UNIT_FACTOR}\)?){{0,5}}")
 
 
 @dataclass(frozen=True)
@@ -174,11 +166,6 @@ def name_and_unit(label: str, known: Callable[[str], str | None]) -> tuple[str, 
     if bare == label.strip() and (found := _SUFFIX.fullmatch(bare)) and known(found[2]):
         return found[1], found[2]
     return bare, label.strip()[len(bare) :].strip(" []()/")
-
-
-def without_unit(label: str) -> str:
-    """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
-    return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
 
 
 def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: str | None) -> Table:
@@ -342,7 +329,7 @@ def _units(labels: Sequence[str], rows: list[str], delimiter: str, decimal: str)
     units += [""] * (len(labels) - len(units) == 1 and not labels[-1])
     if len(units) != len(labels) or not any(units):
         return None
-    if any(len(unit) > 30 or not _UNIT.fullmatch(unit) for unit in units if unit):
+    if any(len(unit) > 30 or not UNIT.fullmatch(unit) for unit in units if unit):
         return None
     # a column with a unit holds numbers: letters above letters are a row of the table
     below = [_kinds(_split(row, delimiter), decimal) for row in rows[1:_SAMPLE]]

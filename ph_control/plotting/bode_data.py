@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from .. import _checks
 from .._types import Array, ComplexArray, Indices, Mask
+from .._units import parted
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..systems.base import in_normal_form
@@ -216,7 +217,7 @@ def bode_data(
     observed = [one.given.observed_system if is_fit(one.given) else one.system for one in subjects]
     title = title_of("Bode plot", subjects, label is not None)
     if title == "Bode plot" and first.issiso():
-        source, sensor = (one[0].partition(" [")[0] for one in (first.input_labels, first.output_labels))
+        source, sensor = (parted(one[0])[0] for one in (first.input_labels, first.output_labels))
         title += f", {source} to {sensor}" * (not {source, sensor} & {"u", "y", "u[0]", "y[0]"})
     return BodeData(observed, curves, measured, low, high, first.input_labels, first.output_labels, title)
 

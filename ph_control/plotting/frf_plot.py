@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from .. import _checks
 from .._display import counted
 from .._types import Array, ComplexArray, Indices, Mask
-from .._units import unit_for
+from .._units import parted, unit_for
 from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
@@ -584,7 +584,7 @@ def _gain_units(given: Any, numbers: FRFData) -> dict[int, str | None]:
 
 def _named(source: str, sensor: str, single: bool) -> str:
     """What a panel is called: without units, and without the only input where the name would not fit."""
-    source, sensor = (one.partition(" [")[0] for one in (source, sensor))
+    source, sensor = (parted(one)[0] for one in (source, sensor))
     name = f"{source} to {sensor}"
     name = sensor if single and len(name) > _LETTERS else name
     return name if len(name) <= _LETTERS else name[: _LETTERS - 1] + "…"

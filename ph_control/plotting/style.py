@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from .. import _checks
 from .._types import Array
-from .._units import SECONDS, hertz_size, rate
+from .._units import SECONDS, hertz_size, parted, rate
 from ..exceptions import StructureError
 
 STYLES = ("-", "--", "-.", ":")
@@ -239,7 +239,7 @@ def gain_label(gain_unit: str | None, quantity: str = "Magnitude") -> str:
 
 def told_gain_units(outputs: Sequence[str], inputs: Sequence[str]) -> list[str] | list[None]:
     """Unit of the response of each output, where names such as "force [N]" tell those of all channels."""
-    above, below = ([name.partition(" [")[2].removesuffix("]") for name in names] for names in (outputs, inputs))
+    above, below = ([parted(name)[1] for name in names] for names in (outputs, inputs))
     if not (all(above) and all(below) and len(set(below)) == 1):
         return [None] * len(outputs)
     return [f"{one}/({below[0]})" if set("/ ") & set(below[0]) else f"{one}/{below[0]}" for one in above]

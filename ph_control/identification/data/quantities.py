@@ -10,8 +10,9 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted
+from ..._units import without_unit
 from ...exceptions import StructureError
-from ...io.text_table import is_time_label, without_unit
+from ...io.text_table import is_time_label
 
 QUANTITIES = ("displacement", "free", "velocity", "acceleration")
 _WORDS = {

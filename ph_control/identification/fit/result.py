@@ -14,7 +14,7 @@ from ..._display import Report
 from ..._frozen import Frozen
 from ..._threads import on_one_thread
 from ..._types import Array, ComplexArray, NDArray
-from ..._units import SECONDS, common_unit, hertz_size, unit_for
+from ..._units import SECONDS, common_unit, hertz_size, parted, unit_for
 from ...exceptions import StructureError
 from ...io.codecs import save
 from ...io.files import as_path, refuse_unwritable, write_atomically
@@ -423,15 +423,15 @@ class PEMResult(Report, Frozen):
             plant, data, whole = self, one.record.as_response(), self.residues.shape[1:] == (1, 1)
             if not whole:
                 plant, data = self.observed_system[place, source], data[place, source]
-            names = (name.partition(" [")[0] for name in (self.input_labels[source], self.output_labels[place]))
+            names = (parted(name)[0] for name in (self.input_labels[source], self.output_labels[place]))
             kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), self) in SECONDS)
             kwargs.setdefault("title", "Frequency response, {} to {}".format(*names))
             return bode_plot(plant, data=data, **kwargs)
         # a label such as "velocity [m/s]" carries its unit
-        name, bracket, unit = self.output_labels[place].partition(" [")
+        name, unit = parted(self.output_labels[place])
         kwargs.setdefault("output_label", name)
-        if bracket:
-            kwargs.setdefault("output_unit", unit.removesuffix("]"))
+        if unit:
+            kwargs.setdefault("output_unit", unit)
         kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
         y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
         kept = ~np.isnan(y)

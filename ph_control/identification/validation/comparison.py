@@ -14,7 +14,7 @@ from ... import _checks
 from ..._display import Report, counted, percent
 from ..._frozen import Frozen
 from ..._types import Array
-from ..._units import unit_for
+from ..._units import parted, unit_for
 from ...exceptions import StructureError
 from ...plotting.fit_plot import comparison_plot
 from ...plotting.validation_plot import channel_comparison_plot, response_comparison_plot
@@ -224,8 +224,8 @@ class Comparison(Report, HeldData, Frozen):
             kwargs["heading"] = f"{self.output_label} over {record.input_label}, measured and modelled{which}"
             return response_comparison_plot(record.omega, record.response, one.predicted, **kwargs)
         # a label such as "velocity [m/s]" carries its unit
-        name, bracket, unit = self.output_label.partition(" [")
-        kwargs = {"output_label": name} | ({"output_unit": unit.removesuffix("]")} if bracket else {}) | kwargs
+        name, unit = parted(self.output_label)
+        kwargs = {"output_label": name} | ({"output_unit": unit} if unit else {}) | kwargs
         heading = f"{kwargs['output_label']}, measured and simulated{which}"
         return comparison_plot(record.time, record.y, one.predicted, heading=heading, **kwargs)
 
