@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 import shutil
 import subprocess
@@ -63,6 +64,10 @@ def test_page_stands_alone_with_all_its_parts(structure, tmp_path):
     assert "shaker &lt;2&gt;" in text and "base &amp; foot" in text
     assert all(f"<td>{number:.9f}"[:8] in text for number in structure.hertz)
     assert re.search(r"numpy \d+\.\d+", text)
+    call = re.search(r"phc\.pem\(data, (order=2, .*)\)", html.unescape(text))
+    record = structure.experiments[0].record
+    again = phc.pem((record.u, record.y), dt=record.dt, **eval(f"dict({call[1]})"))
+    np.testing.assert_allclose(again.poles, structure.poles, rtol=1e-5)
     structure.report(tmp_path / "again.html", title="Tower <1>")
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == text
 

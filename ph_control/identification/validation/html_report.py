@@ -31,6 +31,7 @@ _SETTINGS = (
     "structure", "quantity", "quantities", "intersample", "method", "representation", "ports", "shapes_scaled",
     "time_unit", "success", "n_iterations",
 )  # fmt: skip
+_KEYWORDS = ("ports", "intersample", "method", "representation")  # of pem, that a result has under the same names
 _PACKAGES = ("ph_control", "control", "slycot", "numpy", "scipy", "matplotlib")
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1b2430;
@@ -61,7 +62,7 @@ def page_of(result: PEMResult, title: str) -> str:
     settings = [[name, str(getattr(result, name))] for name in _SETTINGS if getattr(result, name, None) is not None]
     orders = [[str(row.order), f"{row.loss:.6g}", f"{row.aic:.6g}", f"{row.bic:.6g}"] for row in result.order_table]
     parts += ["<h2>Orders tried</h2>", html_table(["order", "loss", "AIC", "BIC"], orders)] * bool(orders)
-    parts += ["<h2>To repeat it</h2>", html_table(["setting", "value"], settings)]
+    parts += ["<h2>To repeat it</h2>", html_report(_call(result)), html_table(["setting", "value"], settings)]
     packages = [f"{name} {_version(name)}" for name in _PACKAGES]
     parts.append(html_report("\n".join([f"Python {platform.python_version()}, {platform.machine()}", *packages])))
     body = "\n".join(part for part in parts if part)
@@ -70,6 +71,15 @@ def page_of(result: PEMResult, title: str) -> str:
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>{_STYLE}</style>\n</head>\n'
         f"<body>\n{body}\n</body>\n</html>\n"
     )
+
+
+def _call(result: PEMResult) -> str:
+    """The call that fits this model to the same data, with what was found in place of the search."""
+    given: dict[str, Any] = {"order": result.order, "structure": getattr(result, "structure", "lossless")}
+    given["quantity"] = getattr(result, "quantities", None) or getattr(result, "quantity", None)
+    given |= {name: getattr(result, name, None) for name in _KEYWORDS}
+    given = {name: list(value) if isinstance(value, tuple) else value for name, value in given.items() if value}
+    return f"phc.pem(data, {', '.join(f'{keyword}={value!r}' for keyword, value in given.items())})"
 
 
 def _version(name: str) -> str:
