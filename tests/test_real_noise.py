@@ -100,6 +100,18 @@ def test_a_value_far_out_of_the_noise_is_told_with_its_output(outputs, inputs):
     assert result.message.startswith("Doubtful, as some values") and "explains the data" not in result.message
 
 
+def test_an_output_that_saturates_is_told_with_the_ends_of_its_range():
+    u, y = recording(2, 2, 1, "white", 1)
+    end = 0.6 * np.abs(y[1]).max()
+    clipped = np.array([y[0], np.clip(y[1], -end, end)])
+    result = phc.pem((u, clipped), 2, dt=1.0, structure="free")
+    finding = causes(result)["SATURATION"]
+    assert finding.values == (np.count_nonzero(np.abs(y[1]) >= end), -end, end)
+    assert finding.output == result.output_labels[1] and "saturates" in result.message
+    coarse = np.round(y * 20 / np.abs(y).max())
+    assert "SATURATION" not in causes(phc.pem((u, coarse), 2, dt=1.0, structure="free"))
+
+
 def test_a_point_far_out_of_the_noise_is_told_with_its_entry():
     data = response(2, 2, 1, "constant", 1)
     values = data.frdata.copy()

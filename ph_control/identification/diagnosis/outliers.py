@@ -20,6 +20,9 @@ from ..regression.variable_projection import Problem
 _BY_CHANCE = 1e-4  # probability that noise alone shows one anywhere
 _FEWEST = 20  # residuals to spare below which nothing is said
 _SHARE = 0.01  # of the samples: with more of them the noise has another distribution, or another level in places
+_REPEATED = 5  # samples with the largest value of all, below which nothing is said of the range
+_OFTEN = 2.0  # times as many of them as of the values next to it
+_NEAR = 0.01, 0.1  # of the range: what is next to its end, and how far to look for that
 _EFFICIENCY = 0.37  # of the median of absolute values beside the mean of squares
 
 
@@ -45,6 +48,32 @@ def outliers(residuals: Sequence[Signal], spare: int) -> tuple[tuple[int, ...], 
             far += (part.start + np.flatnonzero(np.any(size > bound * scale, axis=1))).tolist()
         found.append(tuple(far) if len(far) <= max(1, _SHARE * len(one)) else ())
     return tuple(found)
+
+
+def saturation(y: Signal) -> tuple[int, tuple[float, ...]]:
+    """How many samples of an output stay at an end of its range, and at which ends.
+
+    A sensor that is driven beyond its range repeats one value, more often than those next to it.  Of values of few
+    digits the next one is found as often, and nothing is said.
+    """
+    ends = np.array(
+        [[np.nanmin(y[part]), np.nanmax(y[part])] for part in blocks(len(y)) if not np.isnan(y[part]).all()]
+    )
+    if not len(ends):
+        return 0, ()
+    low, high = ends[:, 0].min(), ends[:, 1].max()
+    stuck = 0
+    found: tuple[float, ...] = ()
+    for end in (low, high):
+        below = (np.abs(end - y[part]) for part in blocks(len(y)))
+        near = np.concatenate([one[one <= _NEAR[1] * (high - low)] for one in below])
+        others = near[near > 0]
+        count = len(near) - len(others)
+        around = max(_NEAR[0] * (high - low), others.min(initial=np.inf))
+        held = count >= _REPEATED and len(others) and count > _OFTEN * np.count_nonzero(others <= around)
+        if held:
+            stuck, found = stuck + count, (*found, float(end))
+    return stuck, found
 
 
 def without(problem: Problem, far: Sequence[tuple[int, ...]]) -> Problem:

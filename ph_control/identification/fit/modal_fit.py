@@ -20,7 +20,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..diagnosis.coloured_noise import beside_coloured_noise
-from ..diagnosis.outliers import outliers
+from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, pieces, unexplained
@@ -278,7 +278,7 @@ def _judged(
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
     lag = real_pole(free.measured or free.projection) if whiteness < WHITE and not free.interrupted else None
-    findings = (*findings, *([lag] if lag else []))
+    findings = (*findings, *([lag] if lag else []), *_saturated(experiments))
     if whiteness >= WHITE and not (free.rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, spare))
     spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
@@ -431,6 +431,13 @@ def _rows(one: FittedChannels) -> list[Signal]:
     """Real residuals of each output, or real and imaginary parts of those of each entry of a response."""
     left = list(_left(one).values())
     return left if isinstance(one.record, Recording) else [part for row in left for part in (row[:].real, row[:].imag)]
+
+
+def _saturated(experiments: Sequence[FittedChannels]) -> list[Finding]:
+    """Outputs of recordings that stay at an end of their range."""
+    every = [(k, one.record) for k, one in enumerate(experiments) if isinstance(one.record, Recording)]
+    ends = [(k, name, saturation(row)) for k, one in every for name, row in zip(one.output_labels, one.y, strict=True)]
+    return [Finding(Cause.SATURATION, (float(count), *of), 0.0, name, k) for k, name, (count, of) in ends if count]
 
 
 def _outliers(experiments: Sequence[FittedChannels], spare: int) -> list[Finding]:

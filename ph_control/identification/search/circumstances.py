@@ -55,6 +55,7 @@ class Cause(Enum):
     REAL_POLE = "a real pole"
     COLOURED_RESIDUALS = "residuals that are coloured"
     OUTLIERS = "values far out of the noise"
+    SATURATION = "an output that stays at an end of its range"
 
 
 REJECTED = {
@@ -79,13 +80,14 @@ class Finding:
         0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
         freedom; of a real pole its rate, and the share that it explains of what the modes leave; of coloured residuals
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
-        mean, and the share of their power; of outliers their places, counted from 0.
+        mean, and the share of their power; of outliers their places, counted from 0; of an output that
+        stays at an end of its range how many samples do, and that end or both.
     gain : float
-        How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers.
+        How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
         The output that shows it, of several channels; of a response with its input.
     experiment : int
-        Which of several experiments has these outliers, counted from 0.
+        Which of several experiments has these outliers, or that range, counted from 0.
     """
 
     cause: Cause
@@ -441,6 +443,13 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         return (
             f"The residuals of {finding.output!r} are coloured ({certain}): {100 * share:.0f} % of their power lies "
             f"between {low:.4g} and {high:.4g} {unit}, at {size:.3g} times the mean density (geometric)."
+        )
+    if finding.cause is Cause.SATURATION:
+        where = f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
+        ends = " or ".join(f"{one:.6g}" for one in values[1:])
+        return (
+            f"{finding.output!r}{where} stays at {ends} for {values[0]:.0f} samples, the end of its range: a sensor or "
+            "amplifier that saturates. Mark these samples with NaN, or repeat the test with less gain or force."
         )
     if finding.cause is Cause.OUTLIERS:
         which = f"Values of {finding.output!r}" + f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
