@@ -635,3 +635,11 @@ def test_shapes_of_one_sensor_are_those_over_the_inputs():
     assurance = phc.mac_plot(one).lines[0, 0][0].get_array()
     assert np.abs(assurance - np.eye(3)).max() < 0.2
     plt.close("all")
+
+
+def test_sensors_of_a_shape_are_named_without_the_unit_of_their_signal():
+    one = result(p=2)
+    one.output_labels = ["top [m/s]", "low [m/s]"]
+    labels = [text.get_text() for text in phc.shape_plot(one).axes[0, 0].get_xticklabels()]
+    assert labels == ["top", "low"]
+    plt.close("all")

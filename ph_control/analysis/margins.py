@@ -55,8 +55,7 @@ def margin(*args: Any) -> tuple[Any, Any, Any, Any]:
     Examples
     --------
     >>> import ph_control as phc
-    >>> from ph_control.analysis.margins import margin
-    >>> gm, pm, wcg, wcp = margin(phc.ph(phc.modes(1.0, 1.0)))
+    >>> gm, pm, wcg, wcp = phc.margin(phc.ph(phc.modes(1.0, 1.0)))
     >>> gm, pm, wcg, round(wcp, 6)
     (inf, 90.0, nan, 1.618034)
     """
@@ -110,8 +109,7 @@ def stability_margins(
     Examples
     --------
     >>> import ph_control as phc
-    >>> from ph_control.analysis.margins import stability_margins
-    >>> gm, pm, sm, wpc, wgc, wms = stability_margins(phc.frenkel_kontorova(), returnall=True)
+    >>> gm, pm, sm, wpc, wgc, wms = phc.stability_margins(phc.frenkel_kontorova(), returnall=True)
     >>> gm, pm, sm, wms.round(6)
     (array([], dtype=float64), array([-90.,  90., -90.,  90.]), array([1.]), array([1.]))
     """

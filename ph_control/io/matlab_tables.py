@@ -74,7 +74,7 @@ def read_mat(
     Notes
     -----
     Samples run along the rows of a matrix, as MATLAB has them, unless only its columns are as many as the samples of
-    the time or of a vector.  Files of version 7.3 are refused; `save(..., '-v7')` writes one that is read.
+    the time or of a vector.  Files of version 7.3 are refused; MATLAB writes one that is read with the option `-v7`.
     O(size of the file).
 
     Examples

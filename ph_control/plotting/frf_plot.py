@@ -95,7 +95,7 @@ def frf_plot(
     intersample : {'zoh', 'foh', 'bandlimited'}, optional
         What the inputs of recordings did between samples; by default what the result says of it, or held.
     confidence : bool
-        Whether to shade where the models lie that a result does not exclude, of 300 drawn by its `sample`.
+        Whether to shade where the models lie that a result does not exclude, of 300 that it draws.
     level : float
         Share of these models inside the band, between 0 and 1.
     time_unit : str, optional

@@ -506,7 +506,8 @@ def _draw_along_line(axis: Axes, places: Array, table: ShapeTable, l: int, look:
 
 
 def _name_sensors(axis: Axes, labels: list[str] | None) -> None:
-    """Ticks at sensors: their names, where these are few and short."""
+    """Ticks at sensors: their names without units, where these are few and short."""
+    labels = None if labels is None else [one.partition(" [")[0] for one in labels]
     if labels is not None and len(labels) <= _NAMED and max(map(len, labels)) <= 12:
         rotation = 90 if sum(map(len, labels)) > 24 else 0
         places = np.arange(1, len(labels) + 1)

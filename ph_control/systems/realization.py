@@ -192,7 +192,7 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
 
     Modes that are known are merged in O(n).  Of a matrix it is O(n^3), and for one port mostly without mode shapes:
     each bound of an error lies between two that need none, and where both lead to the same decision it is made.  `d`
-    and `r` are then as accurate as those of a system that has not been asked for its `modes`.
+    and `r` are then as accurate as those of a system that has not been asked for `sys.modes`.
 
     Examples
     --------

@@ -39,10 +39,10 @@ class FitTable(Report, Frozen):
 
     Notes
     -----
-    Fields of `table`: `recording`, its place, counted from 0; `name`; `mode`, from 0; `hertz` and `damping_ratio`, each
-    followed by its standard error, `hertz_stderr` and `damping_ratio_stderr`; `fit_percent`; `structure`; `order`, the
-    number of modes, -1 where the fit failed; `message`, its verdict or what went wrong; `result`, the name of the file
-    in the store, empty without one.
+    Fields of `table` are "recording", its place, counted from 0; "name"; "mode", from 0; "hertz" and "damping_ratio",
+    each followed by its standard error, "hertz_stderr" and "damping_ratio_stderr"; "fit_percent"; "structure"; "order",
+    the number of modes, -1 where the fit failed; "message", its verdict or what went wrong; "result", the name of the
+    file in the store, empty without one.
 
     Examples
     --------

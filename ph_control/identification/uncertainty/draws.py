@@ -287,7 +287,7 @@ class ModeSamples(Draws):
 
     @property
     def natural_frequencies(self) -> Array:
-        """`d`."""
+        """Natural frequencies `d`, shape (k, n), rad per unit time."""
         return self.d
 
     def __getitem__(self, index: int) -> ModalForm:
@@ -324,7 +324,7 @@ class ModeSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.draws import ModeSamples
+        >>> from ph_control import ModeSamples
         >>> samples = ModeSamples([[2.0], [3.0]], [[0.5], [0.5]])
         >>> len(samples), samples[1]
         (2, modes([3.0], [0.5]))
@@ -364,7 +364,7 @@ class ModeSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.draws import ModeSamples
+        >>> from ph_control import ModeSamples
         >>> samples = ModeSamples([[2.0], [2.0], [2.0]], [[0.9], [1.0], [1.1]])
         >>> samples.magnitude_band([1.0, 2.0], level=0.9)
         array([[0.60666667,        inf],
@@ -398,7 +398,7 @@ class ModeSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.draws import ModeSamples
+        >>> from ph_control import ModeSamples
         >>> ModeSamples([[1.9], [2.0], [2.1], [2.2]], [[1.0]] * 4).phase_band([1.0, 2.0, 3.0])
         array([[ 90., -90., -90.],
                [ 90.,  90., -90.]])
@@ -437,7 +437,7 @@ class ModeSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.draws import ModeSamples
+        >>> from ph_control import ModeSamples
         >>> ModeSamples([[1.0]] * 3, [[0.9], [1.0], [1.1]]).step_band([0.0, 1.5707963], level=0.9)
         array([[0.  , 0.91],
                [0.  , 1.09]])
@@ -464,7 +464,7 @@ class ModeSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.draws import ModeSamples
+        >>> from ph_control import ModeSamples
         >>> ModeSamples([[2.0]] * 3, [[0.9], [1.0], [1.1]]).impulse_band([0.0], level=0.9)
         array([[1.82],
                [2.18]])

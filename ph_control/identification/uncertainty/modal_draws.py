@@ -83,7 +83,7 @@ class ModalSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> from ph_control import ModalSamples
         >>> one = ModalSamples([[-0.1 + 1j]], [[[[0.5 + 0j]]]], [[[0.0]]], [[[1.0 + 0j]]])
         >>> one.freqresp([0.0]).round(3)
         array([[0.099+0.j]])
@@ -116,7 +116,7 @@ class ModalSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> from ph_control import ModalSamples
         >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
         >>> draws.magnitude_band([1.0], level=0.5).round(2)
         array([[5.27],
@@ -144,7 +144,7 @@ class ModalSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> from ph_control import ModalSamples
         >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
         >>> draws.phase_band([1.0]).round(1)
         array([[-2.8],
@@ -180,7 +180,7 @@ class ModalSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> from ph_control import ModalSamples
         >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
         >>> draws.step_band([0.0]).round(2)
         array([[0.],
@@ -214,7 +214,7 @@ class ModalSamples(Draws):
 
         Examples
         --------
-        >>> from ph_control.identification.uncertainty.modal_draws import ModalSamples
+        >>> from ph_control import ModalSamples
         >>> draws = ModalSamples([[-0.1 + 1j]] * 2, [[[[0.5]]], [[[0.6]]]], [[[0.0]]] * 2, [[[1.0]]] * 2)
         >>> draws.impulse_band([0.0], level=0.5).round(2)
         array([[1.05],
