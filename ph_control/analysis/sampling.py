@@ -99,19 +99,16 @@ def _companion(sys: Any, rule: Hold) -> tuple[Array, Array, Array]:
     """`F`, `G` and `D` of a canonical form, each entry right to the last place."""
     step = companion_step(sys, rule)
     warn_of_lost_digits(sys.n, step.digits(), "sampled matrix", stacklevel=4)
-    ahead, _ = trajectory(sys, _pulse(1, 0, 1), np.zeros(sys.nstates), rule, states=False)
+    ahead, _ = trajectory(sys, np.array([[0.0, 1.0]]), np.zeros(sys.nstates), rule, states=False)
     return step.matrices()[0], step.shifted()[:, None], ahead[:, 1:]
 
 
 def _matrices(sys: LosslessSystem, rule: Hold) -> tuple[Array, Array, Array]:
     """`F`, `G` and `D` of any other system."""
     size, ports = sys.nstates, sys.ninputs
-    rest = np.zeros(size)
     F = np.array([_one_step(sys, np.zeros((ports, 2)), z, rule) for z in np.eye(size)]).T.reshape(size, size)
-    now, then = (
-        np.array([_one_step(sys, _pulse(ports, port, k), rest, rule) for port in range(ports)]).T.reshape(size, ports)
-        for k in (0, 1)
-    )
+    pulses = np.einsum("ij,kl->kijl", np.eye(ports), np.eye(2))  # by instant and port
+    now, then = (np.array([_one_step(sys, u, np.zeros(size), rule) for u in part]).T for part in pulses)
     return F, now + F @ then, sys.C @ then + sys.D
 
 
@@ -124,12 +121,6 @@ def _warn_of_aliases(d: Array, h: float) -> None:
             ResolutionWarning,
             stacklevel=3,
         )
-
-
-def _pulse(ports: int, port: int, k: int) -> Array:
-    u = np.zeros((ports, 2))
-    u[port, k] = 1.0
-    return u
 
 
 def _one_step(sys: LosslessSystem, u: Array, z: Array, rule: Hold) -> Array:

@@ -26,7 +26,7 @@ from .unique_coordinates import power_of_two
 
 
 class _Arrow(Frozen):
-    """What arrows of both groupoids share."""
+    """Base of the arrows of both groupoids."""
 
     __array_ufunc__ = None  # an array beside an arrow is an error, not a table of arrows
 

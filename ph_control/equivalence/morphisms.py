@@ -192,7 +192,7 @@ def lift_morphism(sys: PortHamiltonian, m: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ExpressivePower(Frozen):
-    """What the controllable Hamiltonian system CH(d, v) can express of a port-Hamiltonian one; see `expressive_power`.
+    """States of a port-Hamiltonian system that the controllable form CH(d, v) can express; see `expressive_power`.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ def expressive_power(
 
 @dataclass(frozen=True, eq=False)
 class MorphismCheck:
-    """How well a matrix is a morphism; true if it is one.  See `is_morphism`.
+    """Residuals of a matrix as a morphism; true if it is one.  See `is_morphism`.
 
     Attributes
     ----------

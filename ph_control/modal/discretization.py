@@ -70,7 +70,7 @@ class DiscreteModes(Multipliers):
 
 @dataclass(frozen=True)
 class Hold:
-    """How continuous modes meet the samples: step, method, and behaviour of the input between samples.
+    """Rule by which continuous modes are sampled: step, method, and behaviour of the input between samples.
 
     Attributes
     ----------
@@ -289,7 +289,7 @@ def _integrals(z: ComplexArray, rest: ComplexArray) -> tuple[ComplexArray, ...]:
 
 
 def sampling_rule(sys: Any, method: str | None, intersample: str) -> Hold:
-    """How a discrete-time system was sampled, or why they do not tell the continuous one."""
+    """Check how a discrete-time system was sampled."""
     if method is None:
         raise NotLosslessError(
             [

@@ -1,4 +1,4 @@
-"""How far modal data are known, and what follows: which frequencies are one, and which modes no port reaches.
+"""Error bounds of modal data, and what follows from them: which frequencies are one, and which modes no port reaches.
 
 A system given by modes is exact.  The modes of a Hamiltonian matrix carry its rounding errors: a frequency that of
 `w^H dQ w` for the mode shape `w`, an input weight one that grows as other frequencies come near.  Frequencies

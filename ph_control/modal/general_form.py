@@ -171,7 +171,7 @@ class GeneralModalForm(ModalForm):
 
     @property
     def participation(self) -> ComplexArray:
-        """What the inputs make of each mode, shape (n, m); refused where poles are not parted."""
+        """Participation of the inputs in each mode, shape (n, m); refused where poles are not parted."""
         self._refuse_clusters("participation")
         return self._participation
 

@@ -1,4 +1,4 @@
-"""What one port reaches, told from frequencies and weights alone, where that is safe.
+"""Modes that one port reaches, decided from frequencies and weights alone, where that is safe.
 
 `conditioning.py` bounds the error of each mode by its shape, which takes all modes of a matrix.  Frequencies and
 residues come at a fraction of their cost, and with them alone each of its bounds lies between two others: shapes are

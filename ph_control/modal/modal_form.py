@@ -198,7 +198,7 @@ class ModalForm(ShownModes):
 
     @property
     def participation(self) -> ComplexArray:
-        """What the inputs make of each mode, shape (n, m): the residue is `shape participation^T`."""
+        """Participation of the inputs in each mode, shape (n, m): the residue is `shape participation^T`."""
         peak = np.abs(self.nu).max(axis=1, initial=0.0)
         return 0.5 * (self.d * peak**2)[:, None] * self.shapes.conj()
 

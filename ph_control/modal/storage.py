@@ -278,9 +278,10 @@ def _all_known(system: Matrices, points: list[float], null: float) -> KnownDirec
 
 
 def _rest(a: Array, b: Array, q: Array, e: Array, k: Array) -> Array:
-    """What is not known of `X`: solution of the Riccati equation `W22 - W21 K^-1 W12 = 0`, with `K = diag(k)`.
+    """Solution `Z` of the Riccati equation `W22 - W21 K^-1 W12 = 0`, the unknown block of `X`.
 
-    Newton's method follows the solver, as long as the residual falls.
+    In the coordinates `[V, rest]`, `W22 = -(Z a + a^T Z) - q` and `W21 = -(e + Z b)` on inputs of weights `k`.  Steps
+    of Newton's method follow the solver, as long as the residual falls.
     """
     if not len(k):
         raise LinAlgError("no input weighs what is not known")

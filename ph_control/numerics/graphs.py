@@ -1,4 +1,4 @@
-"""What couples with what: connected components of graphs that are given as dense matrices."""
+"""Connected components of graphs that are given as dense matrices."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def _unit(shapes: ComplexArray) -> ComplexArray:
 
 
 class Stability(IntEnum):
-    """What a pole has in common with one of the order before."""
+    """Quantities in which a pole agrees with one of the order before."""
 
     NEW = 0
     FREQUENCY = 1

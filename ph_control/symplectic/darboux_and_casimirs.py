@@ -79,7 +79,7 @@ class CasimirSplit(Frozen):
         return self.report()
 
     def report(self) -> str:
-        """What was split off, in words.
+        """Describe in words what was split off.
 
         Returns
         -------

@@ -240,7 +240,7 @@ def _rows(slices: Slices, sigma: Array, *factors: tuple[Array, Array]) -> tuple[
 
 
 def _cost_of_rounding(d: Array, x: Array, y: Array) -> float:
-    """What rounding of rows may cost, in units of `eps` times the largest energy of a row.
+    """Bound of the error that rounding of rows makes, in units of `eps` times the largest energy of a row.
 
     With `x` and `y` the sizes that terms of conjugate rows have before they cancel, rounding makes a defect of
     `eps x_j y_l`.  The row with less energy takes it away, at the cost of `d_l x_l x_j` for each part, `d_l <= d_j`.

@@ -1,4 +1,4 @@
-"""What the system classes share: a `control.StateSpace` whose matrices are locked views, made when first looked at."""
+"""Base of the system classes: a `control.StateSpace` whose matrices are locked views, made when first looked at."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _ENOUGH = 6.0  # decimal digits of the frequencies that a companion matrix shoul
 
 
 class _CanonicalForm(LosslessSystem):
-    """What both forms share: the parameters, their modes, and the coefficients."""
+    """Base of both forms: the parameters, their modes, and the coefficients."""
 
     def __init__(self, d: ArrayLike, v: ArrayLike, **names: Any) -> None:
         self._fill(*_checks.hamiltonian_parameters(d, v), names)

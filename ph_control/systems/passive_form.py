@@ -47,7 +47,7 @@ _NONE = 1e-13  # of the largest: an eigenvalue of a residue that is 0
 
 @dataclass(frozen=True)
 class Conversion:
-    """How a port-Hamiltonian system was made of another.
+    """Record of how a port-Hamiltonian system was made of another.
 
     Attributes
     ----------

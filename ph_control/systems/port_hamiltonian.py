@@ -195,7 +195,7 @@ class PortHamiltonian(LosslessSystem):
 
     @View
     def _reduction(self) -> Reduction | None:
-        """What the port reaches, where frequencies and residues alone tell it."""
+        """Modes that the port reaches, where frequencies and residues alone tell them; else None."""
         if self._given is None:
             return reachability.of_exact(self.modes)
         if self._modes is not None or self._port is None:
@@ -211,7 +211,7 @@ class PortHamiltonian(LosslessSystem):
         return (self._reduction or self._separation()).minimal()
 
     def _separation(self, rtol: float | None = None) -> Separation:
-        """What ports reach and what they do not, by the modes."""
+        """Modes parted into those that ports reach and those that they do not."""
         return separate(self.modes, self._given, None if self._given is None else self._energy, rtol=rtol)
 
     def horner(self, x: Any, warn_infinite: bool = True) -> ComplexArray:
@@ -463,7 +463,7 @@ class PortHamiltonian(LosslessSystem):
         return {} if self._given is None else {name: self._views[name] for name in names if name in self._views}
 
     def _told(self) -> dict[str, Any]:
-        """What a system is told after it was made, and keeps in files of pickle."""
+        """Attributes that are set after a system was made, for pickles."""
         return {name: getattr(self, name) for name in ("time_unit", "structural_modes", "error_bound", "cost")}
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -81,7 +81,7 @@ def _restored(reachable: PortHamiltonian, hidden: PortHamiltonian, T: Array) -> 
 
 @dataclass(frozen=True)
 class CanonicalMargins:
-    """How far a system is from one that its port does not determine; made by `canonical_margins`.
+    """Distance of a system from those that their port does not determine; made by `canonical_margins`.
 
     Attributes
     ----------
