@@ -116,15 +116,18 @@ def forced_response(
     array([ 0.,  1.,  0., -1.,  0.])
     """
 
-    def drive(sys: LosslessSystem, t: Array, port: int) -> tuple[Array, Any]:
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
         u = _input_signal(inputs, sys.ninputs, t.size, transpose)
+        problem = _Problem(sys, t, u, initial_state, method, intersample)
         u.flags.writeable = return_states is not None  # states that are still to come are made of it
-        return u, initial_state
+        return _Response(
+            None if return_states is False else problem.states, sys, t, problem.rule, problem.outputs(), inputs=u,
+            issiso=sys.issiso(), output_labels=sys.output_labels, input_labels=sys.input_labels,
+            title="Forced response for " + sys.name, transpose=transpose, return_x=bool(return_states),
+            squeeze=squeeze, sysname=sys.name, trace_types=["forced"], plot_inputs=True,
+        )  # fmt: skip
 
-    return _responses(
-        sysdata, timepts, None, "Forced", drive, method, intersample,
-        return_states=return_states, transpose=transpose, squeeze=squeeze,
-    )  # fmt: skip
+    return _each(sysdata, run, timepts, None)
 
 
 @_with_aliases
@@ -188,13 +191,14 @@ def step_response(
     True
     """
 
-    def drive(sys: LosslessSystem, t: Array, port: int) -> tuple[Array, Any]:
-        return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+        def one(port: int) -> tuple[Array, Any]:
+            return np.eye(sys.ninputs)[:, port, None] * np.ones(t.size), initial_state
 
-    return _responses(
-        sysdata, timepts, timepts_num, "Step", drive, method, intersample, input_indices, output_indices,
-        return_states=return_states or None, transpose=transpose, squeeze=squeeze,
-    )  # fmt: skip
+        shown = input_indices, output_indices
+        return _traces(sys, t, one, "Step", shown, method, intersample, transpose, squeeze, return_states)
+
+    return _each(sysdata, run, timepts, timepts_num)
 
 
 @_with_aliases
@@ -240,13 +244,14 @@ def impulse_response(
     True
     """
 
-    def drive(sys: LosslessSystem, t: Array, port: int) -> tuple[Array, Any]:
-        return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+        def one(port: int) -> tuple[Array, Any]:
+            return np.zeros((sys.ninputs, t.size)), sys.B[:, port]
 
-    return _responses(
-        sysdata, timepts, timepts_num, "Impulse", drive, method, "zoh", input_indices, output_indices,
-        return_states=return_states or None, transpose=transpose, squeeze=squeeze,
-    )  # fmt: skip
+        shown = input_indices, output_indices
+        return _traces(sys, t, one, "Impulse", shown, method, "zoh", transpose, squeeze, return_states)
+
+    return _each(sysdata, run, timepts, timepts_num)
 
 
 @_with_aliases
@@ -292,25 +297,23 @@ def initial_response(
     True
     """
 
-    def drive(sys: LosslessSystem, t: Array, port: int) -> tuple[Array, Any]:
-        return np.zeros((sys.ninputs, t.size)), initial_state
+    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
+        picked, one = _selected("output", output_indices, sys.noutputs)
+        problem = _Problem(sys, t, np.zeros((sys.ninputs, t.size)), initial_state, method, "zoh")
+        return _Response(
+            problem.states, sys, t, problem.rule, problem.outputs()[picked], issiso=sys.issiso() or one,
+            output_labels=sys.output_labels[picked],
+            title="Initial response for " + sys.name, transpose=transpose,
+            return_x=bool(return_states), squeeze=squeeze, sysname=sys.name, trace_types=["initial"],
+        )  # fmt: skip
 
-    return _responses(
-        sysdata, timepts, timepts_num, "Initial", drive, method, "zoh", None, output_indices,
-        return_states=return_states or None, transpose=transpose, squeeze=squeeze,
-    )  # fmt: skip
+    return _each(sysdata, run, timepts, timepts_num)
 
 
-def _responses(
-    sysdata: Any, timepts: Any, samples: int | None, kind: str,
-    drive: Callable[[LosslessSystem, Array, int], tuple[Array, Any]], method: str, intersample: str,
-    inputs: Any = None, outputs: Any = None, *, return_states: bool | None, **layout: Any,
-) -> Any:  # fmt: skip
-    """Responses of one system, or of each of a list on common instants, as python-control lays them out.
-
-    To a step or an impulse there is one trace for each input that is shown; else all inputs drive the system together.
-    `drive` gives the input and the initial state.
-    """
+def _each(
+    sysdata: Any, run: Callable[[LosslessSystem, Array], TimeResponseData], timepts: Any, samples: int | None
+) -> Any:
+    """Run one system, or each of a list on common instants."""
     several = isinstance(sysdata, list | tuple)
     systems = list(sysdata) if several else [sysdata]
     if not systems:
@@ -321,39 +324,8 @@ def _responses(
                 f"this is a {type(sys).__name__}, not a lossless system of this package; convert it with ph(sys), or "
                 "use the function of the same name of python-control"
             )
-    _checks.choice("method", method, METHODS)
-    _checks.choice("intersample", intersample, INTERSAMPLE)
     t = _instants(systems, timepts, samples)
-    # Euler's rule takes the input at the start of a step, whatever it does until the next
-    rule = Hold(_checks.time_step(t) or 1.0, method, "zoh" if method == "euler" else intersample)
-
-    def run(sys: LosslessSystem, t: Array) -> TimeResponseData:
-        rows, one_output = _selected("output", outputs, sys.noutputs)
-        columns, one_input = _selected("input", inputs, sys.ninputs)
-        traces = kind in ("Step", "Impulse")
-        ports = range(sys.ninputs)[columns] if traces else [0]
-        problems = [(u, _initial_state(z0, sys.nstates)) for u, z0 in (drive(sys, t, port) for port in ports)]
-
-        def joined(parts: list[Array]) -> Array:
-            return np.stack(parts, axis=1) if traces else parts[0]
-
-        def solved(states: bool) -> list[Array]:
-            return [_solved(sys, u, z0, rule, states) for u, z0 in problems]
-
-        described = layout | {"trace_types": [kind.lower()] * len(ports), "output_labels": sys.output_labels[rows]}
-        if traces:
-            described["trace_labels"] = [f"From {sys.input_labels[port]}" for port in ports]
-        if kind != "Initial":
-            described["inputs"] = joined([u[columns] for u, _ in problems])
-            described |= {"input_labels": sys.input_labels[columns], "plot_inputs": kind == "Forced"}
-        return _Response(
-            None if return_states is False else lambda: joined(solved(True)), sys, t, rule,
-            joined([y[rows] for y in solved(False)]), return_x=bool(return_states), sysname=sys.name,
-            title=f"{kind} response for {sys.name}",
-            issiso=sys.issiso() or (one_output and (one_input or kind == "Initial")), **described,
-        )  # fmt: skip
-
-    return TimeResponseList([run(sys, t.copy()) for sys in systems]) if several else run(systems[0], t)
+    return TimeResponseList([run(sys, t.copy()) for sys in systems]) if several else run(sys, t)
 
 
 def _visible(sys: LosslessSystem) -> Array:
@@ -371,6 +343,27 @@ def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) 
         _checks.whole_number("timepts_num", samples, 2, _MOST)
     visible = [_visible(sys) for sys in systems]
     return default_time_vector(np.concatenate(visible), tfinal, samples)
+
+
+def _traces(
+    sys: LosslessSystem, t: Array, one: Callable[[int], tuple[Array, Any]], kind: str, indices: tuple[Any, Any],
+    method: str, intersample: str, transpose: bool, squeeze: bool | None, return_states: bool,
+) -> TimeResponseData:  # fmt: skip
+    """Responses to one input at a time, as python-control lays them out."""
+    rows, one_output = _selected("output", indices[1], sys.noutputs)
+    shown, one_input = _selected("input", indices[0], sys.ninputs)
+    ports = range(sys.ninputs)[shown]
+    problems = [_Problem(sys, t, *one(port), method, intersample) for port in ports]
+    y = np.stack([problem.outputs()[rows] for problem in problems], axis=1)
+    drives = [problem.u[shown] if kind == "Step" else np.zeros_like(problem.u[shown]) for problem in problems]
+    return _Response(
+        lambda: np.stack([problem.states() for problem in problems], axis=1), sys, t, problems[0].rule, y,
+        inputs=np.stack(drives, axis=1), issiso=sys.issiso() or (one_output and one_input),
+        output_labels=sys.output_labels[rows], input_labels=sys.input_labels[shown],
+        title=f"{kind} response for {sys.name}", transpose=transpose, return_x=bool(return_states),
+        squeeze=squeeze, sysname=sys.name, trace_labels=[f"From {sys.input_labels[port]}" for port in ports],
+        trace_types=[kind.lower()] * len(ports), plot_inputs=False,
+    )  # fmt: skip
 
 
 def _selected(kind: str, index: Any, count: int) -> tuple[slice, bool]:
@@ -407,13 +400,34 @@ def _initial_state(value: Any, size: int) -> Array:
     return z.ravel()
 
 
-def _solved(sys: LosslessSystem, u: Array, z0: Array, rule: Hold, states: bool) -> Array:
-    """Outputs (m, T), or states (2n, T)."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        y, z = trajectory(sys, u, z0, rule, states=states)
-    growth = float(np.hypot(1.0, rule.h * sys.modes.natural_frequencies.max(initial=0.0)))
-    check_finite(y, z, growth if rule.method == "euler" else 1.0, rule)
-    return y if z is None else z
+class _Problem:
+    """One input and one initial state for one system; outputs and states are separate work."""
+
+    def __init__(
+        self, sys: LosslessSystem, t: Array, u: Array, initial_state: Any, method: str, intersample: str
+    ) -> None:
+        _checks.choice("method", method, METHODS)
+        _checks.choice("intersample", intersample, INTERSAMPLE)
+        # Euler's rule takes the input at the start of a step, whatever it does until the next
+        hold, h = "zoh" if method == "euler" else intersample, _checks.time_step(t) or 1.0
+        self.sys, self.u, self.rule = sys, u, Hold(h, method, hold)
+        self.z0 = _initial_state(initial_state, sys.nstates)
+
+    def outputs(self) -> Array:
+        """Outputs, shape (m, T)."""
+        return self._solved(False)[0]
+
+    def states(self) -> Array:
+        """States, shape (2n, T)."""
+        states = self._solved(True)[1]
+        return np.zeros((self.sys.nstates, self.u.shape[1])) if states is None else states
+
+    def _solved(self, states: bool) -> tuple[Array, Array | None]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            y, z = trajectory(self.sys, self.u, self.z0, self.rule, states=states)
+        growth = float(np.hypot(1.0, self.rule.h * self.sys.modes.natural_frequencies.max(initial=0.0)))
+        check_finite(y, z, growth if self.rule.method == "euler" else 1.0, self.rule)
+        return y, z
 
 
 class _Response(TimeResponseData):
