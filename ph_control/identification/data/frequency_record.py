@@ -20,6 +20,7 @@ class InFrequency(CheckedData):
 
     omega: Array
     response: ComplexArray
+    weights: Array
     title: str
     time_unit: str | None
 

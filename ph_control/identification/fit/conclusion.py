@@ -21,7 +21,7 @@ from ..diagnosis.fitted_directions import Directions, of_record, of_response
 from ..diagnosis.outliers import outliers, without
 from ..diagnosis.verdict import SOUND, WHITE, FitVerdict, HypothesisTest
 from ..excitation.excitation import examine_fit
-from ..regression.prediction import FittedExperiment, joint_fit_percent, state_from_amplitudes
+from ..regression.prediction import FittedExperiment, joint_percent, shares_left, state_from_amplitudes
 from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
@@ -88,7 +88,7 @@ def conclude(fit: Fit, method: str, intersample: str, quantity: str, representat
     weights = [
         one.record.weights[one.record.observed] for one in experiments if isinstance(one.record, FrequencyRecord)
     ]
-    fitted = joint_fit_percent(experiments)
+    fitted = joint_percent(shares_left([(one.record, one.predicted) for one in experiments]))
     held = ~at.free
     contradicted = sentence(fit.damped) if fit.damped else ""
     findings = circumstances_of(found.posed.findings, at, experiments, 1.0 if contradicted else whiteness)

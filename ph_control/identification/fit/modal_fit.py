@@ -23,8 +23,8 @@ from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
 from ..regression.free import FreeProjection, GivenResidues
-from ..regression.free_prediction import FittedChannels, joint_percent, natural_jacobian, pieces, unexplained
-from ..regression.prediction import FittedExperiment
+from ..regression.free_prediction import FittedChannels, natural_jacobian
+from ..regression.prediction import FittedExperiment, Pairs, joint_percent, pieces, shares_left
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, real_pole, sentence_of, worth_telling
 from ..search.formulation import Callback, reporter
@@ -265,7 +265,8 @@ def _judged(
     shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
     extra = fit.parameters - (2 * free.order + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + len(free.scales)
-    counts, losses = _losses(experiments, free.per_entry)
+    predicted = [(one.record, one.predicted) for one in experiments]
+    counts, losses = _losses(predicted, free.per_entry)
     floor = np.maximum(losses, np.finfo(float).tiny * np.maximum(counts, 1))
     known = counts > 0
     variances = floor / np.maximum(counts, 1)
@@ -274,7 +275,7 @@ def _judged(
     spare = max(1, samples - unknowns)
     rows = [row for one in experiments for row in _rows(one)]
     whiteness = 1.0 if free.rounding else ljung_box(rows, TUNING.lags)
-    fitted = joint_percent(unexplained(experiments))
+    fitted = joint_percent(shares_left(predicted))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
     lag = real_pole(free.measured or free.projection) if whiteness < WHITE and not free.interrupted else None
@@ -404,13 +405,10 @@ def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[Fitt
     return tuple(found)
 
 
-def _losses(experiments: Sequence[FittedChannels], per_entry: bool) -> tuple[Array, Array]:
+def _losses(predicted: Pairs, per_entry: bool) -> tuple[Array, Array]:
     """Real residuals, and sums of their weighted squares, of each output or entry."""
-    counts, losses = 0.0, 0.0
-    for one in experiments:
-        counts = counts + one.record.observed.sum(axis=-1) * (1 + per_entry)
-    for weights, _, residuals in pieces(experiments):
-        losses = losses + np.sum(weights * np.abs(residuals) ** 2, axis=-1)
+    counts = sum(record.observed.sum(axis=-1) * (1 + per_entry) for record, _ in predicted)
+    losses = sum(np.sum(weights * np.abs(left) ** 2, axis=-1) for weights, _, left in pieces(predicted))
     return np.ravel(counts), np.ravel(losses)
 
 

@@ -26,7 +26,7 @@ from ...plotting.frf_plot import frf_plot
 from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
 from ..diagnosis.verdict import CUT_SHORT, Outcome
-from ..regression.prediction import chosen_experiment, fit_percent
+from ..regression.prediction import chosen_experiment, joint_percent, shares_left
 from ..uncertainty.draws import intervals
 from .stabilisation import Stabilisation, compared
 
@@ -434,8 +434,7 @@ class PEMResult(Report, Frozen):
             kwargs.setdefault("output_unit", unit)
         kwargs["time_unit"] = unit_for(kwargs.get("time_unit"), self)
         y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
-        kept = ~np.isnan(y)
-        fitted = fit_percent(y[kept], (y - predicted)[kept])
+        fitted = joint_percent(np.ravel(shares_left([(one.record, one.predicted)]))[place])
         return fit_plot(one.record.time, y, predicted, fit_percent=fitted, **kwargs)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:

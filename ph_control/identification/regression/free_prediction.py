@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 from ..._types import Array, ComplexArray, NDArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
-from ..data.parts import blocks
 from .free import FreeProjection
-from .prediction import FittedData
+from .prediction import FittedData, shares_left
 from .time_rows import FreeRecord
 
 
@@ -44,43 +42,9 @@ class FittedChannels(FittedData):
         return f"{self.record.samples} samples of {len(self.predicted)} outputs, fit {self.fit_percent:.2f} %"
 
     @property
-    def fit_percent(self) -> float:
-        """`100 (1 - sqrt(mean |residual|^2 / |output - mean|^2))`, the mean over outputs or entries."""
-        return joint_percent(self.unexplained[None])
-
-    @property
     def unexplained(self) -> Array:
         """`|residual|^2 / |output - mean|^2` of each output, shape (p,), or entry, (p, m); NaN without samples."""
-        return unexplained([self])
-
-
-def unexplained(experiments: Sequence[FittedChannels]) -> Array:
-    """Share of each output or entry, over all experiments, that is left unexplained; weighted as in the fit."""
-    total, sums, left, whole = 0.0, 0.0, 0.0, 0.0
-    for weights, measured, residuals in pieces(experiments):
-        total = total + weights.sum(axis=-1)
-        sums = sums + np.sum(weights * measured, axis=-1)
-        left = left + np.sum(weights * np.abs(residuals) ** 2, axis=-1)
-    mean = np.asarray(sums / np.where(np.asarray(total) > 0, total, 1.0))[..., None]
-    for weights, measured, _ in pieces(experiments):
-        whole = whole + np.sum(weights * np.abs(measured - mean) ** 2, axis=-1)
-    return np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), np.nan)
-
-
-def pieces(experiments: Sequence[FittedChannels]) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
-    """Weights of values block by block, 0 where one is missing, the values, and what is left of them, 0 there."""
-    for one in experiments:
-        for part in blocks(one.record.samples, one.predicted[..., 0].size):
-            observed, measured = one.record.observed[..., part], one.measured[..., part]
-            weights = one.record.weights[..., part] if isinstance(one.record, ResponseMatrix) else 1.0
-            residuals = np.where(observed, measured - one.predicted[..., part], 0.0)
-            yield np.where(observed, weights, 0.0), np.where(observed, measured, 0.0), residuals
-
-
-def joint_percent(shares: Array) -> float:
-    """Fit of all outputs from the share of each that is left."""
-    known = shares[~np.isnan(shares)]
-    return 100.0 * (1.0 - float(np.sqrt(known.mean()))) if known.size else np.nan
+        return shares_left([(self.record, self.predicted)]) ** 2
 
 
 def natural_jacobian(p: ComplexArray) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,18 +19,18 @@ from ...exceptions import StructureError
 from ...modal.discretization import Hold
 from ...modal.modal_form import ModalForm
 from ...systems.port_hamiltonian import PortHamiltonian
-from ..data.frequency_record import FrequencyRecord
+from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.parts import Difference, blocks
 from ..data.time_record import Record
 from .modal_regressors import output_weight
 from .time_rows import RecordRows
 from .variable_projection import Problem
 
-Piece = tuple[NDArray[Any], NDArray[Any], Array | None]  # outputs, errors, weights
+Pairs = Sequence[tuple[Any, NDArray[Any]]]  # records, and what a model predicts of each
 
 
 class FittedData(Report, Frozen):
-    """The data of an experiment, and what a fit says of them."""
+    """What a fit says of one experiment: its record, and the outputs that it predicts."""
 
     record: Any
     predicted: NDArray[Any]
@@ -38,12 +38,17 @@ class FittedData(Report, Frozen):
     @property
     def measured(self) -> NDArray[Any]:
         """Outputs of the record; NaN where missing."""
-        return self.record.measured
+        return np.asarray(self.record.measured)
 
     @property
     def residuals(self) -> NDArray[Any]:
         """What the prediction leaves; NaN where an output is missing."""
-        return self.measured - self.predicted
+        return np.asarray(self.measured - self.predicted)
+
+    @property
+    def fit_percent(self) -> float:
+        """`100 (1 - norm(residual) / norm(output - mean))`, in the scale of the weights; of outputs the square mean."""
+        return joint_percent(shares_left([(self.record, self.predicted)]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,51 +87,54 @@ class FittedExperiment(FittedData):
         return f"{self.record.samples} samples, fit {self.fit_percent:.2f} %"
 
     @property
-    def fit_percent(self) -> float:
-        """`100 (1 - norm(residual) / norm(output - mean))`, of a response in the scale of its weights."""
-        return joint_fit_percent([self])
-
-    @property
     def left(self) -> Difference:
         """The residuals, worked out where they are asked for."""
         return Difference(self.measured, self.predicted)
 
 
-def _pieces(one: FittedExperiment) -> Iterator[Piece]:
-    """Observed outputs, what is left of them, and their weights, block by block."""
-    for part in blocks(one.record.samples):
-        kept, measured = one.record.observed[part], np.asarray(one.measured[part])
-        weights = one.record.weights[part][kept] if isinstance(one.record, FrequencyRecord) else None
-        yield measured[kept], (measured - one.predicted[part])[kept], weights
+def pieces(pairs: Pairs) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
+    """Weights of values block by block, 0 where one is missing, the values, and what is left of them, 0 there."""
+    for record, predicted in pairs:
+        for part in blocks(record.samples, predicted[..., 0].size):
+            observed, measured = record.observed[..., part], np.asarray(record.measured[..., part])
+            weights = record.weights[..., part] if isinstance(record, InFrequency) else 1.0
+            residuals = np.where(observed, measured - predicted[..., part], 0.0)
+            yield np.where(observed, weights, 0.0), np.where(observed, measured, 0.0), residuals
 
 
-def joint_fit_percent(experiments: Sequence[FittedExperiment]) -> float:
-    """The percentage of all experiments together."""
-    return _percent(lambda: (piece for one in experiments for piece in _pieces(one)))
+def shares_left(pairs: Pairs) -> Array:
+    """Norm of what is left over that of `output - mean`, of each output or entry in all experiments, as weighted.
 
-
-def fit_percent(y: NDArray[Any], error: NDArray[Any], weights: Array | None = None) -> float:
-    """`100 (1 - |error| / |y - mean|)`; an output that only rounds about its mean is held against its own size."""
-    return _percent(lambda: [(y, error, weights)])
-
-
-def _percent(pieces: Callable[[], Iterable[Piece]]) -> float:
+    An output that only rounds about its mean is held against its own size; NaN where nothing was measured.
+    """
+    unit: Any = 0.0
+    worst: Any = 0.0
+    heaviest = count = total = sums = left = squares = about = 0.0
+    for weights, measured, residuals in pieces(pairs):
+        unit, worst = (
+            np.maximum(size, np.abs(values).max(axis=-1, initial=0.0))
+            for size, values in ((unit, measured), (worst, residuals))
+        )
+        heaviest = max(heaviest, float(weights.max(initial=0.0)))
     # in units of the largest, so that squares stay in the range of doubles
-    unit = max((float(np.max(np.abs(y), initial=0.0)) for y, _, _ in pieces()), default=0.0)
-    heaviest = max((float(np.max(one, initial=0.0)) for _, _, one in pieces() if one is not None), default=1.0)
+    unit, worst = (np.where(size > 0, size, 1.0) for size in (unit, worst))
+    for weights, measured, residuals in pieces(pairs):
+        share, y = weights / (heaviest or 1.0), measured / unit[..., None]
+        count, total = count + (share > 0).sum(axis=-1), total + share.sum(axis=-1)
+        sums, squares = sums + np.sum(share * y, axis=-1), squares + np.sum(share * np.abs(y) ** 2, axis=-1)
+        left = left + np.sum(share * np.abs(residuals / worst[..., None]) ** 2, axis=-1)
+    mean = np.asarray(sums / np.where(np.asarray(total) > 0, total, 1.0))[..., None]
+    for weights, measured, _ in pieces(pairs):
+        share = weights / (heaviest or 1.0)
+        about = about + np.sum(share * np.abs(measured / unit[..., None] - mean) ** 2, axis=-1)
+    size = np.sqrt(np.where(about <= _checks.EPS**2 * count, squares, about))
+    return np.where(size > 0, np.sqrt(left) / np.where(size > 0, size, 1.0) * (worst / unit), np.nan)
 
-    def shared() -> Iterator[tuple[NDArray[Any], NDArray[Any], Array]]:
-        for y, error, weights in pieces():
-            yield y / unit, error, np.ones(len(y)) if weights is None else weights / heaviest
 
-    count = sum(len(y) for y, _, _ in shared())
-    total = sum(float(share.sum()) for _, _, share in shared())
-    mean = sum(np.sum(share * y) for y, _, share in shared()) / total
-    size = float(np.sqrt(sum(np.sum(share * np.abs(y - mean) ** 2) for y, _, share in shared())))
-    if size <= _checks.EPS * np.sqrt(count):
-        size = float(np.sqrt(sum(np.sum(share * np.abs(y) ** 2) for y, _, share in shared())))
-    norms = [unit_norm(np.sqrt(share) * error, unit) for _, error, share in shared()]
-    return 100.0 * (1.0 - unit_norm(np.array(norms), 1.0) / size)
+def joint_percent(shares: Array) -> float:
+    """Fit of all outputs from the share of each that is left."""
+    known = np.asarray(shares)[~np.isnan(shares)]
+    return 100.0 * (1.0 - unit_norm(known, 1.0) / float(np.sqrt(known.size))) if known.size else np.nan
 
 
 def unit_norm(error: NDArray[Any], unit: float) -> float:

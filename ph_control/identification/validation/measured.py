@@ -23,8 +23,7 @@ from ..data.experiments import as_measured
 from ..data.frequency_record import FrequencyRecord, InFrequency
 from ..data.time_record import InTime, Record
 from ..fit.result import PEMResult
-from ..regression.free_prediction import FittedChannels, joint_percent, unexplained
-from ..regression.prediction import fit_percent, unit_norm
+from ..regression.prediction import Pairs, joint_percent, shares_left, unit_norm
 
 Kind = Record | FrequencyRecord | Recording | ResponseMatrix
 
@@ -129,44 +128,27 @@ def _name(model: Any) -> str:
     return f"{kind} ({system.nstates} states)" if isinstance(system, ct.StateSpace) else kind
 
 
-def fit_to(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> float:
+def fit_to(pairs: Pairs) -> float:
     """Fit percent of a model in some experiments together; of responses in the scale of their weights."""
-    if isinstance(pairs[0][0], Recording | ResponseMatrix):
-        return joint_percent(shares_of(pairs))
-    y, error, weights = _observed(pairs)
-    return fit_percent(y, error, weights) if y.any() else np.nan
+    return joint_percent(shares_left(pairs))
 
 
-def fits_of_outputs(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
+def fits_of_outputs(pairs: Pairs) -> Array:
     """Fit percent of each output, shape (p,)."""
-    if not isinstance(pairs[0][0], Recording | ResponseMatrix):
-        return np.array([fit_to(pairs)])
-    shares = shares_of(pairs)
-    return np.array([joint_percent(one) for one in shares.reshape(len(shares), -1)])
+    return np.array([joint_percent(one) for one in shares_left(pairs).reshape(len(pairs[0][0].output_labels), -1)])
 
 
-def shares_of(pairs: Sequence[tuple[Any, NDArray[Any]]]) -> Array:
-    """Share of each output (p,), or entry (p, m), that a model leaves in some experiments together; NaN if unknown."""
-    none, still = np.zeros(0), np.zeros(0, np.complex128)
-    return unexplained([FittedChannels(record, still, none, none, output) for record, output in pairs])
+def rms_of(pairs: Pairs) -> Any:
+    """Root of the mean squared error of a model in some experiments together, of each output or entry.
 
-
-def rms_of(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> Any:
-    """Root of the mean squared error of a model in some experiments together, weighted as the fit; of each output."""
-    if isinstance(pairs[0][0], Recording | ResponseMatrix):
-        left = np.concatenate([record.measured - output for record, output in pairs], axis=-1)
-        rows = left.reshape(len(left), -1)
-        counts = np.isfinite(rows).sum(axis=1)
-        squares = np.sum(np.abs(np.nan_to_num(rows)) ** 2, axis=1)
-        return np.where(counts > 0, np.sqrt(squares / np.maximum(counts, 1)), np.nan)
-    _, error, weights = _observed(pairs)
-    share = np.ones(len(error)) if weights is None else weights / weights.max()
-    return unit_norm(np.sqrt(share) * error, 1.0) / float(np.sqrt(share.sum()))
-
-
-def _observed(pairs: Sequence[tuple[Kind, NDArray[Any]]]) -> tuple[NDArray[Any], NDArray[Any], Array | None]:
-    """What was measured, the errors there, and the weights of responses."""
-    y = np.concatenate([record.measured[record.observed] for record, _ in pairs])
-    error = np.concatenate([(record.measured - output)[record.observed] for record, output in pairs])
-    weights = [record.weights[record.observed] for record, _ in pairs if isinstance(record, FrequencyRecord)]
-    return y, error, np.concatenate(weights) if weights else None
+    Of a response from one input to one output it is weighted as the fit.
+    """
+    weighted = [record.weights if isinstance(record, FrequencyRecord) else 1.0 for record, _ in pairs]
+    heaviest = max(float(np.max(one)) for one in weighted)
+    left = np.concatenate([record.measured - output for record, output in pairs], axis=-1)
+    shares = [one / heaviest * record.observed for one, (record, _) in zip(weighted, pairs, strict=True)]
+    share = np.concatenate(shares, axis=-1).reshape(-1, left.shape[-1])
+    rows = np.abs(np.nan_to_num(left)).reshape(share.shape)
+    found = [unit_norm(np.sqrt(s) * row, 1.0) / np.sqrt(s.sum()) if s.any() else np.nan
+             for s, row in zip(share, rows, strict=True)]  # fmt: skip
+    return found[0] if left.ndim == 1 else np.array(found)
