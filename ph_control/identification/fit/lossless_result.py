@@ -38,13 +38,13 @@ from ..uncertainty.fisher import Information
 from ..uncertainty.state_coordinates import InCoordinates
 from .bootstrap import Resampled
 from .damped_result import DampedModel
-from .report import FitReport, residue_errors
+from .report import LosslessReport, residue_errors
 from .result import OrderRow, PEMResult
 from .stabilisation import Orders
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LosslessResult(FitReport, Resampled, InCoordinates, PEMResult):
+class LosslessResult(LosslessReport, Resampled, InCoordinates, PEMResult):
     """Result of `pem`: a lossless model.
 
     Attributes

@@ -20,44 +20,54 @@ _BACKGROUND = 0.01  # of the response, from which it is told
 
 
 class FitReport(Report):
-    """What the result of a lossless fit shows of itself."""
+    """What the result of a fit shows of itself: lines on data and quality, tables, and its message."""
 
-    def __str__(self) -> str:
-        return summary_of(self)
-
-    def _headline(self: Any) -> str:
-        return f"{_modes(self.order)}, fit {percent(self.fit_percent)}, {self.verdict}"
+    def __str__(self: Any) -> str:
+        lines = self._lines()
+        for table in self._tables():
+            lines += ["", *table]
+        wrapped = textwrap.wrap(self.message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+        return shortened("\n".join([*lines, "", *wrapped]))
 
     def _repr_html_(self: Any) -> str:
         """HTML for notebooks: the summary, its modes as a table."""
-        above, _, _ = summary_of(self).partition("\n\n")
-        title, _, lines = above.partition("\n")
-        head, *rows = mode_table(self)
+        title, *lines = self._lines()
+        head, *rows = self._mode_table()
         head = [text.replace("+-", "±") for text in head]
-        return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(self.message)
+        return html_heading(title) + html_report("\n".join(lines)) + html_table(head, rows) + html_report(self.message)
 
 
-def summary_of(result: Any) -> str:
-    """Report of a fit for people, at most 100 characters wide."""
-    first = result.experiments[0].record
-    missing = sum(int((~one.record.observed).sum()) for one in result.experiments)
-    driven = [one.record for one in result.experiments if not isinstance(one.record, Record) or one.record.driven]
-    source = f" from {driven[0].input_label!r}" if driven else " in free motion"
-    lines = [
-        f"Port-Hamiltonian model of {first.output_label!r}{source}: {_modes(result.order)}",
-        f"  verdict         {result.verdict}",
-        *_data_lines(result, missing),
-        f"  fit             {result.fit_percent:.2f} %",
-        f"  noise           standard deviation {result.noise.floor:.4g}"
-        + f", and {100 * result.noise.share:.2g} % of the gain" * bool(result.noise.share),
-        f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})",
-        "",
-        *aligned(mode_table(result)),
-    ]
-    if result.damped is not None:
-        lines += ["", *damped_lines(result.damped)]
-    wrapped = textwrap.wrap(result.message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
-    return shortened("\n".join([*lines, "", *wrapped]))
+class LosslessReport(FitReport):
+    """What the result of a lossless fit shows of itself."""
+
+    def _headline(self: Any) -> str:
+        return f"{counted(self.order, 'mode')}, fit {percent(self.fit_percent)}, {self.verdict}"
+
+    def _mode_table(self) -> list[list[str]]:
+        return mode_table(self)
+
+    def _tables(self: Any) -> list[list[str]]:
+        damped = [] if self.damped is None else [damped_lines(self.damped)]
+        return [aligned(self._mode_table()), *damped]
+
+    def _lines(self: Any) -> list[str]:
+        first = self.experiments[0].record
+        missing = sum(int((~one.record.observed).sum()) for one in self.experiments)
+        driven = [one.record for one in self.experiments if not isinstance(one.record, Record) or one.record.driven]
+        source = f" from {driven[0].input_label!r}" if driven else " in free motion"
+        return [
+            f"Port-Hamiltonian model of {first.output_label!r}{source}: {counted(self.order, 'mode')}",
+            f"  verdict         {self.verdict}",
+            *_data_lines(self, missing),
+            f"  fit             {self.fit_percent:.2f} %",
+            f"  noise           standard deviation {self.noise.floor:.4g}"
+            + f", and {100 * self.noise.share:.2g} % of the gain" * bool(self.noise.share),
+            _criteria_line(self),
+        ]
+
+
+def _criteria_line(result: Any) -> str:
+    return f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})"
 
 
 def mode_table(result: Any) -> list[list[str]]:
@@ -82,10 +92,6 @@ def residue_errors(result: Any) -> Array:
     C = result.covariance
     l = np.arange(n)
     return np.sqrt(np.maximum(r**2 * C[l, l] + d**2 * C[n + l, n + l] + 2 * r * d * C[l, n + l], 0.0))
-
-
-def _modes(order: int) -> str:
-    return f"{order} mode{'s' * (order != 1)}"
 
 
 def _note(result: Any, l: int) -> str:
@@ -133,7 +139,8 @@ def damped_lines(model: Any) -> list[str]:
 
 def damped_table(model: Any) -> list[list[str]]:
     """Cells of that table, a head first; of one input and output the residue, with the error of its size."""
-    n, stderr, residues = model.order, model.stderr, np.reshape(model.residues, (model.order, -1))
+    n, stderr = model.order, model.stderr
+    residues = np.reshape(model.residues, (n, model.residues.size // max(1, n)))
     columns = [(model.hertz, stderr["hertz"]), (100 * model.damping_ratios, 100 * stderr["damping_ratios"])]
     head = ["mode", f"f [{'1/time' if model.time_unit is None else 'Hz'}]", "+-", "damping [%]", "+-"]
     last = [""] * n
@@ -159,51 +166,38 @@ def damped_table(model: Any) -> list[list[str]]:
     return [head, *rows]
 
 
-class DampedReport(Report):
+class DampedReport(FitReport):
     """What the result of a fit of damped modes shows of itself."""
 
-    def __str__(self) -> str:
-        return damped_summary(self)
-
     def _headline(self: Any) -> str:
-        return f"{_modes(self.order)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
+        return f"{counted(self.order, 'mode')}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
 
-    def _repr_html_(self: Any) -> str:
-        """HTML for notebooks: the summary, its modes as a table."""
-        above, _, _ = damped_summary(self).partition("\n\n")
-        title, _, lines = above.partition("\n")
-        head, *rows = damped_table(self)
-        head = [text.replace("+-", "±") for text in head]
-        return html_heading(title) + html_report(lines) + html_table(head, rows) + html_report(self.message)
+    def _mode_table(self) -> list[list[str]]:
+        return damped_table(self)
 
+    def _tables(self: Any) -> list[list[str]]:
+        shown = (self._mode_table(), test_table(self.tests))
+        return [aligned(one) for one in shown if len(one) > 1]
 
-def damped_summary(result: Any) -> str:
-    """Report of a fit of damped modes, at most 100 characters wide."""
-    inputs, outputs = result.input_labels, result.output_labels
-    source = f" from {_listed(inputs)}" if inputs else " in free motion"
-    ports = [f"  ports           {_listed([f'{outputs[o]}:{inputs[i]}' for o, i in result.ports])}"] * bool(
-        result.ports
-    )
-    scale = "unit modal mass" if result.shapes_scaled else "the largest entry 1, unscaled"
-    lines = [
-        f"{counted(result.order, 'mode')} of {_listed(outputs)}{source}",
-        f"  verdict         {result.verdict}",
-        f"  structure       {result.structure}",
-        *_channel_lines(result),
-        *ports,
-        *([f"  mode shapes     {scale}"] if len(outputs) > 1 else []),
-        f"  fit             {result.fit_percent:.2f} %",
-        f"  BIC             {result.bic:.6g}   (AIC {result.aic:.6g}, log-likelihood {result.loglik:.6g})",
-    ]
-    if result.order:
-        lines += ["", *aligned(damped_table(result))]
-    if result.tests:
-        lines += ["", *aligned(_test_table(result.tests))]
-    wrapped = textwrap.wrap(result.message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
-    return shortened("\n".join([*lines, "", *wrapped]))
+    def _lines(self: Any) -> list[str]:
+        inputs, outputs = self.input_labels, self.output_labels
+        source = f" from {_listed(inputs)}" if inputs else " in free motion"
+        ports = [f"{outputs[o]}:{inputs[i]}" for o, i in self.ports]
+        scale = "unit modal mass" if self.shapes_scaled else "the largest entry 1, unscaled"
+        return [
+            f"{counted(self.order, 'mode')} of {_listed(outputs)}{source}",
+            f"  verdict         {self.verdict}",
+            f"  structure       {self.structure}",
+            *_channel_lines(self),
+            *[f"  ports           {_listed(ports)}"] * bool(ports),
+            *[f"  mode shapes     {scale}"] * (len(outputs) > 1),
+            f"  fit             {self.fit_percent:.2f} %",
+            _criteria_line(self),
+        ]
 
 
-def _test_table(tests: Any) -> list[list[str]]:
+def test_table(tests: Any) -> list[list[str]]:
+    """Cells of the tests of structures, a head first."""
     rows = [[one.hypothesis, f"{one.likelihood_ratio:.4g}", str(one.dof), p_value(one.p)] for one in tests]
     return [["hypothesis", "likelihood ratio", "dof", ""], *rows]
 

@@ -19,7 +19,7 @@ from ...io.json_format import Fields
 from ...modal.discretization import INTERSAMPLE, METHODS
 from ..data.channels import Recording, ResponseMatrix
 from ..data.frequency_record import FrequencyRecord
-from ..data.time_record import Record
+from ..data.time_record import InTime, Record
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
 from ..regression.prediction import FittedExperiment
@@ -157,13 +157,10 @@ def _to_dict(result: LosslessResult) -> dict[str, Any]:
 def _from_dict(fields: Fields) -> Any:
     system = system_from_dict(fields.nested("system"))
     n = system.n
-    experiments = tuple(_experiment(one, n) for one in _all_of(fields.nested("experiments")))
-    if not experiments:
-        raise StructureError("there are no experiments; a fit has at least one")
+    experiments = _experiments(fields, n)
     size = 2 * n + sum(len(one.initial_state) for one in experiments)
-    table, starts, information = (fields.nested(name) for name in ("order_table", "starts", "identifiability"))
-    orders, kinds, known = _places(table, "order"), starts.texts("kind"), len(information.texts("names"))
-    numbers = [table.array(name, (len(orders),)).tolist() for name in ("loss", "aic", "bic")]
+    starts, information = fields.nested("starts"), fields.nested("identifiability")
+    kinds, known = starts.texts("kind"), len(information.texts("names"))
     losses, sizes = starts.array("loss", (len(kinds),)).tolist(), _places(starts, "order")
     shapes: Shapes = {"covariance": (size, size), "offset_stderr": (len(experiments),), "active": (n,), "unseen": (n,)}
     optional: dict[str, Any] = {"damped": _damped(fields.nested("damped"), experiments)} if "damped" in fields else {}
@@ -175,7 +172,7 @@ def _from_dict(fields: Fields) -> Any:
         identifiability=_read(
             Information, information, {"lengths": (known,), "singular_values": (known,), "vectors": (known, known)}
         ),
-        order_table=tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True)),
+        order_table=_order_table(fields),
         starts=tuple(Start(*one) for one in zip(kinds, losses, _split(starts, sizes), strict=True)),
         **optional,
     )  # fmt: skip
@@ -187,6 +184,13 @@ def _table(rows: Iterable[Any], *names: str) -> dict[str, Any]:
     return columns | {"d": np.concatenate([np.zeros(0), *[row.d for row in rows]])}
 
 
+def _order_table(fields: Fields) -> tuple[OrderRow, ...]:
+    table = fields.nested("order_table")
+    orders = _places(table, "order")
+    numbers = [table.array(name, (len(orders),)).tolist() for name in ("loss", "aic", "bic")]
+    return tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True))
+
+
 def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
     """Frequencies of each row."""
     return np.split(table.array("d", (sum(orders),)), np.cumsum(orders))[:-1]
@@ -195,17 +199,39 @@ def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
 # --- its experiments, and its damped model ---------------------------------------------------------------------------
 
 
-def _experiment(fields: Fields, n: int, record: Any = None) -> Any:
-    if record is None:
-        inner = fields.nested("record")
-        samples = len(inner.array("time" if "time" in inner else "omega", (None,)))
-        lengths: Shapes = dict.fromkeys(("u", "y", "response", "weights"), (samples,))
-        record = _read(Record if "time" in inner else FrequencyRecord, inner, lengths)
-    in_time, samples = isinstance(record, Record), record.samples
-    shapes = {"initial_state": (2 * n * in_time,), "free_amplitudes": (n * in_time,), "outliers": (samples,)}
+def _experiments(fields: Fields, n: int, records: Sequence[Any] = ()) -> tuple[Any, ...]:
+    """Experiments of a fit of n modes, of records that are known or told with them."""
+    inner = fields.nested("experiments")
+    known = [_experiment(inner.nested(str(k)), n, record) for k, record in enumerate(records, start=1)]
+    found = tuple(known or (_experiment(one, n, _record(one.nested("record"))) for one in _all_of(inner)))
+    if not found:
+        raise StructureError("there are no experiments; a fit has at least one")
+    return found
+
+
+def _record(fields: Fields) -> Any:
+    """Data of one input and output, or of several channels."""
+    in_time, single = "time" in fields, "output_label" in fields
+    samples = len(fields.array("time" if in_time else "omega", (None,)))
+    p, m = ((), ()) if single else ((len(fields.texts(f"{side}_labels")),) for side in ("output", "input"))
+    entries = (*p, *m, samples)
+    shapes: Shapes = {"u": (*m, samples), "y": (*p, samples), "response": entries, "weights": entries}
+    kinds = (Record, FrequencyRecord) if single else (Recording, ResponseMatrix)
+    return _read(kinds[not in_time], fields, shapes)
+
+
+def _experiment(fields: Fields, n: int, record: Any) -> Any:
+    in_time, single = isinstance(record, InTime), isinstance(record, Record | FrequencyRecord)
     # damped modes do not predict a response where nothing was measured
-    predicted = (fields.array if in_time else fields.complex_array)("predicted", (samples,), finite=in_time)
-    return _read(FittedExperiment, fields, shapes, record=record, predicted=predicted)
+    predicted = (fields.array if in_time else fields.complex_array)(
+        "predicted", record.measured.shape, finite=in_time and single
+    )
+    shapes: Shapes = {"initial_state": (2 * n * in_time,), "free_amplitudes": (n * in_time,)}
+    if not single:
+        p = len(record.output_labels)
+        shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
+    shapes = {**shapes, "outliers": (record.samples,)}
+    return _read(FittedExperiment if single else FittedChannels, fields, shapes, record=record, predicted=predicted)
 
 
 def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:
@@ -227,16 +253,11 @@ def _modal_to_dict(result: DampedResult, *apart: str) -> dict[str, Any]:
 
 
 def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
-    n, inner = len(fields.complex_array("poles", (None,))), fields.nested("experiments")
-    known = [_experiment(inner.nested(str(k)), n, record) for k, record in enumerate(records, start=1)]
-    experiments = tuple(known or (_fitted(one, n) for one in _all_of(inner)))
-    if not experiments:
-        raise StructureError("there are no experiments; a fit has at least one")
+    n = len(fields.complex_array("poles", (None,)))
+    experiments = _experiments(fields, n, records)
     outputs, inputs = fields.complex_array("residues", (n, None, None)).shape[1:]
     size = 2 * n + (2 * n + 1) * outputs * inputs
-    table, ports = fields.nested("order_table"), fields.nested("ports")
-    orders = _places(table, "order")
-    numbers = [table.array(name, (len(orders),)).tolist() for name in ("loss", "aic", "bic")]
+    ports = fields.nested("ports")
     per_entry = isinstance(experiments[0].record, ResponseMatrix | FrequencyRecord)
     shapes: Shapes = {
         "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs),
@@ -249,26 +270,8 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
     covariance[rows, columns] = covariance[columns, rows] = fields.array("covariance", (len(rows),), finite=False)
     return _read(
         DampedResult, fields, shapes, experiments=experiments, ports=tuple(pairs), covariance=covariance,
-        order_table=tuple(OrderRow(*row) for row in zip(orders, *numbers, _split(table, orders), strict=True)),
+        order_table=_order_table(fields),
     )  # fmt: skip
-
-
-def _fitted(fields: Fields, n: int) -> Any:
-    """An experiment of one input and output, or of several channels."""
-    if "output_label" in fields.content.get("record", {}):
-        return _experiment(fields, n)
-    record = fields.nested("record")
-    p, m = len(record.texts("output_labels")), len(record.texts("input_labels"))
-    in_time = "time" in record
-    samples = len(record.array("time" if in_time else "omega", (None,)))
-    entries = (p, m, samples)
-    shapes: Shapes = {"u": (m, samples), "y": (p, samples), "response": entries, "weights": entries}
-    kind = Recording if in_time else ResponseMatrix
-    predicted = (fields.array if in_time else fields.complex_array)(
-        "predicted", (p, samples) if in_time else entries, finite=False
-    )
-    own: Shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
-    return _read(FittedChannels, fields, own, record=_read(kind, record, shapes), predicted=predicted)
 
 
 CODECS = {

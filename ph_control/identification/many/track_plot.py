@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -24,22 +23,11 @@ _NAMED = 8  # modes up to which there is a legend
 _PANELS = 5  # of frequencies
 
 
-@dataclass(frozen=True)
-class Track:
-    """Recordings of a mode, ascending, its frequencies, its damping ratios, and their standard errors."""
-
-    recording: Array
-    hertz: Array
-    hertz_stderr: Array
-    damping_ratio: Array
-    damping_ratio_stderr: Array
-
-
 def tracks_plot(
-    tracks: Sequence[Track], loose: Track, unit: str, *, relative: bool, level: float, ax: Any = None,
+    tracks: Sequence[np.recarray], loose: np.recarray, unit: str, *, relative: bool, level: float, ax: Any = None,
     **style: Unpack[FrameStyle],
 ) -> ct.ControlPlot:  # fmt: skip
-    """Frequencies above damping ratios of all modes, with bands; what belongs to none as dots."""
+    """Frequencies above damping ratios of the rows of each mode, with bands; loose rows as dots."""
     look = Look.of(style, FrameStyle)
     _checks.flags(relative=relative)
     width = float(ndtri(0.5 + _checks.level("level", level) / 2))
@@ -79,7 +67,7 @@ def tracks_plot(
         return drawn.finished(heading, drawn.legend_of_all() if few else False)
 
 
-def _groups(tracks: Sequence[Track]) -> list[list[int]]:
+def _groups(tracks: Sequence[np.recarray]) -> list[list[int]]:
     """Modes whose frequencies meet, in the order of these, for a panel each; all in one where these were too many."""
     groups: list[list[int]] = []
     high = -np.inf
@@ -94,7 +82,7 @@ def _groups(tracks: Sequence[Track]) -> list[list[int]]:
 def _curve(axis: Axes, x: Array, y: Array, error: Array, named: dict[str, Any]) -> list[Any]:
     """Line with its band, broken where a recording is missing."""
     ends = np.flatnonzero(np.diff(x) > 1) + 1
-    x, y, error = (np.insert(values, ends, np.nan) for values in (x, y, error))
+    x, y, error = (np.insert(values.astype(float), ends, np.nan) for values in (x, y, error))
     marker = "." if len(x) <= _MARKED else None
     axis.fill_between(x, y - error, y + error, color=named["color"], **BAND)
     return list(axis.plot(x, y, linewidth=1.2, marker=marker, **named))

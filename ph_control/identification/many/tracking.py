@@ -14,7 +14,7 @@ from ..._display import Report, aligned, counted
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ...numerics.mode_shapes import mac
-from .track_plot import Track, tracks_plot
+from .track_plot import tracks_plot
 
 _TREND = 5  # recordings of a mode from which on they have a trend
 
@@ -118,14 +118,9 @@ class ModeTracks(Report, Frozen):
         ['Natural frequency [1/time]', 'Damping ratio [%]']
         >>> plt.close(plot.figure)
         """
-        loose = self.table[(self.ids < 0) & (self.table["mode"] >= 0)]
-        lines = [_line(self[k]) for k in range(len(self))]
-        return tracks_plot(lines, _line(loose), self.frequency_unit, relative=relative, level=level, **kwargs)
-
-
-def _line(rows: NDArray[np.void]) -> Track:
-    names = ("recording", "hertz", "hertz_stderr", "damping_ratio", "damping_ratio_stderr")
-    return Track(*(np.array(rows[name], float) for name in names))
+        rows = self.table.view(np.recarray)
+        lines, loose = [rows[self.ids == k] for k in range(len(self))], rows[(self.ids < 0) & (rows.mode >= 0)]
+        return tracks_plot(lines, loose, self.frequency_unit, relative=relative, level=level, **kwargs)
 
 
 # --- following -------------------------------------------------------------------------------------------------------

@@ -12,8 +12,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import rc_context
 
-from ..._display import escaped, html_report, html_table, p_value
+from ..._display import escaped, html_report, html_table
 from ...exceptions import StructureError
+from ..fit.report import test_table
 from ..fit.result import PEMResult
 
 # kind of picture, its heading, and what it shows
@@ -50,8 +51,8 @@ def page_of(result: PEMResult, title: str) -> str:
     """The whole page, with its pictures inside."""
     parts = [f"<h1>{escaped(title)}</h1>", result._repr_html_()]
     if result.tests:
-        rows = [[one.hypothesis, f"{one.likelihood_ratio:.4g}", str(one.dof), p_value(one.p)] for one in result.tests]
-        parts += ["<h2>Tests of structure</h2>", html_table(["hypothesis", "likelihood ratio", "dof", "p"], rows)]
+        head, *rows = test_table(result.tests)
+        parts += ["<h2>Tests of structure</h2>", html_table([*head[:-1], "p"], rows)]
     for kind, heading, caption in _PICTURES:
         if kind in _OF_SEVERAL and max(result.residues.shape[1:]) == 1:
             continue
