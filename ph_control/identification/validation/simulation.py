@@ -109,24 +109,24 @@ def answers_to(
 
 def _answer_to(model: Any, label: str, record: Kind, rules: Rules) -> Simulation:
     """What a `PEMResult`, a system of this package, or a linear system of python-control says of an experiment."""
-    if isinstance(record, Recording | ResponseMatrix):
-        return _answer_of_channels(model, label, record, rules)
     if isinstance(model, DampedResult):
         _matching(model, label, record)
-    places = range(len(model.experiments)) if isinstance(model, PEMResult) else []
-    place = next((k for k in places if same_data(record, model.experiments[k].record)), None)
-    if place is not None and _keeps_its_state(model.experiments[place], rules.initial_state):
-        directions = _damped_directions if isinstance(model, DampedResult) else _fitted_directions
-        return Simulation(model.experiments[place].predicted, lambda: directions(model, place), True)
-    if isinstance(record, FrequencyRecord):
+    experiments: Any = model.experiments if isinstance(model, PEMResult) else ()
+    place = next((k for k, one in enumerate(experiments) if same_data(record, one.record)), None)
+    if place is not None and _keeps_its_state(experiments[place], rules.initial_state):
+        return Simulation(experiments[place].predicted, lambda: _own_directions(model, place), True)
+    if isinstance(record, FrequencyRecord | ResponseMatrix):
         return Simulation(_response(model, label, record), lambda: _no_directions(record))
-    if isinstance(model, LosslessResult):
-        return _fitted_model(model, place, label, record, rules)
     if isinstance(model, DampedResult):
-        return _damped_model(model, place, label, record, rules)
+        answer = _damped_model if isinstance(record, Record) else _damped_channels
+        return answer(model, place, label, record, rules)
+    if isinstance(model, LosslessResult) and isinstance(record, Record):
+        return _fitted_model(model, place, label, record, rules)
+    if isinstance(model, LosslessResult):
+        model = model.observed_system
     _refuse_fitted(model, label, rules)
     system, hold = _system_of(model, label, record), rules.hold(record.dt)
-    if in_normal_form(system):
+    if isinstance(record, Record) and in_normal_form(system):
         return _completed(_lossless_motions(system, record, hold), label, record, rules)
     return _completed(_linear_motions(system, label, record, hold), label, record, rules)
 
@@ -234,35 +234,6 @@ def _completed(motions: Motions, label: str, record: Record | Recording, rules: 
     return Simulation(forced + columns @ found, lambda: Directions(np.zeros((record.samples, 0)), columns))
 
 
-# --- several channels ------------------------------------------------------------------------------------------------
-
-
-def _answer_of_channels(model: Any, label: str, record: Recording | ResponseMatrix, rules: Rules) -> Simulation:
-    """What a model says of an experiment of several channels."""
-    experiments: Any = model.experiments if isinstance(model, DampedResult) else ()
-    place = next((k for k, one in enumerate(experiments) if same_data(record, one.record)), None)
-    if place is not None and _keeps_its_state(experiments[place], rules.initial_state):
-        return Simulation(experiments[place].predicted, lambda: _no_directions(record), True)
-    if isinstance(record, ResponseMatrix):
-        return Simulation(_response(model, label, record), lambda: _no_directions(record))
-    if isinstance(model, PEMResult) and not isinstance(model, DampedResult):
-        model = model.observed_system
-    if not isinstance(model, DampedResult):
-        _refuse_fitted(model, label, rules)
-        system, hold = _system_of(model, label, record), rules.hold(record.dt)
-        return _completed(_linear_motions(system, label, record, hold), label, record, rules)
-    outputs, inputs = _matching(model, label, record)
-    # in the order of the model, and back
-    u = np.zeros((len(inputs), record.samples))
-    u[inputs] = record.u if len(record.u) else 0.0
-    y = np.empty_like(record.y)
-    y[outputs] = record.y
-    state = "estimate" if rules.initial_state == "zero" and not record.driven else rules.initial_state
-    found = model.predict(replace(record, u=u, y=y, input_labels=model.input_labels), initial_state=state)
-    answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
-    return Simulation(answer, lambda: _no_directions(record), place is not None)
-
-
 # --- results of a fit ------------------------------------------------------------------------------------------------
 
 
@@ -292,7 +263,7 @@ def _fitted_model(model: LosslessResult, place: int | None, label: str, record: 
     return replace(found, directions=directions, own=True)
 
 
-def _damped_model(model: DampedResult, place: int | None, label: str, record: Record, rules: Rules) -> Simulation:
+def _damped_model(model: DampedResult, place: int | None, label: str, record: Any, rules: Rules) -> Simulation:
     """A fit of damped modes on other data, or from another state on its own."""
     constant = bool(model.offsets.any())
     rules = Rules("exact", model.intersample, rules.initial_state, constant)
@@ -303,9 +274,27 @@ def _damped_model(model: DampedResult, place: int | None, label: str, record: Re
     return replace(_completed(motions, label, record, rules), own=place is not None)
 
 
-def _damped_directions(model: DampedResult, place: int) -> Directions:
-    """Derivatives of the prediction of one experiment by poles and residues, and by its free motion and offset."""
+def _damped_channels(model: DampedResult, place: int | None, label: str, record: Any, rules: Rules) -> Simulation:
+    """The same of several channels, each of which moves freely for itself."""
+    outputs, inputs = _matching(model, label, record)
+    # in the order of the model, and back
+    u = np.zeros((len(inputs), record.samples))
+    u[inputs] = record.u if len(record.u) else 0.0
+    y = np.empty_like(record.y)
+    y[outputs] = record.y
+    state = "estimate" if rules.initial_state == "zero" and not record.driven else rules.initial_state
+    found = model.predict(replace(record, u=u, y=y, input_labels=model.input_labels), initial_state=state)
+    answer = np.reshape(found.outputs, (len(outputs), -1))[outputs]
+    return Simulation(answer, lambda: _no_directions(record), place is not None)
+
+
+def _own_directions(model: PEMResult, place: int) -> Directions:
+    """Derivatives of the prediction of one experiment of a fit by its parameters; none of several channels."""
     one: Any = model.experiments[place]
+    if isinstance(one.record, Recording | ResponseMatrix):
+        return _no_directions(one.record)
+    if isinstance(model, LosslessResult):
+        return _fitted_directions(model, place)
     rho = model.residues[:, 0, 0]
     if isinstance(one.record, FrequencyRecord):
         return of_damped_response(one.record, model.poles, rho)
