@@ -480,6 +480,16 @@ def flags(**given: Any) -> None:
             raise StructureError(f"{name} is {shown(value)}; it must be True or False")
 
 
+def band(value: Any) -> tuple[float, float]:
+    """Check a band of frequencies, `(low, high)`."""
+    edges = real_array("band", value)
+    if edges.shape != (2,) or not 0 <= edges[0] < edges[1]:
+        raise StructureError(
+            f"band is {shown(value)}; it must be (low, high) in rad per unit time, with 0 <= low < high"
+        )
+    return float(edges[0]), float(edges[1])
+
+
 def level(name: str, value: Any) -> float:
     """Check a level of confidence."""
     if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 < value < 1):

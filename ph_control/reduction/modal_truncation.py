@@ -66,6 +66,12 @@ def with_unit_energy(parts: Parts) -> Parts:
     return parts | moved | {"Q": np.eye(len(T)), "sensor_rows": rows @ back}
 
 
+def matrices_of(parts: Parts) -> tuple[Array, Array, Array]:
+    """`A`, `B` and `C` of a system of unit energy, the outputs of its ports before those of its sensors."""
+    A, B, power = parts["J"] - parts["R"], parts["G"] - parts["P"], parts["G"] + parts["P"]
+    return A, B, np.vstack([power.T, parts["sensor_rows"]])
+
+
 def projected(parts: Parts, V: Array) -> Parts:
     """A system of unit energy on the span of orthonormal columns."""
     moved = {name: V.T @ parts[name] @ V for name in ("J", "R")} | {name: V.T @ parts[name] for name in ("G", "P")}
@@ -75,8 +81,7 @@ def projected(parts: Parts, V: Array) -> Parts:
 
 def truncated(parts: Parts, wanted: Wanted) -> Parts:
     """Modes of a system of unit energy, and one or two states for the static deflections of each port."""
-    F, B = parts["J"] - parts["R"], parts["G"] - parts["P"]
-    C = np.vstack([(parts["G"] + parts["P"]).T, parts["sensor_rows"]])
+    F, B, C = matrices_of(parts)
     static = _static_deflections(F, B) if wanted.residual_modes else np.zeros((len(F), 0))
     if wanted.order is not None and static.shape[1] + 2 > wanted.order:
         static = static[:, :0]

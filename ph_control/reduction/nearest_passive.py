@@ -8,6 +8,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from scipy.linalg import block_diag
 
 from .. import _checks
 from .._types import Array, ComplexArray
@@ -175,9 +176,8 @@ def _with_axis(
         return rest
     parts = joined(lossless_parts(axis, m), np.zeros((0, m)))
     A, B, C = rest
-    n, k = len(A), len(parts["Q"])
     return (
-        np.block([[A, np.zeros((n, k))], [np.zeros((k, n)), parts["J"] @ parts["Q"]]]),
+        block_diag(A, parts["J"] @ parts["Q"]),
         np.vstack([B, parts["G"]]),
         np.hstack([C, parts["G"].T @ parts["Q"]]),
     )

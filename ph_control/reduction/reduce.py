@@ -9,6 +9,7 @@ from typing import Any
 
 import control as ct
 import numpy as np
+from scipy.linalg import block_diag
 
 from .. import _checks
 from .._types import Array
@@ -19,7 +20,7 @@ from ..systems.dissipative import parts_of, restored
 from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import FixedPoles, closest_passive
-from .modal_truncation import Parts, Wanted, lossless_truncated, projected, truncated, with_unit_energy
+from .modal_truncation import Parts, Wanted, lossless_truncated, matrices_of, projected, truncated, with_unit_energy
 from .nearest_passive import h2_covariance
 from .optimal import Full, Matrices, best_passive, stationary_models
 
@@ -120,14 +121,7 @@ def _wanted(order: Any, tolerance: Any, band: Any, method: str, residual_modes: 
         order = _checks.whole_number("order", order, 1)
     if tolerance is not None and not 0 < float(_checks.real_array("tolerance", tolerance)) < 1:
         raise StructureError(f"tolerance is {_checks.shown(tolerance)}; it must be between 0 and 1, a part of the gain")
-    if band is not None:
-        edges = _checks.real_array("band", band)
-        if edges.shape != (2,) or not 0 <= edges[0] < edges[1]:
-            raise StructureError(
-                f"band is {_checks.shown(band)}; it must be (low, high) in rad per unit time, with 0 <= low < high"
-            )
-        band = float(edges[0]), float(edges[1])
-    return Wanted(order, band, residual_modes)
+    return Wanted(order, None if band is None else _checks.band(band), residual_modes)
 
 
 def _is_plain(system: PortHamiltonian) -> bool:
@@ -203,7 +197,7 @@ class _Reducer:
             return parts, self._whole_error(parts)
         assert order is not None
         small = self._balanced(order) if self.method == "balanced" else self._optimal(order)
-        error = self._error(small)
+        error = _difference((self.A, self.B, self.C), matrices_of(small))
         return joined([small, *lossless_parts(self.axis, self.m)], self.through), error
 
     @cached_property
@@ -234,16 +228,12 @@ class _Reducer:
         best = best or best_passive(full, _in_units(self._balanced(order), 1 / rate, 1 / size))
         return _in_units(best[0], rate, size)
 
-    def _error(self, parts: Parts) -> float:
-        return _difference((self.A, self.B, self.C), parts)
-
     def _whole_error(self, parts: Parts) -> float:
         """Of models that keep poles on the axis or leave them out."""
-        A = parts["J"] - parts["R"]
-        split = split_axis(A, parts["G"] - parts["P"], np.vstack([(parts["G"] + parts["P"]).T, parts["sensor_rows"]]))
+        split = split_axis(*matrices_of(parts))
         if len(split.axis) != len(self.axis):
             return np.inf
-        return _largest_gain(*_parallel((self.A, self.B, self.C), split.rest), np.zeros_like(self.D))
+        return _difference((self.A, self.B, self.C), split.rest)
 
 
 def _passive(model: Matrices, D: Array, m: int) -> Parts:
@@ -267,18 +257,11 @@ def _sizes(A: Array, B: Array, C: Array, D: Array) -> tuple[float, float]:
     return rate, float(np.linalg.norm(B) * np.linalg.norm(C)) / rate + float(np.linalg.norm(D)) or 1.0
 
 
-def _difference(full: Matrices, parts: Parts) -> float:
-    A, B = parts["J"] - parts["R"], parts["G"] - parts["P"]
-    C = np.vstack([(parts["G"] + parts["P"]).T, parts["sensor_rows"]])
-    return _largest_gain(*_parallel(full, (A, B, C)), np.zeros((len(C), B.shape[1])))
-
-
-def _parallel(one: Matrices, other: Matrices) -> Matrices:
-    """The difference of two systems."""
-    A = np.block([
-        [one[0], np.zeros((len(one[0]), len(other[0])))], [np.zeros((len(other[0]), len(one[0]))), other[0]]
-    ])  # fmt: skip
-    return A, np.vstack([one[1], other[1]]), np.hstack([one[2], -other[2]])
+def _difference(one: Matrices, other: Matrices) -> float:
+    """Largest gain of the difference of two systems of the same feedthrough."""
+    A = block_diag(one[0], other[0])
+    B, C = np.vstack([one[1], other[1]]), np.hstack([one[2], -other[2]])
+    return _largest_gain(A, B, C, np.zeros((len(C), B.shape[1])))
 
 
 def _largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:

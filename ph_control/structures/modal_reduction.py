@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from scipy.linalg import eigh
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array
+from .._types import Array, Indices
 from ..exceptions import ConditioningWarning, StructureError
 from ..numerics.shift_invert import RESIDUAL, Eigensolver, Pencil, Selection, lowest_modes, modes_between
 from .rigid import energy_parts, rigid_modes
@@ -21,6 +22,10 @@ _CLASSICAL = 1e-10  # relative size of coupling of modes by damping that is call
 _NOTHING = 1e-13  # part of the static response for which no residual mode is kept
 GYROSCOPIC = "; a skew part is gyroscopic: ph(Q, B, J=J, R=R) takes it in J"
 _DEPENDENT = 1e-12  # relative modal mass of a combination of residual modes that is none of its own
+
+
+# what to do about degrees of freedom without mass
+CONDENSED = "from_second_order(M, K, F, condense=True) eliminates them statically, or give them mass"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +112,7 @@ def structural_modes(
 def _chosen(pencil: Pencil, modes: Any, band: Any, static: Array | None) -> Selection:
     if band is None:
         return lowest_modes(pencil, _checks.whole_number("modes", modes, 1, pencil.finite), static)
-    edges = _checks.real_array("band", band)
-    if edges.shape != (2,) or not 0 <= edges[0] < edges[1]:
-        raise StructureError(
-            f"band is {_checks.shown(band)}; it must be (low, high) in rad per unit time, with 0 <= low < high"
-        )
-    low, high = (float(edge) ** 2 for edge in edges)
+    low, high = (edge**2 for edge in _checks.band(band))
     return modes_between(pencil, low, high, static)
 
 
@@ -190,28 +190,40 @@ def refuse_massless(M: Any, C: Any, F: Array, condense: bool) -> None:
             f"M is indefinite: entry {int(mass.argmin()) + 1} of its diagonal is {mass.min():.3g}, expected >= 0"
         )
     without = np.flatnonzero(mass == 0)
-    if not len(without):
-        return
-    listed = ", ".join(str(k + 1) for k in without[:8]) + (f" .. {without[-1] + 1}" if len(without) > 8 else "")
-    if len(without) == len(mass):
-        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
-    if not condense:
-        raise StructureError(
-            f"M is singular: {len(without)} of {len(mass)} degrees of freedom have no mass ({listed}, counted from "
-            "1); from_second_order(M, K, F, condense=True) lets them follow the others statically, or give them mass"
-        )
+    refuse_singular(without, len(mass), condense)
     if abs(M[without]).sum() > 0:
         raise StructureError(
-            f"M is indefinite: rows of M with a zero on the diagonal ({listed}, counted from 1) have other entries; "
-            "make these rows zero, or give them mass"
+            f"M is indefinite: rows of M with a zero on the diagonal ({listed(without)}, counted from 1) have other "
+            "entries; make these rows zero, or give them mass"
         )
-    if F[without].any():
+    refuse_acting(without[F[without].any(axis=1)], without if C is not None and abs(C[without]).sum() > 0 else ())
+
+
+def refuse_singular(without: Indices, n: int, condense: bool) -> None:
+    """Refuse degrees of freedom without mass among n, but for those that are to follow the others."""
+    if len(without) == n:
+        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
+    if len(without) and not condense:
         raise StructureError(
-            f"a force acts on degrees of freedom without mass ({listed}, counted from 1), which would make their "
-            "velocity depend on the rate of the force; move the force, or give them mass"
+            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({listed(without)}, counted from "
+            f"1); {CONDENSED}"
         )
-    if C is not None and abs(C[without]).sum() > 0:
+
+
+def refuse_acting(forced: Sequence[int] | Indices, damped: Sequence[int] | Indices) -> None:
+    """Refuse forces and dampers on degrees of freedom without mass, which then follow with a delay."""
+    if len(forced):
         raise StructureError(
-            f"dampers act on degrees of freedom without mass (among {listed}), which would follow the others with a "
-            "delay; give them mass, or move the dampers"
+            f"a force acts on degrees of freedom without mass ({listed(forced)}, counted from 1), which would make "
+            "their velocity depend on the rate of the force; move the force, or give them mass"
         )
+    if len(damped):
+        raise StructureError(
+            f"dampers act on degrees of freedom without mass (among {listed(damped)}, counted from 1), which would "
+            "follow the others with a delay; give them mass, or move the dampers"
+        )
+
+
+def listed(indices: Sequence[int] | Indices) -> str:
+    """The first of some degrees of freedom, counted from 1."""
+    return ", ".join(str(k + 1) for k in indices[:8]) + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")

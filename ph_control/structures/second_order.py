@@ -19,7 +19,18 @@ from ..symplectic.forms_and_williamson import symplectic_form
 from ..systems.dissipative import checked_rows, refuse_negative, restored
 from ..systems.models import force_names, named, numbered
 from ..systems.port_hamiltonian import PortHamiltonian
-from .modal_reduction import GYROSCOPIC, dense, projected_damping, refuse_massless, sparse_matrix, structural_modes
+from .modal_reduction import (
+    CONDENSED,
+    GYROSCOPIC,
+    dense,
+    listed,
+    projected_damping,
+    refuse_acting,
+    refuse_massless,
+    refuse_singular,
+    sparse_matrix,
+    structural_modes,
+)
 from .rigid import FAINT, energy_parts, rigid_modes
 
 _FEW = 64  # modes that are looked at, in a large structure; more are not rigid
@@ -300,12 +311,7 @@ def _with_mass(M: Array, C: Array | None, K: Array, F: Array, condense: bool) ->
     """The structure on the degrees of freedom that have mass."""
     n, without = len(M), np.flatnonzero(np.diag(M) == 0)
     whole = _Structure(M, C, K, F, np.eye(n), np.arange(n))
-    remedy = "from_second_order(M, K, F, condense=True) eliminates them statically, or give them mass"
-    if len(without) and not condense:
-        raise StructureError(
-            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({_listed(without)}, counted from "
-            f"1); {remedy}"
-        )
+    refuse_singular(without, n, condense)
     if _definite.definite_factor(M) is not None:
         return whole
     smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
@@ -314,13 +320,11 @@ def _with_mass(M: Array, C: Array | None, K: Array, F: Array, condense: bool) ->
         return whole
     _, pivots, rank, _ = dpstrf(_definite.unit_diagonal(M)[0], tol=2 * tolerance, lower=1)
     kept, massless = np.sort(pivots[:rank]) - 1, np.sort(pivots[rank:]) - 1
-    if rank == 0:
-        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
     if not condense:
         raise StructureError(
             f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, expected > "
             f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
-            f"{remedy}"
+            f"{CONDENSED}"
         )
     return _condensed(whole, kept, massless)
 
@@ -332,24 +336,16 @@ def _condensed(whole: _Structure, kept: Indices, massless: Indices) -> _Structur
     X = _inverse(mass) @ M[np.ix_(kept, massless)]
     moved, coupling, inner = _blocks(K, kept, massless, X)
     loaded = np.abs(F[massless] - X.T @ F[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(F[kept]))
-    if loaded.any():
-        raise StructureError(
-            f"a force acts on degrees of freedom without mass ({_listed(massless[loaded.any(axis=1)])}, counted from "
-            "1), which would make their velocity depend on the rate of the force; move the force, or give them mass"
-        )
+    refuse_acting(massless[loaded.any(axis=1)], ())
     if C is not None:
         damping, *others = _blocks(C, kept, massless, X)
         rest, size = np.vstack(others), float(np.abs(C).max())
         acting = np.abs(rest) > 64 * len(M) * _checks.EPS * size * (1 + float(np.abs(X).max(initial=0.0))) ** 2
-        if acting.any():
-            raise StructureError(
-                f"dampers act on degrees of freedom without mass (among {_listed(massless)}, counted from 1), which "
-                "would follow the others with a delay; give them mass, or move the dampers"
-            )
+        refuse_acting((), massless if acting.any() else ())
     smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
     if smallest <= tolerance:
         raise StructureError(
-            f"the degrees of freedom without mass ({_listed(massless)}, counted from 1) cannot be eliminated: the "
+            f"the degrees of freedom without mass ({listed(massless)}, counted from 1) cannot be eliminated: the "
             f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, expected > "
             f"{tolerance:.1e}; one of their motions deforms no spring"
         )
@@ -391,8 +387,3 @@ def _inverse(M: Array) -> Array:
     lower, _ = dpotri(np.linalg.cholesky(scaled), lower=1, overwrite_c=1)
     lower = np.tril(lower) / scale / scale[:, None]
     return lower + np.tril(lower, -1).T
-
-
-def _listed(indices: Indices) -> str:
-    shown = ", ".join(str(k + 1) for k in indices[:8])
-    return shown + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")
