@@ -42,7 +42,7 @@ Matrices = tuple[Array, Array, Array]
 
 @dataclass(frozen=True)
 class Full:
-    """A stable system whose H2 distance to small ones is measured."""
+    """A stable system, of which H2 norms and distances are measured."""
 
     A: Array
     B: Array
@@ -56,29 +56,22 @@ class Full:
     @cached_property
     def squared_norm(self) -> float:
         """Square of the H2 norm."""
-        T, U = self._schur
-        P = U @ _sylvester(T, T, U.T @ self.B @ self.B.T @ U, "N", "T") @ U.T
+        P, _ = self.crossed(self)
         return float(np.sum((self.C @ P) * self.C))
 
-    def crossed(self, A: Array, B: Array, C: Array) -> tuple[Array, Array]:
-        """Gramians `P12`, `Q12` of the error with a small system."""
-        T, U = self._schur
-        t, u = schur(A, output="real")
-        t = np.asfortranarray(t)
-        P = U @ _sylvester(T, t, U.T @ self.B @ (u.T @ B).T, "N", "T") @ u.T
-        Q = -U @ _sylvester(T, t, U.T @ self.C.T @ (C @ u), "T", "N") @ u.T
+    def crossed(self, other: Full) -> tuple[Array, Array]:
+        """Gramians `P12`, `Q12` of the difference to another system."""
+        (T, U), (t, u) = self._schur, other._schur
+        P = U @ _sylvester(T, t, U.T @ self.B @ (u.T @ other.B).T, "N", "T") @ u.T
+        Q = -U @ _sylvester(T, t, U.T @ self.C.T @ (other.C @ u), "T", "N") @ u.T
         return P, Q
 
-    def error(self, A: Array, B: Array, C: Array) -> tuple[float, Matrices]:
+    def error(self, small: Full) -> tuple[float, Matrices]:
         """Squared H2 error less the squared norm of the system, and its gradients by the matrices of a small system."""
-        P12, Q12 = self.crossed(A, B, C)
-        t, u = schur(A, output="real")
-        t = np.asfortranarray(t)
-        P22 = u @ _sylvester(t, t, u.T @ B @ B.T @ u, "N", "T") @ u.T
-        Q22 = u @ _sylvester(t, t, u.T @ C.T @ C @ u, "T", "N") @ u.T
-        value = float(np.sum(C * (C @ P22 - 2 * self.C @ P12)))
-        by_A = 2 * (Q22 @ P22 + Q12.T @ P12)
-        return value, (by_A, 2 * (Q22 @ B + Q12.T @ self.B), 2 * (C @ P22 - self.C @ P12))
+        (P12, Q12), (P22, minus_Q22) = self.crossed(small), small.crossed(small)
+        value = float(np.sum(small.C * (small.C @ P22 - 2 * self.C @ P12)))
+        by_A = 2 * (Q12.T @ P12 - minus_Q22 @ P22)
+        return value, (by_A, 2 * (Q12.T @ self.B - minus_Q22 @ small.B), 2 * (small.C @ P22 - self.C @ P12))
 
 
 def _sylvester(T: Array, t: Array, right: Array, first: str, second: str) -> Array:
@@ -108,22 +101,22 @@ def _best(models: Iterable[tuple[float, Matrices]]) -> list[tuple[float, Matrice
 
 def _stationary(full: Full, start: Matrices, iterations: int) -> tuple[float, Matrices]:
     """The best model on the way of the projections, and its squared error less the norm of the system."""
-    A, B, C = _mirrored(start[0]), *start[1:]
-    best, least, before = (A, B, C), full.error(A, B, C)[0], np.inf
+    model = Full(_mirrored(start[0]), *start[1:])
+    best, least, before = model, full.error(model)[0], np.inf
     for _ in range(iterations):
-        V, W = (qr(part, mode="economic")[0] for part in full.crossed(A, B, C))
+        V, W = (qr(part, mode="economic")[0] for part in full.crossed(model))
         both = W.T @ V
         if not np.linalg.cond(both) < 1 / EPS:
             break
         A, B = np.linalg.solve(both, W.T @ full.A @ V), np.linalg.solve(both, W.T @ full.B)
-        A, C = _mirrored(A), full.C @ V
-        value = full.error(A, B, C)[0]
+        model = Full(_mirrored(A), B, full.C @ V)
+        value = full.error(model)[0]
         if value < least:
-            best, least = (A, B, C), value
+            best, least = model, value
         if abs(value - before) <= _SETTLED * full.squared_norm:
             break
         before = value
-    return least, best
+    return least, (best.A, best.B, best.C)
 
 
 def _mirrored(A: Array) -> Array:
@@ -197,13 +190,13 @@ def best_passive(full: Full, start: Parts) -> tuple[Parts, float]:
     """Port-Hamiltonian system of least H2 error next to another, and the squared error less the squared norm."""
     layout = _Layout(len(start["Q"]), start["G"].shape[1], len(start["sensor_rows"]), start["S"])
     x, size = layout.vector(start), full.squared_norm
-    before = size + full.error(*layout.matrices(x))[0]
+    before = size + full.error(Full(*layout.matrices(x)))[0]
 
     def value(x: Array) -> tuple[float, Array]:
-        A, B, C = layout.matrices(x)
-        if not np.isfinite(A).all() or np.linalg.eigvals(A).real.max() >= 0:
+        model = Full(*layout.matrices(x))
+        if not np.isfinite(model.A).all() or np.linalg.eigvals(model.A).real.max() >= 0:
             return 1e3, np.zeros_like(x)
-        f, by = full.error(A, B, C)
+        f, by = full.error(model)
         return (size + f) / before, layout.gradient(x, by) / before
 
     options: Any = {"maxiter": _STEPS, "maxfun": 2 * _STEPS, "ftol": _ENOUGH, "gtol": _ENOUGH, "maxcor": 30}
