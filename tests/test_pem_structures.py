@@ -208,7 +208,7 @@ def test_noise_alone_is_nothing_to_model():
     rng = np.random.default_rng(0)
     found = phc.pem((rng.standard_normal((2, 300)), rng.standard_normal((2, 300))), dt=1.0)
     assert found.order == 0 and found.outcome.name == "NOTHING" and found.residues.shape == (0, 2, 2)
-    assert "Nothing to model" in found.summary()
+    assert "Nothing to model" in found.summary() and "Nothing to model" in found._repr_html_()
     response = ct.frd(rng.standard_normal((2, 2, 80)) + 1j * rng.standard_normal((2, 2, 80)), np.linspace(1, 2, 80))
     for quantity in ("displacement", "velocity", "acceleration"):
         found = phc.pem(response, quantity=quantity, ports=[(0, 0), (1, 1)])
