@@ -235,3 +235,11 @@ def test_models_of_pymor_and_back():
             phc.to_pymor(wrong)
     with pytest.raises(phc.StructureError, match="LTIModel"):
         phc.from_pymor(chain)
+
+
+def test_units_of_stiffness_and_mass_do_not_matter():
+    """In SI the stiffnesses and mobilities of a building are sixteen decades apart."""
+    K = 1e9 * (2 * np.eye(6) - np.eye(6, k=1) - np.eye(6, k=-1))
+    plant = phc.from_second_order(2e6 * np.eye(6), K, np.eye(6)[:, :1], C=1e-3 * K)
+    small = phc.reduce(plant, order=6, residual_modes=False)
+    assert np.allclose(small.natural_frequencies, plant.natural_frequencies[:3], rtol=1e-9)

@@ -11,10 +11,11 @@ from control import care
 from .. import _checks
 from .._types import Array, ArrayLike
 from ..exceptions import StructureError
+from ..reduction.modal_truncation import energy_basis, sees
 from ..systems.dissipative import parts_of
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .damping_injection import controller_of, plant, port_numbers
-from .optimal_damping import energy_basis, energy_coordinates, optimal_damping, refuse_feedthrough, sees
+from .optimal_damping import energy_coordinates, optimal_damping, refuse_feedthrough
 
 _ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for rounding
 

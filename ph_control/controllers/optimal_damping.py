@@ -8,14 +8,15 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import eig, eigh, solve_continuous_lyapunov
+from scipy.linalg import eig, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array, ArrayLike, Mask
+from .._types import Array, ArrayLike
 from .._units import rate
 from ..exceptions import StructureError
+from ..reduction.modal_truncation import energy_basis, sees
 from ..systems.dissipative import parts_of
 from ..systems.interconnection import interconnect, through_ports
 from ..systems.port_hamiltonian import PortHamiltonian, ph
@@ -267,29 +268,6 @@ def refuse_feedthrough(sys: PortHamiltonian, at: Sequence[int]) -> None:
                 f"port {sys.input_labels[port]!r} has feedthrough; devices are chosen for ports without any, such as a "
                 "velocity at a mass"
             )
-
-
-def energy_basis(Q: Array) -> tuple[Array, Array, Array]:
-    """Matrices `T`, `back`, `still`: `Q = T^T T`, `T back = 1`, and states of no energy, each column one.
-
-    Told apart at unit diagonal, so that units of states do not matter: in SI stiffness and mobility are far apart.
-    """
-    scale = _scale(Q)
-    energies, vectors = eigh(Q / np.outer(scale, scale))
-    kept = energies > 64 * len(energies) * _checks.EPS * energies.max(initial=0.0)
-    root, inverse = np.sqrt(energies[kept]), vectors / scale[:, None]
-    return root[:, None] * vectors[:, kept].T * scale, inverse[:, kept] / root, inverse[:, ~kept]
-
-
-def _scale(Q: Array) -> Array:
-    diagonal = np.diag(Q)
-    return np.asarray(np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
-
-
-def sees(rows: Array, still: Array, Q: Array) -> Mask:
-    """Which rows see a state of no energy, by more than rounding."""
-    reach = np.abs(rows / _scale(Q)).max(axis=1, initial=0.0)
-    return np.asarray(np.abs(rows @ still).max(axis=1, initial=0.0) > 1e-9 * reach)
 
 
 def energy_coordinates(sys: PortHamiltonian, at: Sequence[int]) -> tuple[Array, Array, Array, tuple[Array, Array]]:

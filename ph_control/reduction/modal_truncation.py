@@ -20,7 +20,6 @@ from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..systems.port_hamiltonian import ph
 
-_KERNEL = 1e-13  # of the largest eigenvalue of `Q`: an energy that is none
 _NEW = 1e-9  # of its length: what a static deflection has beside the modes, to be kept
 _SAME = 1e-9  # of the largest: natural frequencies that are one
 
@@ -52,18 +51,38 @@ class Wanted:
 
 def with_unit_energy(parts: Parts) -> Parts:
     """The same system in coordinates in which the energy is `|z|^2 / 2`, without states that have none."""
-    Q = parts["Q"]
-    k, U = eigh(Q)
-    kept = k > _KERNEL * k[-1]
-    T, back = np.sqrt(k[kept])[:, None] * U[:, kept].T, U[:, kept] / np.sqrt(k[kept])
+    T, back, still = energy_basis(parts["Q"])
     rows = parts["sensor_rows"]
-    if np.linalg.norm(rows @ U[:, ~kept]) > _NEW * np.linalg.norm(rows):
+    if sees(rows, still, parts["Q"]).any():
         raise StructureError(
             "a sensor sees a state without energy, such as the position of a free mass, which no reduced model keeps; "
             "leave the sensor out"
         )
     moved = {name: T @ parts[name] @ T.T for name in ("J", "R")} | {name: T @ parts[name] for name in ("G", "P")}
     return parts | moved | {"Q": np.eye(len(T)), "sensor_rows": rows @ back}
+
+
+def energy_basis(Q: Array) -> tuple[Array, Array, Array]:
+    """Matrices `T`, `back`, `still`: `Q = T^T T`, `T back = 1`, and states of no energy, each column one.
+
+    Told apart at unit diagonal, so that units of states do not matter: in SI stiffness and mobility are far apart.
+    """
+    scale = _scale(Q)
+    energies, vectors = eigh(Q / np.outer(scale, scale))
+    kept = energies > 64 * len(energies) * EPS * energies.max(initial=0.0)
+    root, inverse = np.sqrt(energies[kept]), vectors / scale[:, None]
+    return root[:, None] * vectors[:, kept].T * scale, inverse[:, kept] / root, inverse[:, ~kept]
+
+
+def _scale(Q: Array) -> Array:
+    diagonal = np.diag(Q)
+    return np.asarray(np.sqrt(np.where(diagonal > 0, diagonal, 1.0)))
+
+
+def sees(rows: Array, still: Array, Q: Array) -> Mask:
+    """Which rows see a state of no energy, by more than rounding."""
+    reach = np.abs(rows / _scale(Q)).max(axis=1, initial=0.0)
+    return np.asarray(np.abs(rows @ still).max(axis=1, initial=0.0) > 1e-9 * reach)
 
 
 def matrices_of(parts: Parts) -> tuple[Array, Array, Array]:
