@@ -141,10 +141,11 @@ def trim_code(app, doctree):
 
 
 def break_long_code(app, pagename, templatename, context, doctree):
-    """Let long code break after punctuation, but not after the dashes of an option."""
+    """Let long code break after punctuation, but neither options nor numbers such as 1e-3."""
     if "body" in context:
         code = re.compile(r'(<code class="[^"]*\bliteral\b[^"]*">)(.*?)(</code>)', flags=re.S)
-        context["body"] = code.sub(lambda found: found[1] + _breakable(found[1], found[2]) + found[3], context["body"])
+        body = code.sub(lambda found: found[1] + _breakable(found[1], found[2]) + found[3], context["body"])
+        context["body"] = re.sub(r"(?<=[>\s(])(\d[\d.]*e-\d+)(?![^<]*>)", r'<span class="whole">\1</span>', body)
 
 
 def _breakable(tag, text):
