@@ -276,6 +276,17 @@ def test_a_finite_peak_is_in_the_picture():
 # --- artists of the Bode plot ---
 
 
+def test_states_of_very_different_sizes_cost_a_plain_state_space_no_digits():
+    M, K = 2.5e5 * np.eye(8), 3e8 * (2 * np.eye(8) - np.eye(8, k=1) - np.eye(8, k=-1))
+    C, (first, *_, last) = 0.1 * M + 2e-3 * K, np.eye(8)
+    building = phc.from_second_order(M, K, first, C=C, sensors={"displacement": last})
+    omega = np.array([3.0, 10.0, 60.0])
+    exact = [last @ np.linalg.solve(K + 1j * w * C - w**2 * M, first) for w in omega]
+    plot = bode_plot(ct.ss(building)[1, 0], omega)
+    np.testing.assert_allclose(plot.lines[0, 0][0].get_ydata(), 20 * np.log10(np.abs(exact)), atol=1e-9)
+    plt.close(plot.figure)
+
+
 def test_the_axes_name_their_quantities_and_units():
     plot = bode_plot(frenkel_kontorova())
     assert isinstance(plot, ct.ControlPlot)

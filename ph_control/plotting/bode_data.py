@@ -9,6 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import matrix_balance
 
 from .. import _checks
 from .._types import Array, ComplexArray, Indices, Mask
@@ -293,12 +294,20 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     nyquist = _nyquist(sys)
     grid = grid if nyquist is None else grid[grid <= nyquist]
     s = 1j * grid
-    response = sys(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
+    response = _balanced(sys)(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
     power = _power_of_s(subject)
     if power:
         # a zero without sign leaves the phase of a lossless response at one side of half a turn
         response = (response + 0.0) * (s if power > 0 else 1.0 / s)
     return Curve(subject.label, grid, response, singular, nyquist)
+
+
+def _balanced(sys: Any) -> Any:
+    """A plain state space in states of like sizes: python-control loses the digits of a response where they differ."""
+    if not isinstance(sys, ct.StateSpace) or type(sys).__call__ is not ct.StateSpace.__call__ or not sys.nstates:
+        return sys
+    size = matrix_balance(sys.A, permute=False, separate=True)[1][0]
+    return ct.ss(sys.A * size / size[:, None], sys.B / size[:, None], sys.C * size, sys.D, sys.dt)
 
 
 def _nyquist(sys: Any) -> float | None:
