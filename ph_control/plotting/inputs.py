@@ -139,7 +139,7 @@ def _differs(name: str, names: list[str], sizes: list[int | None]) -> bool:
 
 def _base_name(sys: Any) -> str:
     """Name of a system without what python-control adds to it, as in `plant$sampled` or `plant$indexed`."""
-    return str(sys.name).partition("$")[0] or str(sys.name)
+    return re.sub(r"(?<=.)(\$[a-z]+)+$", "", str(sys.name))
 
 
 def _is_unnamed(sys: Any) -> bool:
