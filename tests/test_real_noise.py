@@ -112,6 +112,15 @@ def test_an_output_that_saturates_is_told_with_the_ends_of_its_range():
     assert "SATURATION" not in causes(phc.pem((u, coarse), 2, dt=1.0, structure="free"))
 
 
+def test_ambient_excitation_is_told_from_a_free_decay():
+    _, y = recording(2, 2, 1, "white", 1)
+    ambient = phc.pem((None, y), 2, dt=1.0)
+    assert "such as wind or traffic" in ambient.message and ambient.outcome.name == "DOUBTFUL"
+    t, noise = np.arange(600), 0.01 * np.random.default_rng(0).standard_normal((2, 600))
+    decay = [[1.0], [0.7]] * np.exp(-0.01 * t) * np.cos(0.5 * t) + noise
+    assert "wind" not in phc.pem((None, decay), 1, dt=1.0).message
+
+
 def test_a_point_far_out_of_the_noise_is_told_with_its_entry():
     data = response(2, 2, 1, "constant", 1)
     values = data.frdata.copy()

@@ -540,6 +540,11 @@ def _message(
         if whiteness < WHITE:
             why = f"the fit is {fitted:.0f} %, less than {GOOD_FIT:.0f} %, and what is left is no white noise"
         parts.append(f"Doubtful, as {why}.")
+        if whiteness < WHITE and not any(len(one.input_labels) for one in free.channels):
+            parts.append(
+                "This is no free decay if forces that were not measured, such as wind or traffic, act all along: "
+                "record a decay or the forces, or use a program for ambient excitation."
+            )
     unit = free.channels[0].time_unit
     parts += [sentence_of(one, free.intersample, unit) for one in findings if worth_telling(one, free.intersample)]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
