@@ -524,7 +524,9 @@ def _draw_in_plane(axis: Axes, places: Array, shape: Array, look: Look) -> list[
     colour = look.line.get("color", MODEL_LINE["color"])
     marks = []
     for which, face, name in ((shape >= 0, colour, "positive"), (shape < 0, "none", "negative")):
-        marks.append(axis.scatter(x[which], y[which], s=area[which], facecolor=face, edgecolor=colour, zorder=3))
+        marks.append(
+            axis.scatter(x[which], y[which], s=area[which], facecolor=face, edgecolor=colour, zorder=3, clip_on=False)
+        )
         # of one size in the legend
         axis.scatter([], [], s=0.2 * _BUBBLE, facecolor=face, edgecolor=colour, label=name)
     axis.set_aspect("equal", adjustable="datalim")
