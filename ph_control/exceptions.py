@@ -82,17 +82,19 @@ class NotLosslessError(StructureError):
         if message is not None:
             super().__init__(message)
             return
-        shown = self.violations[:8]
-        more = len(self.violations) - len(shown)
-        lines = ["the system is not lossless:"]
-        lines += [f"  - {line}" for line in shown]
-        if more:
-            lines.append(f"  - and {more} more; see the attribute violations")
-        lines.append("  a lossless system is sum_l kappa_l s/(s^2 + d_l^2) + kappa_0/s with every kappa positive")
-        super().__init__("\n".join(lines))
+        form = "a lossless system is sum_l kappa_l s/(s^2 + d_l^2) + kappa_0/s with every kappa positive"
+        super().__init__(_itemized("the system is not lossless:", self.violations, form))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.violations, self._message)
+
+
+def _itemized(head: str, violations: Sequence[str], remedy: str) -> str:
+    """Message with an item for each of the first violations."""
+    items = [f"- {line}" for line in violations[:8]]
+    if len(violations) > 8:
+        items.append(f"- and {len(violations) - 8} more; see the attribute violations")
+    return "\n  ".join([head, *items, remedy])
 
 
 class NotPassiveError(NotLosslessError):
@@ -139,11 +141,8 @@ class NotPassiveError(NotLosslessError):
         lines = [_of_pole(p) for p in self.unstable]
         lines += [_of_band(*of) for of in zip(self.bands, self.sizes, self.frequencies, strict=True)]
         self.violations = (*lines, *self._reasons)
-        shown = [f"  - {line}" for line in self.violations[:8]]
-        if len(self.violations) > len(shown):
-            shown.append(f"  - and {len(self.violations) - len(shown)} more; see the attribute violations")
-        text = ["the system is not passive, so it has no port-Hamiltonian form:", *shown, f"  {self._remedy()}"]
-        StructureError.__init__(self, "\n".join(text))
+        head = "the system is not passive, so it has no port-Hamiltonian form:"
+        StructureError.__init__(self, _itemized(head, self.violations, self._remedy()))
 
     def _remedy(self) -> str:
         turned = [k for k, sign in enumerate(self.signs) if sign < 0]

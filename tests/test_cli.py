@@ -555,7 +555,7 @@ def test_what_goes_wrong_outside_the_program_is_said_in_one_line(recording, monk
     def failing(*arguments, **keywords):
         raise error
 
-    monkeypatch.setattr("ph_control.io.text_table.read_table", failing)
+    monkeypatch.setattr("ph_control.io.measurements.read_table", failing)
     done = run("fit", recording)
     assert done.status == status and message in done.error and done.error.count("\n") == 1
 

@@ -49,10 +49,6 @@ def opened(name: str) -> Source:
 
 # --- measurements ----------------------------------------------------------------------------------------------------
 
-_IN_TIME = ("input", "output", "inputs", "outputs", "time", "dt", "no_input", "no_time")
-_COLUMNS = ("frequency", "magnitude", "phase", "real", "imag")
-_UNITS = ("frequency_unit", "magnitude_unit", "phase_unit")
-
 
 @dataclass(frozen=True)
 class Measurements:
@@ -75,20 +71,23 @@ class Measurements:
 
 def measurements(names: Sequence[str], options: Namespace) -> Measurements:
     """Read measurements; text tables hold frequency responses if the options or the labels say so."""
+    from ..io.measurements import measured
+
     _refuse_contradictions(options)
-    sources = [opened(name) for name in names]
-    others = [_of_other_format(source, options) for source in sources]
-    tables = [source for source, data in zip(sources, others, strict=True) if data is None]
-    found = _in_tables(tables, options) if tables else None
-    data = [one for each in others if each is not None for one in each] + ([] if found is None else found.data)
-    kinds = {hasattr(one, "time") for one in data}
-    if len(kinds) > 1:
+    input = options.input if options.inputs is None else options.inputs
+    given = {
+        **vars(options), "input": False if options.no_input else input,
+        "output": options.output if options.outputs is None else options.outputs,
+        "time": False if options.no_time else options.time,
+    }  # fmt: skip
+    parts = [measured(opened(name), given) for name in names]
+    data, weights = [one for found, _ in parts for one in found], [one for _, one in parts]
+    in_time = hasattr(data[0], "time")
+    if any(hasattr(one, "time") != in_time for one in data):
         raise StructureError("recordings in time and frequency responses do not go together; name those of one kind")
-    if found is not None and len(tables) == len(sources):
-        return found
-    if options.weights is not None:
+    if options.weights is not None and any(one is None for one in weights):
         raise StructureError("--weights names a column of a text table; these files have none")
-    return Measurements(data, None, kinds.pop())
+    return Measurements(data, weights if options.weights is not None else None, in_time)
 
 
 def _refuse_contradictions(options: Namespace) -> None:
@@ -97,69 +96,6 @@ def _refuse_contradictions(options: Namespace) -> None:
         if getattr(options, one) is not None and getattr(options, other) not in (None, False):
             spelt = other.replace("_", "-")
             raise StructureError(f"--{one} and --{spelt} contradict each other; give only one")
-
-
-def _channels(options: Namespace) -> tuple[Any, Any]:
-    """Inputs and outputs that were named: one, a list, False for no input, or None."""
-    input = options.input if options.inputs is None else options.inputs
-    return False if options.no_input else input, options.output if options.outputs is None else options.outputs
-
-
-def _of_other_format(source: Source, options: Namespace) -> list[Any] | None:
-    """Measurements of a universal, Touchstone or MATLAB file, by its suffix; None for a table."""
-    from ..io.frequency_csv import selected_channels
-    from ..io.touchstone import is_touchstone
-    from ..io.universal_file import SUFFIXES
-
-    suffix = Path(source.name).suffix.casefold()
-    input, output = _channels(options)
-    if suffix in SUFFIXES:
-        return phc.read_uff(source, input=input or None, output=output)
-    if is_touchstone(source.name):
-        columns, rows = ([one] if isinstance(one, str) else one or None for one in (input, output))
-        network = phc.read_touchstone(source, parameter=options.parameter or "Z")
-        return [selected_channels(network, columns, rows, source.name)]
-    if suffix != ".mat":
-        return None
-    if options.frequency is None:
-        time = False if options.no_time else options.time
-        return [phc.read_mat(
-            source, input=input, output=output, time=time, dt=options.dt, time_unit=options.time_unit
-        )]  # fmt: skip
-    if output is None or options.frequency_unit is None:
-        raise StructureError(f"{source.name}: give --outputs, variables of the response, and --frequency-unit as well")
-    return [phc.read_frequency_mat(
-        source, frequency=options.frequency, response=output, frequency_unit=options.frequency_unit
-    )]  # fmt: skip
-
-
-def _in_tables(sources: Sequence[Source], options: Namespace) -> Measurements:
-    """Measurements of text tables."""
-    from ..io.frequency_csv import is_frequency_table, response_in
-    from ..io.text_table import read_table
-    from ..io.time_csv import recording_in
-
-    for source in sources:
-        if source.getvalue()[:64].lstrip()[:1] == b"{":
-            raise FileFormatError(
-                f"{source.name} holds JSON, perhaps a model, and a table of measurements is needed; ph-control info "
-                "shows models"
-            )
-    tables = [read_table(source, options.header, options.delimiter, options.decimal) for source in sources]
-    columns = {role: getattr(options, role) for role in _COLUMNS}
-    units = {name: getattr(options, name) for name in _UNITS}
-    told = [name for name, value in {**columns, **units, "weights": options.weights}.items() if value is not None]
-    contrary = [name for name in _IN_TIME if getattr(options, name) not in (None, False)]
-    if told and contrary:
-        spelt = ("--" + name.replace("_", "-") for name in (told[0], contrary[0]))
-        raise StructureError("{} is for frequency responses and {} for recordings in time; give one".format(*spelt))
-    if told or (not contrary and all(map(is_frequency_table, tables))):
-        found = [response_in(table, columns, units, options.weights) for table in tables]
-        weights = None if options.weights is None else [each for _, each in found]
-        return Measurements([data for data, _ in found], weights, False)
-    time = False if options.no_time else options.time
-    given = *_channels(options), time, options.dt, options.time_unit
-    return Measurements([recording_in(table, *given) for table in tables], None, True)
 
 
 # --- models ----------------------------------------------------------------------------------------------------------

@@ -99,7 +99,8 @@ def _affine_from_dict(fields: Fields) -> AffineHamiltonian:
     return AffineHamiltonian(*matrices, **_names_from_dict(fields))
 
 
-def _dissipative_to_dict(system: DissipativePortHamiltonian) -> dict[str, Any]:
+def dissipative_to_dict(system: DissipativePortHamiltonian) -> dict[str, Any]:
+    """Fields of a system with losses: its names, structure matrices and sensors."""
     parts = {name: getattr(system, name) for name in "QGJRPSN"}
     rows, through = system.sensors
     sensors = {"sensor_rows": rows, "sensor_feedthrough": through} if rows.size else {}
@@ -155,7 +156,7 @@ _CODECS: dict[str, Codec | str] = {
     "GeneralModalForm": Codec(GeneralModalForm, _general_to_dict, _general_from_dict),
     "ControllableHamiltonian": _parameters_codec(ControllableHamiltonian),
     "ObservableHamiltonian": _parameters_codec(ObservableHamiltonian),
-    "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, _dissipative_to_dict, _dissipative_from_dict),
+    "DissipativePortHamiltonian": Codec(DissipativePortHamiltonian, dissipative_to_dict, _dissipative_from_dict),
     "AffineHamiltonian": Codec(AffineHamiltonian, _affine_to_dict, _affine_from_dict),
     "PEMResult": "ph_control.identification.fit.serialization",
     "DampedResult": "ph_control.identification.fit.serialization",

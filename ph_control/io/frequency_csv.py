@@ -159,18 +159,14 @@ def selected_channels(
     data: FrequencyResponseData, inputs: Sequence[str] | None, outputs: Sequence[str] | None, path: str
 ) -> FrequencyResponseData:
     """Response of some of the inputs and outputs, by their labels."""
-    labels: dict[str, list[str]] = {"input": list(data.input_labels), "output": list(data.output_labels)}
-    wanted = {
-        role: known if given is None else list(given)
-        for (role, known), given in zip(labels.items(), (inputs, outputs), strict=True)
-    }
-    for role, known in labels.items():
-        unknown = [one for one in wanted[role] if one not in known]
+    inputs, outputs = inputs or data.input_labels, outputs or data.output_labels
+    places = []
+    for role, known, wanted in (("output", data.output_labels, outputs), ("input", data.input_labels, inputs)):
+        unknown = [one for one in wanted if one not in known]
         if unknown:
             raise StructureError(f"{path}: there is no {role} {unknown[0]!r}; they are {', '.join(known)}")
-    columns, rows = ([labels[role].index(one) for one in wanted[role]] for role in ("input", "output"))
-    chosen = data.frdata[np.ix_(rows, columns)]
-    return response_matrix(data.omega, chosen, wanted["input"], wanted["output"], path)
+        places.append([known.index(one) for one in wanted])
+    return response_matrix(data.omega, data.frdata[np.ix_(*places)], list(inputs), list(outputs), path)
 
 
 def is_frequency_table(table: Table) -> bool:

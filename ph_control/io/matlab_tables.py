@@ -19,7 +19,7 @@ from ..exceptions import FileFormatError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import FREQUENCY_UNITS, response_matrix
 from .matlab import is_matlab, read_matlab
-from .time_csv import recording
+from .time_csv import complete_grid, recording
 
 _COLUMN = re.compile(r"(.*?)\[([0-9]+)\]")
 _TIMES = ("t", "time")
@@ -105,24 +105,13 @@ def read_mat(
             "recording"
         )
     samples = lengths.pop()
-    if samples < 2:
-        raise FileFormatError(f"{name} holds a recording of one sample; at least two are needed")
-    complete = [*zip(inputs, u, strict=True), *([] if clock is None else [("the time", clock)])]
-    for label, values in complete:
-        if np.isnan(values).any():
-            raise FileFormatError(
-                f"{name}: {label} has missing values, allowed in outputs only: cut the recording there"
-            )
     if clock is None:
         assert step is not None
-        grid = step * np.arange(samples, dtype=float)
-    else:
-        try:
-            _checks.time_vector(clock)
-        except StructureError as error:
-            raise FileFormatError(f"{name}: {error}") from None
-        grid = clock[0] + (step or printed_step(clock)) * np.arange(samples)
-        if abs(grid[-1] - clock[-1]) > 0.02 * (grid[1] - grid[0]):
+        clock = step * np.arange(samples, dtype=float)
+    grid = complete_grid(clock, u, inputs, name)
+    if step is not None:
+        grid = clock[0] + step * np.arange(samples)
+        if abs(grid[-1] - clock[-1]) > 0.02 * step:
             found = printed_step(clock)
             raise StructureError(f"{name}: dt is {dt:g}, but the step of the time is {found:.9g}; leave dt out")
     return recording(grid, np.array(u).reshape(-1, samples), np.array(y), inputs, outputs, name, unit)

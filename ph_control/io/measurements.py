@@ -2,30 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .frequency_csv import COLUMNS, UNITS, is_frequency_table, response_in
-from .matlab_tables import read_mat
+from ..exceptions import StructureError
+from .files import source_name
+from .frequency_csv import COLUMNS, UNITS, is_frequency_table, response_in, selected_channels
+from .matlab_tables import read_frequency_mat, read_mat
 from .text_table import read_table
 from .time_csv import recording_in
 from .touchstone import is_touchstone, read_touchstone
 from .universal_file import SUFFIXES, read_uff
 
+_IN_TIME = ("input", "output", "time", "dt")
+_IN_FREQUENCY = (*COLUMNS, *UNITS, "weights")
+
 
 def read_measurements(path: str | Path) -> Any:
-    """Recording or frequency response of a file, its kind told by suffix and labels, with the defaults of its reader.
+    """Recording or frequency response of a file, with the defaults of its reader; of a universal file, a list."""
+    found, _ = measured(path, {})
+    return found if len(found) > 1 else found[0]
 
-    A universal file may hold several; a text table is a frequency response where its labels say so.
+
+def measured(source: Any, options: Mapping[str, Any]) -> tuple[list[Any], Any]:
+    """Recordings or frequency responses of a file, its kind told by its suffix, and weights if a column has them.
+
+    `options` are those of all readers.  A text table is a frequency response where these or its labels say so.
     """
-    suffix = Path(path).suffix.casefold()
+    name, given = source_name(source), {key: value for key, value in options.items() if value is not None}
+    suffix, input, output = Path(name).suffix.casefold(), given.get("input"), given.get("output")
     if suffix in SUFFIXES:
-        return read_uff(path)
-    if is_touchstone(str(path)):
-        return read_touchstone(path)
-    if suffix == ".mat":
-        return read_mat(path)
-    table = read_table(path, None, None, None)
-    if is_frequency_table(table):
-        return response_in(table, dict.fromkeys(COLUMNS), dict.fromkeys(UNITS))[0]
-    return recording_in(table, None, None, None, None, None)
+        return read_uff(source, input=input or None, output=output), None
+    if is_touchstone(name):
+        columns, rows = ([one] if isinstance(one, str) else one or None for one in (input, output))
+        network = read_touchstone(source, parameter=given.get("parameter", "Z"))
+        return [selected_channels(network, columns, rows, name)], None
+    if suffix != ".mat":
+        return _in_table(source, given)
+    if "frequency" not in given:
+        return [read_mat(source, **{key: given[key] for key in (*_IN_TIME, "time_unit") if key in given})], None
+    if output is None or "frequency_unit" not in given:
+        raise StructureError(f"{name}: give --outputs, variables of the response, and --frequency-unit as well")
+    unit = given["frequency_unit"]
+    return [read_frequency_mat(source, given["frequency"], output, frequency_unit=unit)], None
+
+
+def _in_table(source: Any, given: Mapping[str, Any]) -> tuple[list[Any], Any]:
+    table = read_table(source, *(given.get(key) for key in ("header", "delimiter", "decimal")))
+    told, contrary = ([key for key in keys if key in given] for keys in (_IN_FREQUENCY, _IN_TIME))
+    if told and contrary:
+        raise StructureError(
+            f"{told[0]}= is for frequency responses and {contrary[0]}= for recordings in time; give one"
+        )
+    if told or (not contrary and is_frequency_table(table)):
+        columns, units = ({key: given.get(key) for key in keys} for keys in (COLUMNS, UNITS))
+        data, weights = response_in(table, columns, units, given.get("weights"))
+        return [data], weights
+    return [recording_in(table, *(given.get(key) for key in (*_IN_TIME, "time_unit")))], None

@@ -172,7 +172,12 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     """Read a file and find its layout: separator, decimal sign, labels, number of columns."""
     _check_layout(header, delimiter, decimal)
     name = source_name(path)
-    lines = text_lines(read_bytes(path), name)
+    data = read_bytes(path)
+    if data[:64].lstrip()[:1] == b"{":
+        raise FileFormatError(
+            f"{name} holds JSON, perhaps a model, and a table of measurements is needed; ph-control info shows models"
+        )
+    lines = text_lines(data, name)
     content = _content(lines, None)
     if not content:
         found = "holds only comments" if any(line.strip() for line in lines) else "is empty"

@@ -142,6 +142,22 @@ def recording(
     return with_unit(found, unit)
 
 
+def complete_grid(instants: Array, u: Any, inputs: Sequence[str], path: str) -> Array:
+    """Uniform grid of the instants of a recording, whose time and inputs, (m, N), have no gaps."""
+    if len(instants) < 2:
+        raise FileFormatError(f"{path} holds a recording of one sample; at least two are needed")
+    for label, values in (*zip(inputs, u, strict=True), ("the time", instants)):
+        if np.isnan(values).any():
+            raise FileFormatError(
+                f"{path}: {label} has missing values, allowed in outputs only: cut the recording there"
+            )
+    try:
+        _checks.time_vector(instants)
+    except StructureError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+    return np.asarray(instants[0] + printed_step(instants) * np.arange(len(instants)))
+
+
 def _time_column(table: Table, time: Any, step: float | None) -> int | None:
     """Number of the time column, or None where `dt` takes its place."""
     if time is not None and time is not False:

@@ -15,11 +15,10 @@ from control import FrequencyResponseData, TimeResponseData
 
 from .. import _checks
 from .._types import Array
-from ..analysis.time_grid import printed_step
 from ..exceptions import FileFormatError, MissingPackageError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
-from .time_csv import recording
+from .time_csv import complete_grid, recording
 from .universal_modes import UniversalModes, modes_in
 
 SUFFIXES = (".uff", ".unv", ".uf", ".bunv", ".bun", ".uf58")
@@ -327,11 +326,8 @@ def _recordings(
                 raise FileFormatError(f"{name} holds a recording of forces without responses; export these as well")
             continue
         u, y = (np.array([one.values for one in side.values()], float) for side in (driving, moving))
-        if np.isnan(u).any():
-            raise FileFormatError(
-                f"{name}: an input has missing values, allowed in outputs only: cut the recording there"
-            )
-        data = recording(_uniform(channels[0].abscissa, name), u, y, list(driving), list(moving), name, "s")
+        grid = complete_grid(channels[0].abscissa, u, list(driving), name)
+        data = recording(grid, u, y, list(driving), list(moving), name, "s")
         forced = all(one.is_force for one in driving.values())
         yield place, _with_quantity(data, [(label, one.quantity, forced) for label, one in moving.items()])
 
@@ -343,16 +339,6 @@ def _with_quantity(data: Any, functions: list[tuple[str, str | None, bool]]) -> 
         found.setdefault(label, set()).add(quantity if forced else None)
     data.quantity = {label: one for label, (one, *others) in found.items() if one and not others}
     return data
-
-
-def _uniform(instants: Array, name: str) -> Array:
-    try:
-        _checks.time_vector(instants)
-    except StructureError as error:
-        raise FileFormatError(f"{name}: {error}") from None
-    if len(instants) < 2:
-        raise FileFormatError(f"{name} holds a recording of one sample; at least two are needed")
-    return instants[0] + printed_step(instants) * np.arange(len(instants))
 
 
 def _asked(wanted: list[str] | None, label: str) -> bool:

@@ -256,18 +256,25 @@ class ResponsePanel:
 
 
 def residual_panels_plot(
-    panels: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: Any = None, **style: Unpack[FrameStyle]
-) -> ct.ControlPlot:
-    """Panels below one another; a legend for each kind of them."""
+    given: Sequence[CorrelationPanel | ResponsePanel], heading: str, ax: Any = None, *, folded: bool = False,
+    **style: Unpack[FrameStyle],
+) -> ct.ControlPlot:  # fmt: skip
+    """Panels below one another with a legend for each kind of them, or `folded`, in rows of three with one legend."""
     look = Look.of(style, FrameStyle)
-    count = len(panels)
+    count = len(given)
     with look.context():
-        drawn = picture(look, ax, (count, 1), (7.2, 0.8 + 2.3 * count))
-        for row, (axis, panel) in enumerate(zip(drawn.axes[:, 0], panels, strict=True)):
-            drawn.lines[row, 0] = panel.draw(axis, look)
+        if folded:
+            drawn = panels(look, ax, count, (3.2, 2.1))
+        else:
+            drawn = picture(look, ax, (count, 1), (7.2, 0.8 + 2.3 * count))
+        for k, panel in enumerate(given):
+            axis = drawn.axes.flat[k]
+            drawn.lines.flat[k] = panel.draw(axis, look)
             axis.set_title(plain(panel.title), loc="left")
-        kinds = len({type(panel) for panel in panels})
-        return drawn.finished(heading, drawn.legends() if kinds > 1 else None)
+            if folded:
+                axis.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+        several = len({type(panel) for panel in given}) > 1
+        return drawn.finished(heading, drawn.legend_of_all() if folded else drawn.legends() if several else None)
 
 
 # --- the order -------------------------------------------------------------------------------------------------------
@@ -604,21 +611,6 @@ def channel_correlations(
         unit = "points" if np.iscomplexobj(row) else "samples"
         found.append(CorrelationPanel(k, values, band, confidence, label, f"Lag [{unit}]"))
     return found
-
-
-def channel_residuals_plot(
-    correlations: Sequence[CorrelationPanel], heading: str, ax: Any = None, **style: Unpack[FrameStyle]
-) -> ct.ControlPlot:
-    """Correlations of the residuals of several channels, in rows of three panels."""
-    look = Look.of(style, FrameStyle)
-    with look.context():
-        drawn = panels(look, ax, len(correlations), (3.2, 2.1))
-        for k, one in enumerate(correlations):
-            axis = drawn.axes.flat[k]
-            drawn.lines.flat[k] = one.draw(axis, look)
-            axis.set_title(plain(one.title), loc="left")
-            axis.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-        return drawn.finished(heading, drawn.legend_of_all())
 
 
 def hypothesis_plot(tests: Any, *, level: float = 0.05, ax: Any = None, **style: Unpack[FrameStyle]) -> ct.ControlPlot:

@@ -101,7 +101,7 @@ def _converted(model: Model, form: str | None, name: str | None) -> Any:
 
 def encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     """Content of the file."""
-    from ...io.codecs import document_of
+    from ...io.codecs import dissipative_to_dict, document_of
     from ...io.matlab import matlab_of
 
     found = _form_of(made)
@@ -116,21 +116,12 @@ def encoded(made: Any, form: str | None, kind: str) -> str | bytes:
     elif form == "ss" or kind != "json":
         arrays = {key: getattr(made, key) for key in "ABCD"}
         if form != "ss" and kind == "mat" and isinstance(made, phc.DissipativePortHamiltonian):
-            arrays |= _parts(made)
+            arrays |= {key: value for key, value in dissipative_to_dict(made).items() if key != "time_unit"}
     else:
         return document_of(made)
     if kind == "json":
         return strict(arrays, indent=None)
     return matlab_of(arrays) if kind == "mat" else _text(arrays, " " if kind == "txt" else ",")
-
-
-def _parts(made: phc.DissipativePortHamiltonian) -> dict[str, Any]:
-    """Structure matrices and names, from which the same system comes back."""
-    rows, through = made.sensors
-    parts = {key: getattr(made, key) for key in "QGJRPSN"}
-    sensors = {"sensor_rows": rows, "sensor_feedthrough": through} if len(rows) else {}
-    names = {"name": made.name, "inputs": made.input_labels, "outputs": made.output_labels, "states": made.state_labels}
-    return {**parts, **sensors, **names}
 
 
 def _polynomials(system: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import control as ct
 import numpy as np
 
 from ...exceptions import StructureError
-from ...plotting.validation_plot import channel_correlations, channel_residuals_plot
+from ...plotting.validation_plot import channel_correlations, residual_panels_plot
 from ..fit.result import PEMResult
 from ..regression.prediction import chosen_experiment
 from ..search.order_selection import OrderSelection
@@ -118,7 +118,7 @@ def _residuals_of_channels(result: PEMResult, experiment: int, style: dict[str, 
     rows = residuals.reshape(-1, residuals.shape[-1])
     panels = channel_correlations(rows[:_CHANNELS], names[:_CHANNELS])
     part = f" ({_CHANNELS} of {len(rows)} channels)" * (len(rows) > _CHANNELS)
-    return channel_residuals_plot(panels, f"Autocorrelation of the residuals{part}", **style)
+    return residual_panels_plot(panels, f"Autocorrelation of the residuals{part}", folded=True, **style)
 
 
 def order_plot(selection: OrderSelection, criterion: str = "bic", **kwargs: Any) -> ct.ControlPlot:
