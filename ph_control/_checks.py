@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from operator import index
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -248,11 +248,14 @@ def _positive(array: Array, name: str) -> Array:
     if array.ndim != 1:
         raise StructureError(f"{name} has shape {array.shape}; it must be a vector of n natural frequencies")
     if np.count_nonzero(array > 0) < array.size:
-        worst = int(array.argmin())
-        raise StructureError(
-            f"{name} is not positive: {name}[{worst}] = {array[worst]:.6g}; natural frequencies are > 0"
-        )
+        _refuse_least(name, array, "not positive", "; natural frequencies are > 0")
     return array
+
+
+def _refuse_least(name: str, array: Array, fault: str, rule: str) -> NoReturn:
+    """Refuse a vector for its least entry."""
+    worst = int(array.argmin())
+    raise StructureError(f"{name} is {fault}: {name}[{worst}] = {array[worst]:.6g}{rule}")
 
 
 def residue_weights(r: ArrayLike, n: int) -> Array:
@@ -261,10 +264,7 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
     if array.shape != (n,):
         raise StructureError(f"r has shape {array.shape}; with {n} natural frequencies it must be ({n},)")
     if np.count_nonzero(array < 0):
-        worst = int(array.argmin())
-        raise StructureError(
-            f"r is negative: r[{worst}] = {array[worst]:.6g}, allowed >= 0; a negative residue is not passive"
-        )
+        _refuse_least("r", array, "negative", ", allowed >= 0; a negative residue is not passive")
     return array
 
 
@@ -292,8 +292,7 @@ def hamiltonian_parameters(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     if given.ndim != 1 or given.size != weights.size or given.size == 0 or given.size % 2:
         return _pair(_positive(np.atleast_1d(given), "d"), weights)
     if given.min() < 0:
-        worst = int(given.argmin())
-        raise StructureError(f"d is negative: d[{worst}] = {given[worst]:.6g}; the entries of (d_1, d_2) are >= 0")
+        _refuse_least("d", given, "negative", "; the entries of (d_1, d_2) are >= 0")
     in_range("d", given)
     in_range("v", weights, SMALLEST_SQUARED)
     return given, weights

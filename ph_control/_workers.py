@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,13 @@ def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, k
             raise StructureError(
                 f"workers is {shown}, which does not take a function and a list as a map does: {error}"
             ) from error
-        return _one_each(found, len(items), kind)
+        given = list(islice(found, len(items) + 1)) if np.iterable(found) else []
+        if len(given) != len(items) or not all(isinstance(one, kind) for one in given):
+            raise StructureError(
+                f"workers is to give one result for each of {len(items)} items, in their order, as the built-in map "
+                f"does; it gave {_checks.shown(given or found)}"
+            )
+        return given
     if len(items) < 2 or _is_one(workers):
         return map(function, items)
     if not _submits(workers):
@@ -64,24 +71,6 @@ def mapped(function: Callable[[Any], Any], items: Sequence[Any], workers: Any, k
             raise failure
         results[place] = result
     return results
-
-
-def _one_each(found: Any, count: int, kind: type) -> Iterator[Any]:
-    """What a map of the user gives, refused where it is not one result for each item."""
-    given = 0
-    for one in found if np.iterable(found) else ():
-        if given == count or not isinstance(one, kind):
-            found = one
-            break
-        given += 1
-        yield one
-    else:
-        if given == count:
-            return
-    raise StructureError(
-        f"workers is to give one result for each of {count} items, in their order, as the built-in map does; after "
-        f"{given} of them it gave {_checks.shown(found)}"
-    )
 
 
 def completed(function: Callable[[Any], Any], items: Iterable[Any], workers: Any) -> Ended:

@@ -67,8 +67,13 @@ def printed_step(t: Array) -> float:
     deviation = np.sqrt(float(residual @ residual) / max(1, len(t) - 2) / spread)
     # the instants are doubles: each is wrong by half an eps of its size
     rounding = 8 * _checks.EPS * float(np.abs(t).max()) / (len(t) - 1)
+    return shortest_number(slope, float(3 * deviation + rounding))
+
+
+def shortest_number(value: float, allowed: float) -> float:
+    """Decimal number, or reciprocal of one, of the fewest digits within so much of a value."""
     for digits in range(1, 17):
-        for candidate in (float(f"{slope:.{digits}g}"), 1.0 / float(f"{1.0 / slope:.{digits}g}")):
-            if abs(candidate - slope) <= 3 * deviation + rounding:
+        for candidate in (float(f"{value:.{digits}g}"), 1.0 / float(f"{1.0 / value:.{digits}g}")):
+            if abs(candidate - value) <= allowed:
                 return candidate
-    return slope
+    return value

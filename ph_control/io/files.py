@@ -7,18 +7,10 @@ import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from .. import _checks
 from ..exceptions import FileFormatError, FileMissingError, OutputExistsError, PHControlError, StructureError
-
-
-@runtime_checkable
-class Readable(Protocol):
-    """An open file, for bytes or for text."""
-
-    def read(self) -> bytes | str:
-        """Return what is left of the content."""
 
 
 def as_path(name: Any) -> Path:
@@ -43,12 +35,12 @@ def as_path(name: Any) -> Path:
 
 def source_name(source: Any) -> str:
     """Name of what is read, for errors and titles: that of the file, also of one that is open already."""
-    return str(getattr(source, "name", "the stream") if isinstance(source, Readable) else source)
+    return str(getattr(source, "name", "the stream") if hasattr(source, "read") else source)
 
 
 def read_bytes(source: Any) -> bytes:
     """Content of a file: of that name, or open already, for bytes or for text."""
-    if isinstance(source, Readable):
+    if hasattr(source, "read"):
         try:
             content = source.read()
         except ValueError as error:  # closed, open for writing only, or of another encoding

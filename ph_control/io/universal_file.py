@@ -15,6 +15,7 @@ from control import FrequencyResponseData, TimeResponseData
 
 from .. import _checks
 from .._types import Array
+from ..analysis.time_grid import shortest_number
 from ..exceptions import FileFormatError, MissingPackageError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import response_matrix
@@ -254,18 +255,16 @@ def _printed_grid(first: float, step: float, count: int) -> Array:
     """Grid whose first value and step were printed with six digits."""
     if not (step > 0 and np.isfinite(step)):
         raise FileFormatError(f"the step of the axis is {step:g}; it must be positive")
-    allowed = 0.501 * 10.0 ** (np.floor(np.log10(step)) + 1 - _PRINTED)
-    found = step
-    for digits in range(1, _PRINTED + 1):
-        near = [float(f"{step:.{digits - 1}e}"), 1.0 / float(f"{1.0 / step:.{digits - 1}e}")]
-        close = [one for one in near if abs(one - step) <= allowed]
-        if close:
-            found = close[0]
-            break
+    found = shortest_number(step, _rounding(step))
     whole = round(first / found)
-    error = 0.501 * 10.0 ** (np.floor(np.log10(abs(first))) + 1 - _PRINTED) if first else 0.0
+    error = _rounding(first) if first else 0.0
     start = whole * found if abs(whole * found - first) <= error else first
     return np.asarray(start + found * np.arange(count))
+
+
+def _rounding(value: float) -> float:
+    """Half a unit of the last digit that is printed."""
+    return float(0.501 * 10.0 ** (np.floor(np.log10(abs(value))) + 1 - _PRINTED))
 
 
 # --- functions that belong together ----------------------------------------------------------------------------------
