@@ -58,15 +58,10 @@ def unit_text(unit: Any) -> str:
     return unit or ""
 
 
-def real_array(
-    name: str, value: ArrayLike, ndim: int | None = None, *, fresh: bool = True, missing: bool = False
-) -> Array:
-    """Convert to an array of finite doubles with `ndim` dimensions, one of its own unless not `fresh`.
-
-    NaN marks what is `missing`, where anything may be.
-    """
+def real_array(name: str, value: ArrayLike, ndim: int | None = None, *, missing: bool = False) -> Array:
+    """Convert to a new array of finite doubles with `ndim` dimensions; NaN marks what is `missing`, if allowed."""
     raw = value if type(value) is np.ndarray and value.dtype.char == "d" else _real_numbers(name, value)
-    array = np.array(raw, dtype=float) if fresh else np.asarray(raw, dtype=float)
+    array = np.array(raw, dtype=float)
     if ndim is not None and array.ndim != ndim:
         raise StructureError(
             f"{name} has {array.ndim} dimensions (shape {array.shape}), expected {ndim}; "

@@ -176,11 +176,11 @@ class Fields:
         """Take a string."""
         return self._typed(key, str, "a string")
 
-    def texts(self, key: str, length: int | None = None) -> list[str]:
+    def texts(self, key: str) -> list[str]:
         """Take a list of strings."""
         value = self._typed(key, list, "a list of strings")
-        if not all(isinstance(item, str) for item in value) or length not in (None, len(value)):
-            raise self.error(key, value, "a list of strings" if length is None else f"{length} strings")
+        if not all(isinstance(item, str) for item in value):
+            raise self.error(key, value, "a list of strings")
         return value
 
     def integer(self, key: str) -> int:
@@ -236,8 +236,7 @@ class Fields:
 
     def complex_array(self, key: str, shape: tuple[int | None, ...], *, finite: bool = True) -> ComplexArray:
         """Take an array of complex numbers, each `[re, im]`."""
-        pairs = self.array(key, (*shape, 2), finite=finite)
-        return pairs.view(complex)[..., 0]
+        return self.array(key, (*shape, 2), finite=finite).view(complex)[..., 0]
 
     def nested(self, key: str) -> Fields:
         """Take an object; its fields are checked by `done` of this one too."""

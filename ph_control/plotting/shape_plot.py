@@ -421,10 +421,8 @@ class ModeCircle:
 
     natural_frequency: float
     damping_ratio: float
-    omega: Array
     response: ComplexArray
     at_resonance: complex
-    measured_omega: Array
     measured: ComplexArray
     label: str
     output_label: str
@@ -445,18 +443,11 @@ def mode_circle(source: ModelSource, measured: list[MeasuredMatrix], mode: int, 
     omega = omega[(omega > 0) & (omega <= source.nyquist)]
     every = source.response(omega)
     i, j = _entry(every, output, input, source)
-    dots = [
-        (one.omega[near], one.response[i, j, near])
-        for one in measured
-        for near in [np.abs(one.omega - p.imag) <= _CIRCLE * width]
-    ]
-    at, values = (np.concatenate([np.zeros(0, kind), *parts]) for kind, parts in zip(
-        (float, complex), zip(*dots, strict=True) if dots else ((), ()), strict=True
-    ))  # fmt: skip
-    seen = np.isfinite(values)
+    near = [one.response[i, j, np.abs(one.omega - p.imag) <= _CIRCLE * width] for one in measured]
+    dots = np.concatenate([np.zeros(0, complex), *near])
     return ModeCircle(
-        d, -float(p.real) / d, omega, every[i, j], complex(source.response(np.array([p.imag]))[i, j, 0]), at[seen],
-        values[seen], source.label, source.output_labels[i], source.input_labels[j],
+        d, -float(p.real) / d, every[i, j], complex(source.response(np.array([p.imag]))[i, j, 0]),
+        dots[np.isfinite(dots)], source.label, source.output_labels[i], source.input_labels[j],
     )  # fmt: skip
 
 

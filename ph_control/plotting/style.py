@@ -195,13 +195,13 @@ def picture(
     return Picture(look, figure, axes, new=True)
 
 
-def panels(look: Look, ax: Any, count: int, size: tuple[float, float], *, columns: int = 3, **options: Any) -> Picture:
-    """So many axes of this size each in rows of at most `columns`, or those that were passed, as they lie."""
+def panels(look: Look, ax: Any, count: int, size: tuple[float, float], **options: Any) -> Picture:
+    """So many axes of this size each in rows of at most three, or those that were passed, as they lie."""
     if ax is not None:
         shape = np.shape(ax) if np.ndim(ax) == 2 and np.size(ax) == count else (count, 1)
         return picture(look, ax, shape, size, meaning="a panel for each")
     # four are two rows of two
-    columns = min(count, 2 if count == 4 and columns > 2 else columns)
+    columns = 2 if count == 4 else min(count, 3)
     rows = -(-count // columns)
     drawn = picture(look, None, (rows, columns), (max(columns * size[0], 4.2), 0.5 + rows * size[1]), **options)
     for k, axis in enumerate(drawn.axes.flat):

@@ -52,6 +52,8 @@ _POINTS: dict[str, Any] = {"linewidth": 0.8, "marker": ".", "markersize": 4.0, "
 _INSIDE, _OUTSIDE = "0.25", "C3"
 _CRITERIA = {"AIC": ("C0", "s", "-"), "AICc": ("C2", "^", "--"), "BIC": ("C3", "o", "-"), "hold-out": ("C4", "D", ":")}
 _CHANNELS = 12  # of one picture
+_SEGMENTS = 8  # of which output spectra are averaged
+_LAGS, _CONFIDENCE = 25, 0.99  # of the correlations of channels
 _FLAT = 10.0  # differences of a criterion below this are drawn to a linear scale
 
 # --- models beside a frequency response ------------------------------------------------------------------------------
@@ -524,7 +526,7 @@ def _behind(data: list[Any]) -> list[tuple[Array, Array, str]]:
             omega, size, name = table[0], np.abs(table[1].reshape(-1, len(table[0]))), "Sum of |FRF| [dB]"
         else:
             _, y, step = recording_in(one)
-            (omega, size), name = output_spectra(y, step), "Output spectra [dB]"
+            (omega, size), name = _output_spectra(y, step), "Output spectra [dB]"
         size = size[np.isfinite(size).any(axis=1)]
         level = np.sqrt(np.nanmean(size**2, axis=1, keepdims=True))
         total = np.nansum(size / np.where(level > 0, level, 1.0), axis=0)
@@ -532,11 +534,11 @@ def _behind(data: list[Any]) -> list[tuple[Array, Array, str]]:
     return curves
 
 
-def output_spectra(y: Array, step: float, segments: int = 8) -> tuple[Array, Array]:
+def _output_spectra(y: Array, step: float) -> tuple[Array, Array]:
     """Amplitude spectra (p, K) of outputs (p, T), of Hann windows; missing samples count as the mean."""
     y = y[np.isfinite(y).any(axis=1)]
     y = y - np.nanmean(y, axis=1, keepdims=True)
-    length = 2 * max(4, y.shape[1] // (segments + 1))
+    length = 2 * max(4, y.shape[1] // (_SEGMENTS + 1))
     omega, power = signal.welch(np.nan_to_num(y), 2 * np.pi / step, nperseg=min(length, y.shape[1]))
     return omega, np.sqrt(power)
 
@@ -589,9 +591,7 @@ def _draw_behind(axis: Axes, behind: list[tuple[Array, Array, str]], unit: float
 # --- residuals of several channels, tests of hypotheses --------------------------------------------------------------
 
 
-def channel_correlations(
-    residuals: NDArray[Any], labels: Sequence[str], lags: int = 25, confidence: float = 0.99
-) -> list[CorrelationPanel]:
+def channel_correlations(residuals: NDArray[Any], labels: Sequence[str]) -> list[CorrelationPanel]:
     """Autocorrelation of each row of residuals (c, T), NaN where missing, and the band of white noise.
 
     Of complex ones it is the real part, from point to point.
@@ -600,16 +600,16 @@ def channel_correlations(
     for row, label in zip(residuals, labels, strict=True):
         seen = np.isfinite(row)
         e = np.where(seen, row - (np.mean(row[seen]) if seen.any() else 0.0), 0.0)
-        count = max(1, min(lags, int(seen.sum()) // 5))
+        count = max(1, min(_LAGS, int(seen.sum()) // 5))
         k = np.arange(1, count + 1)
         sums = np.array([np.sum(e[j:] * e[:-j].conj()).real for j in k])
         pairs = np.array([np.count_nonzero(seen[j:] & seen[:-j]) for j in k])
         power = np.sum(np.abs(e) ** 2) / max(1, int(seen.sum()))
         values = sums / np.maximum(pairs, 1) / (power or 1.0)
         degrees = pairs * (2 if np.iscomplexobj(row) else 1)
-        band = float(ndtri(0.5 + 0.5 * confidence)) / np.sqrt(np.maximum(degrees, 1))
+        band = float(ndtri(0.5 + 0.5 * _CONFIDENCE)) / np.sqrt(np.maximum(degrees, 1))
         unit = "points" if np.iscomplexobj(row) else "samples"
-        found.append(CorrelationPanel(k, values, band, confidence, label, f"Lag [{unit}]"))
+        found.append(CorrelationPanel(k, values, band, _CONFIDENCE, label, f"Lag [{unit}]"))
     return found
 
 
