@@ -101,19 +101,19 @@ def draw(found: dict[str, list[tuple[int, float, bool]]], path: str) -> None:
     """The errors over the orders, passive models filled."""
     import matplotlib.pyplot as plt
 
-    figure, axis = plt.subplots(layout="constrained", figsize=(7, 4.5))
-    for k, (name, rows) in enumerate(found.items()):
+    figure, axis = plt.subplots(layout="constrained", figsize=(7, 5.2))
+    for (name, rows), marker in zip(found.items(), "osD^v<>PX*", strict=False):
         orders, errors, passive_ones = (np.array(column) for column in zip(*rows, strict=True))
         own = name.startswith("ph_control")
         (line,) = axis.semilogy(
-            orders, errors, "-" if own else ":", color=f"C{k}", lw=2 if name.endswith("h2") else 1, label=name
+            orders, errors, "-" if own else ":", marker=marker, ms=5, lw=2 if name.endswith("h2") else 1, label=name
         )
-        for kept, face in ((passive_ones, line.get_color()), (~passive_ones, "white")):
-            axis.plot(orders[kept], errors[kept], "o", ms=4, color=line.get_color(), mfc=face)
-    axis.set(xlabel="States", ylabel="H2 norm of the difference", xticks=np.arange(orders.min(), orders.max() + 1, 2))
-    axis.set_title("Filled: passive models; open: models that are not")
+        opened = orders[~passive_ones], errors[~passive_ones]
+        axis.semilogy(*opened, marker, ms=5, color=line.get_color(), mfc="white", zorder=3)
+    axis.set(xlabel="States", ylabel="H2 norm of the error", xticks=np.arange(orders.min(), orders.max() + 1, 2))
+    axis.set_title("Filled marks: passive models; open marks: models that are not", fontsize="medium")
     axis.grid(alpha=0.4)
-    axis.legend(fontsize="small", ncols=2, loc="lower left")
+    figure.legend(fontsize="small", ncols=3, loc="outside lower center", frameon=False)
     figure.savefig(path, dpi=110)
 
 

@@ -639,7 +639,7 @@ def test_shapes_of_one_sensor_are_those_over_the_inputs():
 
 def test_sensors_of_a_shape_are_named_without_the_unit_of_their_signal():
     one = result(p=2)
-    one.output_labels = ["top [m/s]", "low [m/s]"]
+    one.output_labels = ["top [m/s]", "low (m/s)"]
     labels = [text.get_text() for text in phc.shape_plot(one).axes[0, 0].get_xticklabels()]
     assert labels == ["top", "low"]
     plt.close("all")

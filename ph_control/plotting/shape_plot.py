@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from .. import _checks
 from .._types import Array, ComplexArray, Indices
-from .._units import unit_for
+from .._units import parted, unit_for
 from ..exceptions import StructureError
 from ..numerics.mode_shapes import aligned_shapes, mac, phase_collinearity
 from .frf_plot import (
@@ -498,7 +498,7 @@ def _draw_along_line(axis: Axes, places: Array, table: ShapeTable, l: int, look:
 
 def _name_sensors(axis: Axes, labels: list[str] | None) -> None:
     """Ticks at sensors: their names without units, where these are few and short."""
-    labels = None if labels is None else [one.partition(" [")[0] for one in labels]
+    labels = None if labels is None else [parted(one)[0] for one in labels]
     if labels is not None and len(labels) <= _NAMED and max(map(len, labels)) <= 12:
         rotation = 90 if sum(map(len, labels)) > 24 else 0
         places = np.arange(1, len(labels) + 1)
