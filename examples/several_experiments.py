@@ -6,6 +6,7 @@ Three short and noisy experiments: two with an input, of different length and st
 almost a third of the samples was lost.
 """
 
+import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -20,19 +21,25 @@ def experiment(samples, step, noise, driven=True):
     force = rng.standard_normal(samples) if driven else np.zeros(samples)
     t = step * np.arange(samples)
     velocity = phc.forced_response(plant, t, force, rng.standard_normal(6), intersample="zoh").outputs
-    return force if driven else None, velocity + noise * rng.standard_normal(samples)
+    velocity = velocity + noise * rng.standard_normal(samples)
+    labels = {"input_labels": ["force [N]"]} if driven else {}
+    record = ct.TimeResponseData(
+        t, velocity, inputs=force if driven else None, issiso=driven, output_labels=["velocity [m/s]"], **labels
+    )
+    record.time_unit = "s"
+    return record
 
 
 pushed = experiment(250, 0.1, 0.4)
 longer = experiment(800, 0.15, 0.4)
 released = experiment(600, 0.2, 0.4, driven=False)
 lost = rng.random(600) < 0.3
-released[1][lost] = np.nan  # samples that were not taken
+released.y[0, lost] = np.nan  # samples that were not taken
 
 # %%
 # Frequencies and weights are shared; each experiment has its own initial state.
-alone = phc.pem(pushed, 3, dt=0.1)
-together = phc.pem([pushed, longer, released], 3, dt=[0.1, 0.15, 0.2])
+alone = phc.pem(pushed, 3)
+together = phc.pem([pushed, longer, released], 3)
 print(together.summary())
 print()
 print("standard errors of d, first record alone:", alone.stderr["d"].round(5))
