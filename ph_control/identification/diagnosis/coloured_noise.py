@@ -40,8 +40,8 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
 
     The innovations filter of an output takes inputs and outputs of any modes to inputs and outputs of the same modes.
     Of a free motion the rows stay as they are, and of responses all.  They also stay where modes would be lost, or
-    begin to grow: what a short hit leaves of an input known at its samples only, or what no linear model explains, has
-    no spectrum that all of the record shares.
+    begin to grow, or grow twice as fast: what a short hit leaves of an input known at its samples only, or what no
+    linear model explains, has no spectrum that all of the record shares.
     """
     at = free.projection
     records = [one for one in at.experiments if isinstance(one, FreeRecord)]
@@ -56,7 +56,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
         return free
     rows = [row for one in records for row in _filtered(one, [each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
-    if np.count_nonzero(found.p.real > 0) > np.count_nonzero(at.p.real > 0):
+    if np.any(found.p.real > 2 * np.maximum(at.p.real, 0.0)):
         return free
     if FreeProjection(at.experiments, found.p, at.fed).loss > _ASTRAY * at.loss:
         return free

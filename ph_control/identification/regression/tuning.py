@@ -66,6 +66,7 @@ class Tuning:
     broadest: float = 0.2  # damping ratio of what still counts as a mode
     damped_apart: float = 3.0  # between modes, their half-widths added: what is closer mends the shape of a peak
     same_shape: float = 0.9  # modal assurance criterion from which on two modes are told by their frequencies only
+    likelier: float = 0.05  # by which the logarithm of the noise variance falls where a search goes back to a model
     patches: int = 4  # modes more that may mend the shape of others where nothing else leaves white residuals
     tried: int = 3  # candidates for one more mode
     vague: float = 0.5  # of the half-width of a peak, or of a bin: with larger errors of it there is no mode

@@ -513,6 +513,7 @@ class FreePath:
         self.search, self.felt, self.criterion, self.reports = search, felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
         self.best = best  # so far
+        self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
         counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
         for one in search.data:
@@ -618,7 +619,9 @@ class FreePath:
         one = self.criteria(self.loglik(found.losses), self.search.unknowns(n))
         if n not in self.table or self.table[n].loglik < one.loglik:
             self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[np.argsort(at.d)])
-        if self.best is None or self.cost(found) < self.cost(self.best):
+        cost = self.cost(found)
+        self.seen.append((cost, at.p))
+        if self.best is None or cost < self.cost(self.best):
             self.best = found
         return found
 
@@ -664,7 +667,27 @@ class FreePath:
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers."""
-        return self.improved(self.grown(start, most, automatic), most, automatic)
+        model = self.improved(self.grown(start, most, automatic), most, automatic)
+        other = self.likelier(model) if automatic else None
+        if other is not None:
+            other = self.improved(self.grown(other.p, most, automatic), most, automatic)
+            model = min(model, other, key=self.cost)
+        return model
+
+    def likelier(self, model: FreeModel) -> FreeModel | None:
+        """A much likelier model of the plant that the search has come by, if there is one.
+
+        Where what is left is no noise, as of plants that are not quite linear, the way of a search depends on rounding.
+        """
+        limit = self.cost(model) - TUNING.likelier * float(self.counts.sum())
+        for cost, p in sorted(self.seen, key=lambda one: one[0]):
+            if cost > limit:
+                break
+            if np.all(np.abs(p.real) <= TUNING.broadest * np.abs(p)):
+                other = self.model(p)
+                if self.is_sound(other) and self.vagueness(other).max(initial=0.0) <= 1:
+                    return self.reweighted(other)
+        return None
 
     def improved(self, model: FreeModel, most: int, automatic: bool) -> FreeModel:
         """The same once some of its modes have been looked for elsewhere, and of an order that is chosen, dropped."""
@@ -795,12 +818,15 @@ class FreePath:
         inner = at.covariance(at.loss / max(1, at.rows - self.search.unknowns(n)))
         return np.sqrt(np.diag(inner)[n : 2 * n])
 
+    def vagueness(self, model: FreeModel) -> Array:
+        """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
+        allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
+        return np.asarray(self.decay_errors(model.at) / allowed)
+
     def pruned(self, model: FreeModel) -> FreeModel:
         """Modes dropped as long as the criterion gets better, or their widths are not known."""
         while len(model.p):
-            # errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background
-            allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
-            vague = self.decay_errors(model.at) / allowed
+            vague = self.vagueness(model)
             weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(self.evidence(model)))
             fewer = self.model(np.delete(model.p, weakest))
             if vague.max() <= 1 and self.cost(fewer) >= self.cost(model):
@@ -824,9 +850,11 @@ class FreePath:
             if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
-            other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
             kept = replace(self.best, at=found.projection)
-            rival = FreePath(other, self.felt, self.criterion, self.reports, kept).finished(kept, channels)
+            other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
+            path = FreePath(other, self.felt, self.criterion, self.reports, kept)
+            path.power = self.power
+            rival = path.finished(kept, channels, automatic)
         except KeyboardInterrupt:
             if found is not None:
                 return replace(found, interrupted=True)
