@@ -190,9 +190,16 @@ class _Ports:
         found = []
         for w in frequencies:
             values, vectors = np.linalg.eigh(self._phi(*model, np.array([w]))[0])
-            rounding = _ROUNDING * np.abs(values).max()
+            rounding = _ROUNDING * max(np.abs(values).max(), self._terms(model, w))
             found += [(w, v) for value, v in zip(values, vectors.T, strict=True) if value < -rounding]
         return found
+
+    def _terms(self, model: tuple[ComplexArray, ComplexArray, Array], w: float) -> float:
+        """Size of the terms of the modes whose sum remains at an end of the axis: rounding is a part of these."""
+        order = (1 if self.is_strictly_proper else -1) if np.isinf(w) else -3 if w == 0 and self.rests else None
+        return (
+            0.0 if order is None else float(4 * np.sum(np.abs(model[0]) ** order * np.abs(model[1]).max(axis=(1, 2))))
+        )
 
     def _worst(self, model: tuple[ComplexArray, ComplexArray, Array]) -> list[float]:
         """Worst frequency of each band, and ends of the axis that lie in one."""
