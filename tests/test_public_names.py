@@ -44,12 +44,12 @@ def test_the_import_of_the_package_imports_none_of_its_modules(tmp_path):
     assert in_a_new_process(tmp_path, code) == "[]\n"
 
 
-def test_a_name_imports_what_it_needs_and_is_then_an_attribute(tmp_path):
+def test_a_name_imports_what_it_needs(tmp_path):
     code = """if True:
         import sys, ph_control as phc
         assert "ph" not in vars(phc)
         phc.ph
-        assert "ph" in vars(phc) and "ph_control.systems.port_hamiltonian" in sys.modules
+        assert "ph_control.systems.port_hamiltonian" in sys.modules
         late = ("ph_control.identification", "ph_control.plotting")
         print([name for name in sys.modules if name.startswith(late)])
     """

@@ -438,9 +438,12 @@ def _result(
     before = np.linalg.eigvals(loop.A[: loop.own, : loop.own])
     bare = _Loop(loop.A[: loop.own, : loop.own], loop.b[: loop.own, :0], loop.c[: loop.own, :0], loop.B[: loop.own],
                  loop.C[:, : loop.own], loop.own)  # fmt: skip
-    without = bare.damping(np.empty(0))[0] if criterion == "damping" else float(np.exp(bare.h2(np.empty(0))[0]))
-    if criterion != "damping" and before.real.max(initial=-1.0) > -1e-13 * np.abs(before).max(initial=0.0):
+    if criterion == "damping":
+        without = bare.damping(np.empty(0))[0]
+    elif before.real.max(initial=-1.0) > -1e-13 * np.abs(before).max(initial=0.0):
         without = np.inf
+    else:
+        without = float(np.exp(bare.h2(np.empty(0))[0]))
     return OptimalDamping(
         sys, controller, through_ports(sys, controller, at), tuple(sys.input_labels[k] for k in at), gains, stiffnesses,
         masses, criterion, sign * float(of(theta)[0]), sign * float(without),
