@@ -304,7 +304,7 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
 
 def _balanced(sys: Any) -> Any:
     """A plain state space in states of like sizes: python-control loses the digits of a response where they differ."""
-    if not isinstance(sys, ct.StateSpace) or type(sys).__call__ is not ct.StateSpace.__call__ or not sys.nstates:
+    if type(sys) is not ct.StateSpace or not sys.nstates:
         return sys
     size = matrix_balance(sys.A, permute=False, separate=True)[1][0]
     return ct.ss(sys.A * size / size[:, None], sys.B / size[:, None], sys.C * size, sys.D, sys.dt)
