@@ -57,6 +57,21 @@ def test_intervals_cover_and_classical_damping_stands_beside_forces_that_were_no
     assert np.mean(covered) > 0.75 and sum(rejected) <= 1
 
 
+def test_hits_keep_their_shapes_where_the_recorded_force_is_noisy():
+    tower = phc.spring_chain([1.0, 1.0, 1.0], 4e3, ground=[4e3, 0, 0], c=0.4, port=(0, 1, 2))
+    rng, fine, hits = np.random.default_rng(3), np.arange(9600) / 3200.0, []
+    force = np.where((fine >= 0.1) & (fine < 0.12), 100 * np.sin(np.pi * (fine - 0.1) / 0.02), 0.0)
+    for place in np.eye(3):
+        motion = phc.forced_response(tower, fine, np.outer(place, force), intersample="foh").outputs[2, ::16]
+        noise = rng.standard_normal((2, len(motion)))
+        hits.append((np.outer(place, force[::16] + noise[0]), motion + 0.002 * motion.std() * noise[1]))
+    result = phc.pem(hits, 3, dt=0.005, ports=[(0, 2)], intersample="foh")
+    assert "INPUT_NOISE" in causes(result)
+    found, true = result.participation, phc.modes(tower).participation
+    alike = np.abs(np.sum(found.conj() * true, axis=1)) ** 2
+    assert np.all(alike > 0.95 * np.sum(np.abs(found) ** 2, axis=1) * np.sum(np.abs(true) ** 2, axis=1))
+
+
 @pytest.mark.parametrize("noise", ["input", "forces"])
 def test_noise_that_comes_through_the_modes_is_told_with_its_size(noise):
     result = phc.pem(recording(2, 1, 1, noise, 0, 3000), 2, dt=1.0, structure="free")

@@ -22,6 +22,7 @@ _LONGEST = 64  # samples of the past that noise may depend on
 _SAMPLES_EACH = 20  # of the residuals for each of them
 _LEAST = 0.1  # of the noise about a mode that is taken to be left beside what was fitted there
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
+_LASTING = 0.05  # of a record: the part in which an input has to act
 _ASTRAY = 4.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
 _GRID = 4096  # frequencies of a spectrum
 _EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
@@ -39,9 +40,9 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     """The same modes with what their residuals are like, refined in rows of white noise.
 
     The innovations filter of an output takes inputs and outputs of any modes to inputs and outputs of the same modes.
-    Of a free motion the rows stay as they are, and of responses all.  They also stay where modes would be lost, or
-    begin to grow, or grow twice as fast: what a short hit leaves of an input known at its samples only, or what no
-    linear model explains, has no spectrum that all of the record shares.
+    Of a free motion the rows stay as they are, and of responses all.  They also stay where the input acts in a small
+    part of a record, or modes would be lost, begin to grow, or grow twice as fast: what hits leave of an input known at
+    its samples only, or what no linear model explains, has no spectrum that all of the record shares.
     """
     at = free.projection
     records = [one for one in at.experiments if isinstance(one, FreeRecord)]
@@ -52,7 +53,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     if not findings:
         return free
     free = replace(free, findings=(*free.findings, *findings))
-    if not at.inputs:
+    if not at.inputs or any(_is_short(one) for one in records):
         return free
     rows = [row for one in records for row in _filtered(one, [each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
@@ -66,6 +67,12 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     sizes = np.sqrt(counts / found.losses)[:, None]
     rows = [replace(one, u=one.u * sizes[one.outputs], y=one.y * sizes[one.outputs]) for one in rows]
     return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=at)
+
+
+def _is_short(one: FreeRecord) -> bool:
+    """Whether inputs act in a small part of a record, as hits do: their noise has no spectrum that lasts."""
+    power = np.sum(one.u**2, axis=0)
+    return bool(np.sum(power) ** 2 < _LASTING * len(power) * np.sum(power**2))
 
 
 def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:
