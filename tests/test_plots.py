@@ -2,8 +2,8 @@
 
 import itertools
 
-import matplotlib
 import control as ct
+import matplotlib
 import matplotlib.pyplot as plt
 import mpmath
 import numpy as np
