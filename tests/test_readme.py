@@ -38,7 +38,7 @@ def test_the_python_code_runs_and_leaves_what_it_says(after_python):
     folder, done = after_python
     assert done.returncode == 0, done.stderr
     assert "3 modes" in done.stdout
-    assert {"recording.csv", "model.json", "fit.html", "response.png"} <= {path.name for path in folder.iterdir()}
+    assert {"recording.csv", "fit.json", "fit.html", "response.png"} <= {path.name for path in folder.iterdir()}
 
 
 def test_the_python_code_prints_what_the_readme_shows(after_python):

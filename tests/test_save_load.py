@@ -407,6 +407,14 @@ def test_object_of_another_type_is_refused_by_its_name(path, obj):
     assert not path.exists()
 
 
+def test_refusal_of_a_plain_state_space_names_calls_that_work(path):
+    sys = ct.ss([[0.0, 1.0], [-4.0, -0.1]], [[0.0], [1.0]], [[0.3, 1.0]], 0.0)
+    with pytest.raises(StructureError, match=r"save\(modes\(sys\), path\); a fit .* by result\.save\(path\)"):
+        save(sys, path)
+    save(phc.modes(sys), path)
+    np.testing.assert_allclose(load(path).evaluate([1j]), phc.modes(sys).evaluate([1j]), rtol=1e-15)
+
+
 def test_model_that_could_not_be_loaded_is_not_written(path):
     infinite = phc.ModalForm._of(np.array([1.0]), np.array([[1.0 + 0j]]), np.zeros((0, 1)), np.array([np.inf]))
     with pytest.raises(StructureError, match=r'this ModalForm cannot be saved.*r is "inf", expected a number'):

@@ -227,7 +227,8 @@ def document_of(obj: Any) -> str:
     if codec is None or type(obj) is not codec.type:
         raise StructureError(
             f"an object of type {type(obj).__name__} cannot be saved, only {', '.join(_CODECS)}; "
-            "a passive system of another type can be converted with ph(sys), any other with modes(sys)"
+            "a passive system of another type can be converted with ph(sys), any other with modes(sys), as "
+            "save(modes(sys), path); a fit is saved with its data by result.save(path)"
         )
     text = compose(kind, codec.to_dict(obj))
     try:
