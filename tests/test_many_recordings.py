@@ -372,6 +372,17 @@ def test_the_tracks_are_rows_of_the_table():
     assert "3 modes followed over 30 recordings" in str(tracks)
 
 
+def test_modes_count_from_1_where_they_are_read_and_from_0_in_the_table(files):
+    fits = phc.fit_many(files[:2], **OPTIONS)
+    assert fits.table["mode"].tolist() == [0, 0]
+    assert [line.split()[1] for line in str(fits).splitlines()[2:]] == ["1", "1"]
+    tracks = crossing(3, recordings=30)[0].track()
+    assert [line.split()[0] for line in str(tracks).splitlines()[2:]] == ["1", "2", "3"]
+    plot = tracks.plot()
+    assert sorted(text.get_text()[:7] for text in plot.legend.get_texts()) == ["mode 1 ", "mode 2 ", "mode 3 "]
+    plt.close(plot.figure)
+
+
 def test_the_picture_has_frequencies_dampings_and_their_bands():
     fits, _ = crossing(3)
     plot, tracks = fits.plot(), fits.track()

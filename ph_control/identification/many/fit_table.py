@@ -42,7 +42,7 @@ class FitTable(Report, Frozen):
     Fields of `table` are "recording", its place, counted from 0; "name"; "mode", from 0; "hertz" and "damping_ratio",
     each followed by its standard error, "hertz_stderr" and "damping_ratio_stderr"; "fit_percent"; "structure"; "order",
     the number of modes, -1 where the fit failed; "message", its verdict or what went wrong; "result", the name of the
-    file in the store, empty without one.
+    file in the store, empty without one.  Where the table is printed, modes count from 1, as in summaries of fits.
 
     Examples
     --------
@@ -213,7 +213,7 @@ def _cells(row: Any) -> list[str]:
     if row["mode"] < 0:
         return [row["name"], "-", "-", "", "-", "", "-", row["structure"], message]
     fit = f"{row['fit_percent']:.2f}"
-    return [row["name"], str(row["mode"]), *_with_error(row["hertz"], row["hertz_stderr"]),
+    return [row["name"], str(row["mode"] + 1), *_with_error(row["hertz"], row["hertz_stderr"]),
             *_with_error(100 * row["damping_ratio"], 100 * row["damping_ratio_stderr"]), fit, row["structure"],
             message]  # fmt: skip
 

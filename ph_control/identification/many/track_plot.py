@@ -44,7 +44,7 @@ def tracks_plot(
             one, middle = tracks[k], float(np.median(tracks[k].hertz))
             size = 100 / middle if relative else 1.0
             shown, error = size * (one.hertz - middle * relative), size * width * one.hertz_stderr
-            named = {"color": f"C{k % 10}", "label": f"mode {k} ({middle:.4g} {unit})"}
+            named = {"color": f"C{k % 10}", "label": f"mode {k + 1} ({middle:.4g} {unit})"}
             drawn.lines[row, 0] += _curve(above[row], one.recording, shown, error, named)
             part = 100 * one.damping_ratio, 100 * width * one.damping_ratio_stderr
             drawn.lines[count, 0] += _curve(below, one.recording, *part, named)

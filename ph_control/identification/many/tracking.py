@@ -34,7 +34,8 @@ class ModeTracks(Report, Frozen):
 
     Notes
     -----
-    `tracks[k]` is the rows of a mode, in the order of the recordings; `len(tracks)` the number of modes.
+    `tracks[k]` is the rows of a mode, in the order of the recordings; `len(tracks)` the number of modes.  Where they
+    are printed or drawn, modes count from 1: `tracks[0]` is mode 1.
 
     Examples
     --------
@@ -67,7 +68,7 @@ class ModeTracks(Report, Frozen):
             one = self[k]
             first, last = one["hertz"][0], one["hertz"][-1]
             rows.append([
-                str(k), str(len(one)), f"{first:.6g}", f"{last:.6g}", f"{100 * (last / first - 1):+.3f}",
+                str(k + 1), str(len(one)), f"{first:.6g}", f"{last:.6g}", f"{100 * (last / first - 1):+.3f}",
                 f"{100 * np.median(one['damping_ratio']):.3g}", f"{one['recording'][0]} to {one['recording'][-1]}",
             ])  # fmt: skip
         return "\n".join([self._headline(), *aligned(rows)])
