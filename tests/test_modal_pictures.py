@@ -230,6 +230,15 @@ def test_panels_have_short_names_and_names_tell_the_unit_of_a_response():
     assert phc.frf_plot(fit).axes[0, 0].get_ylabel() == "Magnitude [dB]"
 
 
+def test_names_of_a_measurement_tell_the_unit_where_those_of_the_model_do_not():
+    fit = result(2, 1)
+    names = {"inputs": ["force [N]"], "outputs": ["top [m/s^2]", "base [m/s]"]}
+    data = ct.FRD(measured(fit).frdata, measured(fit).omega, **names)
+    assert phc.frf_plot(fit, data, outputs=[1]).axes[0, 0].get_ylabel() == "Magnitude [dB re 1 m/s/N]"
+    assert phc.frf_plot(fit, [measured(fit), data], gain_unit="g").axes[0, 0].get_ylabel() == "Magnitude [dB re 1 g]"
+    assert phc.frf_plot(fit, measured(fit)).axes[0, 0].get_ylabel() == "Magnitude [dB]"
+
+
 @pytest.mark.parametrize(
     "call, words",
     [

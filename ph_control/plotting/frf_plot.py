@@ -102,7 +102,7 @@ def frf_plot(
         Unit of time, for the labels; by default that of the model or the data.
     gain_unit : str or sequence of str, optional
         Unit of the responses, output over input, such as "m/s/N"; one for each output if they differ.  By default that
-        of names such as "force [N]" where all have one.
+        of names such as "force [N]" where all have one, of the model or else of the measurement.
     ax : array of matplotlib.axes.Axes, shape (2p, m), optional
         Axes to draw on, magnitude above phase for each response.  By default a new figure.
     **style
@@ -360,6 +360,7 @@ class FRFData:
     title: str
     bands: dict[tuple[int, int], tuple[Array, Array]]
     band_label: str
+    gain_units: list[str] | list[None]
 
     def cells(self, wide: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
         """Responses in the order of their panels, and the shape of these: a single row or column is folded."""
@@ -464,7 +465,21 @@ def frf_data(
         logarithmic, even, bounded, _phase_cut(values[:, :, even]), unit, unit_name, source.label,
         title + (f" ({', '.join(parts)})" if parts else ""),
         _bands(model, grid, level, rows, columns) if confidence else {}, f"{100 * level:g} % band",
+        _told_units([source, *measurements_of(model, data)], source.shape, rows, columns),
     )  # fmt: skip
+
+
+def _told_units(
+    sources: Sequence[Any], shape: tuple[int, int], rows: Indices, columns: Indices
+) -> list[str] | list[None]:
+    """Unit of the responses of each output, of the first of model and measurements whose names tell those of all."""
+    for one in sources:
+        outputs, inputs = (getattr(one, name, None) or () for name in ("output_labels", "input_labels"))
+        if (len(outputs), len(inputs)) == shape:
+            told = told_gain_units([outputs[i] for i in rows], [inputs[j] for j in columns])
+            if None not in told:
+                return told
+    return [None] * len(rows)
 
 
 def _bands(
@@ -574,8 +589,7 @@ def _phase_cut(response: ComplexArray) -> float:
 def _gain_units(given: Any, numbers: FRFData) -> dict[int, str | None]:
     """Unit of the responses of each output, by its number."""
     if given is None:
-        units = told_gain_units(numbers.output_labels, numbers.input_labels)
-        return dict(zip(map(int, numbers.outputs), units, strict=True))
+        return dict(zip(map(int, numbers.outputs), numbers.gain_units, strict=True))
     if isinstance(given, str):
         return dict.fromkeys(map(int, numbers.outputs), given)
     units = _checks.labels(given, len(numbers.outputs), "outputs")
