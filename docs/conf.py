@@ -15,6 +15,7 @@ import ph_control
 
 HERE = Path(__file__).parent
 LONG = 25  # characters of code that a narrow column of a table may break
+SHORT = 12  # characters of code that stay on one line
 
 project = "ph_control"
 author = "The ph_control developers"
@@ -102,6 +103,8 @@ def link_names(app, doctree, docname):
     for literal in list(doctree.findall(nodes.literal)):
         if len(literal.astext()) > LONG:
             literal["classes"].append("long")
+        elif len(literal.astext()) <= SHORT:
+            literal["classes"].append("short")
         name = re.sub(r"\(.*\)$", "", literal.astext().removeprefix("phc."), flags=re.S)
         parent = literal.parent
         if name not in pages or name in own or isinstance(parent, nodes.reference | nodes.title | addnodes.desc_name):
@@ -140,6 +143,13 @@ def trim_code(app, doctree):
             block[:] = [nodes.Text(block.rawsource)]
 
 
+def hold_percent(app, doctree):
+    """Keep a per cent sign on the line of its number, outside code."""
+    for text in list(doctree.findall(nodes.Text)):
+        if re.search(r"\d %", text) and not isinstance(text.parent, nodes.literal | nodes.FixedTextElement | nodes.raw):
+            text.parent.replace(text, nodes.Text(re.sub(r"(?<=\d) (?=%)", "\u00a0", text)))
+
+
 def break_long_code(app, pagename, templatename, context, doctree):
     """Let long code break after punctuation, but neither options nor numbers such as 1e-3."""
     if "body" in context:
@@ -176,6 +186,7 @@ def setup(app):
     """Add what the extensions above do not do."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
     app.connect("doctree-read", trim_code)
+    app.connect("doctree-read", hold_percent)
     app.connect("doctree-resolved", link_names)
     app.connect("doctree-resolved", link_types)
     app.connect("html-page-context", break_long_code)

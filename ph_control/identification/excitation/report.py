@@ -194,7 +194,7 @@ class Excitation(Report, Frozen):
 
     @property
     def details(self) -> str:
-        """All that the verdict rests on, and all that would cure it, in sentences; empty if there is nothing to say."""
+        """All that the verdict rests on, and all remedies, in sentences; empty if there is nothing to say."""
         return " ".join(_sentences(self))
 
     def __str__(self) -> str:
@@ -271,7 +271,7 @@ def _in_brief(found: Excitation) -> Iterator[str]:
     else:
         yield from islice(_sentences(found), 1)
     if found.remedies:
-        yield f"What would cure it: {found.remedies[0]}."
+        yield f"Remedy: {found.remedies[0]}."
 
 
 def _lost_weights(found: Excitation) -> str:
@@ -300,7 +300,8 @@ def _sentences(found: Excitation) -> Iterator[str]:
         where = "at " * bool(found.scan.shown) + str(found.scan)
         yield f"{group}, tried at {len(found.scan.frequencies)} frequencies: the weights are shown {where}."
     if found.remedies:
-        yield "What would cure it: " + "; ".join(found.remedies) + "."
+        word = "Remedies" if len(found.remedies) > 1 else "Remedy"
+        yield f"{word}: " + "; ".join(found.remedies) + "."
 
 
 def _some(combinations: tuple[Combination, ...]) -> str:
