@@ -142,7 +142,9 @@ def test_a_label_or_its_unit_tells_what_is_measured(label, quantity):
 def test_the_summary_says_what_was_taken_to_be_measured():
     text = fitted("Accel (g)", "x (mm)").summary()
     assert "displacement of 'x (mm)'; acceleration of 'Accel (g)'" in text
-    assert "velocity, as no label tells another" in fitted("y").summary()
+    assert "velocity, as given or by default\n" in fitted("y").summary()
+    for given in (fitted("v [mm/s]"), fitted("velocity [m/s^2]", quantity="velocity")):
+        assert "measured        velocity\n" in given.summary()
 
 
 def test_what_labels_leave_open_is_asked_for():

@@ -51,6 +51,14 @@ def quantity_of_label(label: str) -> str | None:
     return named.pop() if named else None
 
 
+def _tells(label: str) -> bool:
+    """Whether a label tells a quantity; one that contradicts itself was fitted as it was given."""
+    try:
+        return quantity_of_label(label) is not None
+    except StructureError:
+        return True
+
+
 def quantity_of(data: Any) -> Any:
     """Quantities by label of the output, of data that tell them; else that of a port."""
     found: dict[str, str] = {}
@@ -108,9 +116,9 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
 
 
 def measured_by(quantities: Sequence[str], labels: Sequence[str]) -> str:
-    """What each output was taken to measure, in words; a velocity that no label tells is assumed."""
+    """What each output was taken to measure, in words; a velocity that no label tells was given, or is the default."""
     if set(quantities) == {"velocity"}:
-        return "velocity" if all(map(quantity_of_label, labels)) else "velocity, as no label tells another"
+        return "velocity" if all(map(_tells, labels)) else "velocity, as given or by default"
     if len(set(quantities)) == 1:
         return quantities[0]
     outputs = {one: [label for label, q in zip(labels, quantities, strict=True) if q == one] for one in QUANTITIES}
