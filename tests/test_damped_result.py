@@ -89,6 +89,18 @@ def test_shapes_are_the_same_whatever_the_outputs_are(quantity):
     assert np.allclose(factor[:, same], found.residues[:, same], rtol=1e-6)
 
 
+def test_shapes_of_fits_to_different_quantities_compare():
+    K, u = np.array([[3.0, -2.0], [-2.0, 3.0]]), np.random.default_rng(0).standard_normal(800)
+    frame = phc.from_second_order(np.eye(2), K, [[1.0], [0.0]], C=0.02 * K, sensors={"acceleration": np.eye(2)})
+    motion = phc.forced_response(frame, 0.1 * np.arange(800), u, intersample="zoh").outputs
+    velocity, acceleration = motion[0], motion[1:]
+    # the port of the plant is the velocity of the first mass
+    mixed = phc.pem((u, np.stack([velocity, acceleration[1]])), 2, dt=0.1, structure="free",
+                    quantity=("velocity", "acceleration"))  # fmt: skip
+    same = phc.pem((u, acceleration), 2, dt=0.1, structure="free", quantity="acceleration")
+    np.testing.assert_allclose(mixed.mac(same), np.eye(2), atol=1e-6)
+
+
 def test_draws_scatter_as_the_errors_say(result):
     if not result.input_labels:
         return

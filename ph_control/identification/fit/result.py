@@ -168,6 +168,11 @@ class PEMResult(Report, Frozen):
         StructureError
             If the other is no shapes, or not of as many outputs.
 
+        Notes
+        -----
+        Shapes of results are in units of velocity, so that fits to accelerations and to velocities compare.  A form or
+        an array must have the same quantity at all outputs, or be in units of velocity.
+
         Examples
         --------
         >>> import numpy as np, ph_control as phc
