@@ -263,8 +263,15 @@ def residue_weights(r: ArrayLike, n: int) -> Array:
     return array
 
 
-def parameter_pair(d: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+def parameter_pair(d: ArrayLike, v: ArrayLike | None) -> tuple[Array, Array]:
     """Check a pair `(d, v)` of the paper: n positive frequencies and a vector of 2n weights."""
+    if hasattr(d, "poles"):
+        raise StructureError(
+            f"d is a {type(d).__name__}, not natural frequencies; of a lossless system with one port, "
+            "form = modes(sys), they are d = form.d, and v = np.concatenate([form.nu[:, 0].real, form.nu[:, 0].imag])"
+        )
+    if v is None:
+        raise StructureError("v is missing; pass d, of n natural frequencies, and v, of 2n input weights")
     return _pair(natural_frequencies(d), real_array("v", v))
 
 

@@ -337,6 +337,20 @@ def test_bad_arguments_are_refused_with_what_was_measured():
             call()
 
 
+@pytest.mark.parametrize("call", [controllable_morphism, expressive_power])
+def test_refusal_of_a_system_tells_where_its_parameters_are(call):
+    form = phc.modes(phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0]))
+    for arguments in ([form], [phc.ph(form)], [phc.ph(form), [1.0, 0.0]]):
+        with pytest.raises(
+            phc.StructureError, match=r"form = modes\(sys\), they are d = form\.d, and v = np\.conc"
+        ) as told:
+            call(*arguments)
+    d, v = form.d, eval(str(told.value).split("v = ")[1], {"np": np, "form": form})
+    assert expressive_power(d, v).is_full and controllable_morphism(d, v).shape == (2, 2)
+    with pytest.raises(phc.StructureError, match="v is missing; pass d, of n natural frequencies, and v, of 2n"):
+        call([1.0])
+
+
 def test_a_system_without_states_has_empty_morphisms():
     assert controllable_morphism([], []).shape == (0, 0)
     assert expressive_power([], []).is_full

@@ -30,7 +30,7 @@ from .unique_coordinates import norm_of, power_of_two, resonances
 
 
 @np.errstate(over="ignore", invalid="ignore")  # what overflows is refused
-def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None) -> Array:
+def controllable_morphism(d: ArrayLike, v: ArrayLike | None = None, S: ArrayLike | None = None) -> Array:
     """Morphism from the controllable Hamiltonian system CH(d, v) to a port-Hamiltonian one.
 
     The target is `Q = S^T diag(d, d) S`, `B = S^{-1} v` (Theorem 3.3 (i) of the paper): structure is preserved for
@@ -41,7 +41,7 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None
     d : array_like, shape (n,)
         Natural frequencies, positive, in any order.
     v : array_like, shape (2n,)
-        Input vector in Williamson coordinates.
+        Input vector in Williamson coordinates; without it, an error says how to get both from a system.
     S : array_like, shape (2n, 2n), optional
         Symplectic matrix; default the identity.
 
@@ -220,7 +220,7 @@ class ExpressivePower(Frozen):
 
 
 def expressive_power(
-    d: ArrayLike, v: ArrayLike, S: ArrayLike | None = None, *, rtol: float | None = None
+    d: ArrayLike, v: ArrayLike | None = None, S: ArrayLike | None = None, *, rtol: float | None = None
 ) -> ExpressivePower:
     """Tell which states `controllable_morphism(d, v, S)` reaches, and which modes it cannot express.
 
@@ -229,7 +229,7 @@ def expressive_power(
     d : array_like, shape (n,)
         Natural frequencies, positive, in any order.
     v : array_like, shape (2n,)
-        Input vector in Williamson coordinates.
+        Input vector in Williamson coordinates; without it, an error says how to get both from a system.
     S : array_like, shape (2n, 2n), optional
         Symplectic matrix; default the identity.
     rtol : float, optional
