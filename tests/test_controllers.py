@@ -349,6 +349,14 @@ def test_damping_plot_shows_the_loop_at_each_factor():
         phc.damping_plot(CHAIN, 1.0, factors=[1.0, 0.5])
 
 
+def test_the_title_of_a_damping_plot_names_the_system():
+    named = phc.ph(phc.modes(1.0, 1.0), name="bracket")
+    for sys, title in ((named, "Damping of bracket over the gain"), (phc.ph(named, name="sys[3]"), "Damping over")):
+        plot = phc.damping_plot(sys, 0.5)
+        assert plot.figure.get_suptitle().startswith(title)
+        plt.close(plot.figure)
+
+
 def test_a_mode_with_a_node_at_the_damper_limits_the_damping_and_is_no_missing_optimum():
     # the seventh mass of this chain stands still in its second mode, which keeps its own damping
     plant = phc.spring_chain(np.full(10, 100.0), 4e5, ground=[4e5] + [0.0] * 9, c=20.0, port=[6])

@@ -15,6 +15,7 @@ from .._units import unit_for
 from ..controllers.damping_injection import controller_of, damping_injection, plant, port_numbers
 from ..exceptions import StructureError
 from ..systems.port_hamiltonian import PortHamiltonian
+from .inputs import subjects_of, title_of
 from .style import LineStyle, Look, frequency_axis, labelled, picture
 
 if TYPE_CHECKING:
@@ -115,7 +116,8 @@ def damping_plot(
         right.set_xlim(0, None)
         for axis in (left, right):
             look.lattice(axis)
-        return drawn.finished("Damping over the gain", look.legend(left))
+        title = title_of("Damping", subjects_of(sys, None), False)
+        return drawn.finished(f"{title} over the gain", look.legend(left))
 
 
 def _loci(sys: PortHamiltonian, gain: Any, ports: Any, scale: Array) -> tuple[Any, Any, Any]:
