@@ -148,6 +148,14 @@ def test_fixed_points_are_den_hartogs_and_equally_high(mu):
     np.testing.assert_allclose(peaks, np.sqrt(1 + 2 / mu), rtol=5e-3)
 
 
+@pytest.mark.parametrize(
+    "criterion, cost", [("h2", "H2 norm"), ("fixed points", "H2 norm"), ("damping", "smallest damping ratio")]
+)
+def test_the_printed_cost_says_what_it_is(criterion, cost):
+    found = phc.optimal_damping(phc.spring_chain([1.0], ground=1.0), mass=0.05, criterion=criterion)
+    assert f"criterion {criterion}: {cost} {found.cost:.6g}, before" in str(found)
+
+
 def test_one_dashpot_minimises_the_mean_energy():
     sys = phc.spring_chain([1.0, 2.0, 1.0], [3.0, 1.0], ground=[1.0, 0, 0])
 

@@ -101,7 +101,8 @@ class OptimalDamping(Frozen):
         """Table of the devices, and what they bring."""
         count = len(self.gains)
         kind = ("dashpot" if self.masses is None else "tuned mass damper") + "s" * (count != 1)
-        rows = [f"{count} {kind}, criterion {self.criterion}: {self.cost:.6g}, before {self.cost_before:.6g}"]
+        cost = "smallest damping ratio" if self.criterion == "damping" else "H2 norm"
+        rows = [f"{count} {kind}, criterion {self.criterion}: {cost} {self.cost:.6g}, before {self.cost_before:.6g}"]
         rows += [f"  {port:12s} damping {gain:.6g}" for port, gain in zip(self.ports, self.gains, strict=True)]
         frequencies, ratios = self.tuned_frequencies, self.tuned_damping_ratios
         if self.masses is not None and self.stiffnesses is not None and frequencies is not None and ratios is not None:
