@@ -123,12 +123,12 @@ class NotPassiveError(NotLosslessError):
 
     Examples
     --------
-    >>> import control as ct, ph_control as phc
+    >>> import control as ct, numpy as np, ph_control as phc
     >>> try:
     ...     phc.ph(ct.tf([-1, 0], [1, 0.1, 4]))
     ... except phc.NotPassiveError as error:
-    ...     print(error.bands, error.signs)
-    [(0.0, inf)] (-1,)
+    ...     print(np.round(error.bands, 6), error.signs)
+    [[ 0. inf]] (-1,)
     """
 
     def __init__(

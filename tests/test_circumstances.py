@@ -163,8 +163,10 @@ def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift):
         late = phc.pem((u[delay:], y[:-delay]), dt=0.05)
         assert causes(late)["DELAY"].values == (delay,)
         assert [one.cause.name for one in late.findings].count("DRIFT") == (drift > 0)
-        assert late.order == 2 and late.structure == "classical"
-        np.testing.assert_allclose(late.damping_ratios, on_time.damping_ratios, rtol=0.02)
+        # beside a drift, rounding decides whether a third and weak mode mends what is left of it
+        assert 2 <= late.order <= 2 + (drift > 0) and late.structure == "classical"
+        plants = np.argmin(np.abs(late.d - on_time.d[:, None]), axis=1)
+        np.testing.assert_allclose(late.damping_ratios[plants], on_time.damping_ratios, rtol=0.02)
 
 
 @pytest.mark.parametrize("seed", range(3))

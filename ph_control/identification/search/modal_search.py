@@ -523,9 +523,6 @@ class FreePath:
         # real equations of each output, losses that are rounding, and the power of all
         self.counts = np.maximum(counts, 1)
         self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
-        if best is None:
-            none = np.zeros(0, complex)
-            self.power = search.model(FreeProjection(search.rows(none), none)).losses
         self.weigh(self.power if best is None else best.losses)
 
     @classmethod
@@ -555,6 +552,12 @@ class FreePath:
         return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports)
 
     # --- likelihood
+
+    @cached_property
+    def power(self) -> Array:
+        """Losses of outputs without modes."""
+        none = np.zeros(0, complex)
+        return self.search.model(FreeProjection(self.search.rows(none), none)).losses
 
     def weigh(self, losses: Array) -> None:
         """Give every output the weight of the variance that it is left with."""
@@ -853,7 +856,6 @@ class FreePath:
             kept = replace(self.best, at=found.projection)
             other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
             path = FreePath(other, self.felt, self.criterion, self.reports, kept)
-            path.power = self.power
             rival = path.finished(kept, channels, automatic)
         except KeyboardInterrupt:
             if found is not None:
