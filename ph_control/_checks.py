@@ -6,6 +6,7 @@ measured, what is allowed and what to do.  All tolerances are relative.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from operator import index
 from typing import Any, NoReturn
@@ -540,10 +541,21 @@ def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tup
     return tuple(zip(*sides, strict=True))
 
 
+def without_unit(label: str) -> str:
+    """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
+    return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
+
+
+def label_named(name: str, labels: Sequence[str]) -> str | None:
+    """Label that a name stands for: the same text, or the only one that is this name with a unit; None without one."""
+    alike = [label for label in labels if label == name] or [label for label in labels if without_unit(label) == name]
+    return alike[0] if len(set(alike)) == 1 else None
+
+
 def signal_number(role: str, value: Any, labels: Sequence[str]) -> int:
-    """Number of an input or output, given by its number or label."""
-    if isinstance(value, str) and value in labels:
-        return list(labels).index(value)
+    """Number of an input or output, given by its number or label, with or without the unit."""
+    if isinstance(value, str) and (label := label_named(value, labels)) is not None:
+        return list(labels).index(label)
     if is_whole(value) and 0 <= int(value) < len(labels):
         return int(value)
     listed = ", ".join(map(repr, labels)) or "none"

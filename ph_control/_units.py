@@ -39,14 +39,9 @@ def known_unit(text: str) -> str | None:
     return _UNITS.get(text.lower() if len(text) > 2 or text.isupper() else text)
 
 
-def without_unit(label: str) -> str:
-    """Label without the unit at its end: `force [N]`, `force (N)` and `force / N` are all `force`."""
-    return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
-
-
 def parted(label: str) -> tuple[str, str]:
     """Label and unit of `force [N]`, `Acc (g)` and `v[m/s]`; a whole label without one, as `Acc (left)` or `y[0]`."""
-    bare = without_unit(label)
+    bare = _checks.without_unit(label)
     behind = label.strip()[len(bare) :]
     unit = behind.strip()[1:-1].strip()
     if bare and unit and (behind.startswith(" [") or (behind.strip()[0] in "[(" and UNIT.fullmatch(unit))):

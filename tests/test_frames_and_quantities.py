@@ -153,3 +153,13 @@ def test_what_labels_leave_open_is_asked_for():
     assert fitted("Accel (g)", "ch 2", quantity={"ch 2": "free"}).quantities == ("acceleration", "free")
     with pytest.raises(phc.StructureError, match="suggests both acceleration and velocity; pass quantity"):
         fitted("velocity [m/s^2]")
+
+
+def test_ports_and_quantities_are_named_with_or_without_the_unit_of_a_label():
+    labels, given = ("acc 1 [m/s^2]", "acc 2 [m/s^2]"), {"quantity": {"acc 2": "velocity"}}
+    by_name, by_number = fitted(*labels, ports={"acc 1": "u"}, **given), fitted(*labels, ports=[(0, 0)], **given)
+    assert by_name.ports == by_number.ports == ((0, 0),)
+    assert by_name.quantities == ("acceleration", "velocity")
+    with pytest.raises(phc.StructureError, match="no output 'acc'"):
+        fitted("acc [m/s^2]", "acc [g]", ports={"acc": "u"})
+    assert fitted("acc", "acc [g]", ports={"acc": "u"}).ports == ((0, 0),)

@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
+from .._checks import without_unit
 from .._display import counted
 from .._types import Array, Mask
-from .._units import UNIT, known_unit, without_unit
+from .._units import UNIT, known_unit
 from ..exceptions import FileFormatError, StructureError
 from .files import read_bytes, source_name
 
@@ -141,7 +142,12 @@ class Table:
 
 def labelled(wanted: str, labels: Sequence[str]) -> list[int]:
     """Places of the labels that say it: literally, else without their unit, else without regard to case."""
-    for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
+    for simplify in (
+        str.strip,
+        without_unit,
+        str.casefold,
+        lambda label: without_unit(label).casefold(),
+    ):
         target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
         matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
         if matches:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted
-from ..._units import without_unit
 from ...exceptions import StructureError
 from ...io.text_table import is_time_label
 
@@ -37,7 +36,7 @@ def quantity_of_label(label: str) -> str | None:
 
     `Accel (g)`, `x_vel [mm/s]`, `(m/s^2)/N` tell; `ch 3`, `y[0]`, `out (V)` do not.
     """
-    bare = without_unit(label)
+    bare = _checks.without_unit(label)
     unit = label.strip()[len(bare) :].strip(" []()/") if bare else ""
     words = re.findall(r"[^\W\d_]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", bare))
     named = {_QUANTITY_OF_WORD[word.casefold()] for word in words if word.casefold() in _QUANTITY_OF_WORD}
@@ -102,10 +101,12 @@ def checked_quantities(quantity: Any, labels: Sequence[str]) -> tuple[str, ...]:
     if isinstance(quantity, str):
         each: Any = [quantity] * len(labels)
     elif isinstance(quantity, dict):
-        unknown = [name for name in quantity if name not in labels]
+        found = {name: _checks.label_named(name, labels) for name in quantity}
+        unknown = [name for name, label in found.items() if label is None]
         if unknown:
             raise StructureError(f"quantity names {unknown[0]!r}; the outputs are {', '.join(map(repr, labels))}")
-        each = [quantity.get(name) or quantity_of_label(name) or "velocity" for name in labels]
+        given = {found[name]: value for name, value in quantity.items()}
+        each = [given.get(label) or quantity_of_label(label) or "velocity" for label in labels]
     else:
         each = list(quantity) if isinstance(quantity, tuple | list | np.ndarray) else [quantity]
     if len(each) != len(labels):
