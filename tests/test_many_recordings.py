@@ -11,6 +11,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 
 import control as ct
 import matplotlib.pyplot as plt
@@ -78,6 +79,14 @@ def test_a_failure_is_a_row_with_its_message(files):
     assert np.isnan(fits.failures["hertz"]).all() and (fits.failures["mode"] == -1).all()
     assert "5 modes of 8 recordings, 3 failed" in str(fits).splitlines()[0]
     assert len(str(fits).splitlines()) == 2 + 8
+
+
+def test_a_long_table_is_printed_with_all_that_failed(files):
+    fits = phc.fit_many(files, **OPTIONS)
+    table = np.repeat(fits.table, [30, 30, 1, 30, 30, 30])
+    lines = str(replace(fits, table=table)).splitlines()
+    assert len(lines) == 2 + 20 + 3 + 20 and "it must increase" in lines[2 + 21]
+    assert (lines[2 + 20], lines[2 + 22]) == ("  ... 40 more ...", "  ... 70 more ...")
 
 
 def test_a_recording_without_a_mode_is_no_failure():

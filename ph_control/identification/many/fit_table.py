@@ -164,16 +164,21 @@ class FitTable(Report, Frozen):
         return self.track().plot(**kwargs)
 
     def __str__(self) -> str:
-        """Headline, and a line for each row."""
+        """Headline, and a line for each row; of a long table both ends and what failed."""
         rows = np.arange(len(self.table))
         if len(rows) > _SHOWN:
-            rows = np.concatenate([rows[: _SHOWN // 2], rows[-_SHOWN // 2 :]])
+            failed = np.flatnonzero(self.table["order"] < 0)[:_SHOWN]
+            rows = np.unique(np.concatenate([rows[: _SHOWN // 2], failed, rows[-_SHOWN // 2 :]]))
         unit = self.frequency_unit
-        lines = aligned([["recording", "mode", unit, "+-", "damping %", "+-", "fit %", "structure", "message"],
-                         *(_cells(self.table[k]) for k in rows)])  # fmt: skip
-        if len(rows) < len(self.table):
-            lines.insert(1 + _SHOWN // 2, f"  ... {len(self.table) - len(rows)} more ...")
-        return "\n".join([self._headline(), *lines])
+        titles, *lines = aligned([["recording", "mode", unit, "+-", "damping %", "+-", "fit %", "structure", "message"],
+                                  *(_cells(self.table[k]) for k in rows)])  # fmt: skip
+        left_out = np.diff(rows, prepend=-1) - 1
+        shown = [
+            text
+            for count, line in zip(left_out, lines, strict=True)
+            for text in ([f"  ... {count} more ..."] if count else []) + [line]
+        ]
+        return "\n".join([self._headline(), titles, *shown])
 
     def _headline(self) -> str:
         modes, recordings = int((self.table["mode"] >= 0).sum()), len(np.unique(self.table["recording"]))
