@@ -92,6 +92,15 @@ def test_what_is_defined_for_every_linear_system_takes_it(name):
     plt.close("all")
 
 
+def test_the_transfer_function_of_an_entry_of_a_system_with_losses_is_that_of_python_control():
+    pair = phc.spring_chain([1.0, 2.0], 3.0, ground=[1.0, 0.0], c=0.2, port=[0, 1], name="pair")
+    entry = pair[1, 0]
+    for given in (entry, ct.tf(entry)):
+        G = phc.tf(given, name="G")
+        assert G.name == "G" and (G.input_labels, G.output_labels) == (entry.input_labels, entry.output_labels)
+        assert np.allclose(G(0.7j), pair(0.7j)[1, 0], rtol=1e-12)
+
+
 def test_two_systems_with_other_losses_are_not_isomorphic():
     other = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 0.2]))
     assert not phc.are_isomorphic(one_port(), other) and not phc.are_isomorphic(one_port(), one_port().lossless_part())

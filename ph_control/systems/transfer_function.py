@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import _checks
 from .._types import Array
+from ..exceptions import NotLosslessError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import cofactors, digits
 from .base import LosslessSystem
@@ -22,7 +23,7 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     Parameters
     ----------
     sys : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, or any that `ph` takes
-        System to convert.
+        System to convert, such as an entry `circuit["v_Iout", "v_V1"]` of a larger system.
     **names
         `name`, `inputs`, `outputs` as for `control.tf`; those of the system are kept.
 
@@ -36,7 +37,7 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     StructureError
         If a coefficient exceeds the range of doubles.
     NotLosslessError
-        If the system has no port-Hamiltonian form.
+        If modes, or a system of `scipy.signal`, are not lossless.
 
     Warns
     -----
@@ -47,8 +48,8 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     Notes
     -----
     One port: products of positive numbers only, O(n^2).  More ports: `sum_l R_l prod_{j != l} (s^2 + d_j^2)` for each
-    entry, where residues of either sign may cancel; O(n^2 m^2).  Of a system with losses or sensors what
-    `control.ss2tf` gives.
+    entry, where residues of either sign may cancel; O(n^2 m^2).  Of a system that is not lossless, or has sensors,
+    what `control.tf` gives.
 
     Examples
     --------
@@ -56,7 +57,12 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     >>> phc.tf(phc.lc_circuit([1.0, 0.25], [1.0, 1.0])).num_list[0][0]
     array([2., 0., 5., 0.])
     """
-    source = sys if isinstance(sys, LosslessSystem) else ph(sys, lossless=True)
+    try:
+        source = sys if isinstance(sys, LosslessSystem) else ph(sys, lossless=True)
+    except NotLosslessError:
+        if not isinstance(sys, ct.StateSpace | ct.TransferFunction):
+            raise
+        return ct.tf(sys, **names)
     _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs, states=0)
     for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
         if names.get(kind) is None and names.get(kind[:-1]) is None:
