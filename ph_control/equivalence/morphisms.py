@@ -43,7 +43,8 @@ def controllable_morphism(d: ArrayLike, v: ArrayLike | None = None, S: ArrayLike
     v : array_like, shape (2n,)
         Input vector in Williamson coordinates; without it, an error says how to get both from a system.
     S : array_like, shape (2n, 2n), optional
-        Symplectic matrix; default the identity.
+        Symplectic matrix; default the identity.  The morphism to a `PortHamiltonian` has its `sys.d`,
+        `sys.v` and `sys.S`.
 
     Returns
     -------
