@@ -142,12 +142,7 @@ class Table:
 
 def labelled(wanted: str, labels: Sequence[str]) -> list[int]:
     """Places of the labels that say it: literally, else without their unit, else without regard to case."""
-    for simplify in (
-        str.strip,
-        without_unit,
-        str.casefold,
-        lambda label: without_unit(label).casefold(),
-    ):
+    for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
         target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
         matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
         if matches:
