@@ -1,5 +1,7 @@
 """Modal truncation in the inner product of the energy: modes kept as they are, and what the others do statically.
 
+Static deflections get dampers: lightly damped they would resonate where the system has no such resonance.
+
 In coordinates `z` with the energy `|z|^2 / 2` a port-Hamiltonian system is `z' = (J - R) z + (G - P) u`, and its
 projection on any subspace by an orthonormal basis is one too.  On an invariant subspace of `J - R` it keeps the poles.
 """
@@ -110,11 +112,25 @@ def truncated(parts: Parts, wanted: Wanted) -> Parts:
     V = np.zeros((len(F), 0))
     if count:
         V = dtrsen(select, T, Z, job="N", lwork=len(F))[1][:, :count]
-    if static.shape[1]:
-        V = np.hstack([V, _beside(V, static)])
+    deflections, motions = np.hsplit(static, 2)
+    shapes = _beside(V, deflections)
+    moving = _beside(np.hstack([V, shapes]), motions)
+    V = np.hstack([V, shapes, moving])
     if not V.shape[1]:
         raise StructureError(_nothing(wanted))
+    if parts["R"].any():
+        parts = parts | {"R": parts["R"] + _damping(F, shapes, moving)}
     return projected(parts, V)
+
+
+def _damping(F: Array, shapes: Array, moving: Array) -> Array:
+    """Dampers at the velocities of static deflections, of the damping ratio without a resonance.
+
+    The deflections under constant forces do not feel them.
+    """
+    U, frequencies, _ = svd(moving.T @ F @ shapes, full_matrices=False)
+    U = moving @ U
+    return np.asarray(np.sqrt(2.0) * (U * frequencies) @ U.T)
 
 
 def _nothing(wanted: Wanted) -> str:

@@ -58,6 +58,7 @@ def reduce(
     residual_modes : bool
         Of the method 'modal': add the static deflections under forces at the ports, which make the response at low
         frequencies right, by two states for each port; they count among `order`, and are left out where it has no room.
+        In a system with losses they have dampers, so that they do not resonate.
 
     Returns
     -------
