@@ -16,6 +16,8 @@ import ph_control
 HERE = Path(__file__).parent
 LONG = 25  # characters of code that a narrow column of a table may break
 SHORT = 12  # characters of code that stay on one line
+CODE = nodes.literal | nodes.math | nodes.FixedTextElement | nodes.raw
+UNITS = "[kMG]?Hz|m?s|k?g|t|mm|k?N|MN/m|N/m|N s|ohm|[pnu]F|mH|dB|rad/s|degrees|GB|MB"
 
 project = "ph_control"
 author = "The ph_control developers"
@@ -143,11 +145,12 @@ def trim_code(app, doctree):
             block[:] = [nodes.Text(block.rawsource)]
 
 
-def hold_percent(app, doctree):
-    """Keep a per cent sign on the line of its number, outside code."""
+def hold_units(app, doctree):
+    """Keep a per cent sign or a unit on the line of its number, outside code."""
     for text in list(doctree.findall(nodes.Text)):
-        if re.search(r"\d %", text) and not isinstance(text.parent, nodes.literal | nodes.FixedTextElement | nodes.raw):
-            text.parent.replace(text, nodes.Text(re.sub(r"(?<=\d) (?=%)", "\u00a0", text)))
+        held = re.sub(rf"(?<=\d) (?=(?:%|{UNITS})(?!\w))", "\u00a0", text)
+        if held != text and not isinstance(text.parent, CODE):
+            text.parent.replace(text, nodes.Text(held))
 
 
 def break_long_code(app, pagename, templatename, context, doctree):
@@ -186,7 +189,7 @@ def setup(app):
     """Add what the extensions above do not do."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
     app.connect("doctree-read", trim_code)
-    app.connect("doctree-read", hold_percent)
+    app.connect("doctree-read", hold_units)
     app.connect("doctree-resolved", link_names)
     app.connect("doctree-resolved", link_types)
     app.connect("html-page-context", break_long_code)
