@@ -15,6 +15,11 @@ import ph_control
 
 HERE = Path(__file__).parent
 LONG = 25  # characters of code that a narrow column of a table may break
+# where long code breaks: not in Z(s), d_l, 1.5 or ||L||
+BREAK = re.compile(
+    r"((?<=[,/=:])(?=[^\s<&.:)\]])|(?<=\.)(?=[a-z])|(?<=[(\[])(?=[^\s()\[\]<&]{8})"
+    r"|(?<=[a-z]{2}_)(?=[a-z]{2})|(?<=\w\|)(?=\w))(?![^<]*>)"
+)
 SHORT = 12  # characters of code that stay on one line
 CODE = nodes.literal | nodes.math | nodes.FixedTextElement | nodes.raw
 UNITS = "[kMG]?Hz|m?s|k?g|t|mm|k?N|MN/m|N/m|N s|ohm|[pnu]F|mH|dB|rad/s|degrees|GB|MB"
@@ -164,7 +169,7 @@ def break_long_code(app, pagename, templatename, context, doctree):
 def _breakable(tag, text):
     """Text of code with places to break after punctuation, and options held together."""
     if "long" in tag:
-        text = re.sub(r"(?<=[(,._/=\[|:])(?=[^\s<&.:)\]])(?![^<]*>)", "<wbr>", text)
+        text = BREAK.sub("<wbr>", text)
     return re.sub(r"(?<![\w-])(--[a-z-]+)(?![^<]*>)", r'<span class="whole">\1</span>', text)
 
 
