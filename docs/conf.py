@@ -163,7 +163,12 @@ def break_long_code(app, pagename, templatename, context, doctree):
     if "body" in context:
         code = re.compile(r'(<code class="[^"]*\bliteral\b[^"]*">)(.*?)(</code>)', flags=re.S)
         body = code.sub(lambda found: found[1] + _breakable(found[1], found[2]) + found[3], context["body"])
-        context["body"] = re.sub(r"(?<=[>\s(])(\d[\d.]*e-\d+)(?![^<]*>)", r'<span class="whole">\1</span>', body)
+        body = re.sub(r"(?<=[>\s(])(\d[\d.]*e-\d+)(?![^<]*>)", r'<span class="whole">\1</span>', body)
+        if pagename.startswith("api/"):  # names that are wider than a phone
+            body = re.sub(r"(?<=<h1>)\w+", lambda name: re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=_)", "<wbr>", name[0]), body)
+            types = re.compile(r'(?<=<span class="classifier">)[^<]+')
+            body = types.sub(lambda kind: re.sub(r"(?<=\w\.)(?=[A-Za-z])", "<wbr>", kind[0]), body)
+        context["body"] = body
 
 
 def _breakable(tag, text):
