@@ -46,6 +46,7 @@ html_static_path = ["_static"]
 html_css_files = ["custom.css"]
 html_copy_source = html_show_sourcelink = html_show_copyright = False
 html_math_renderer = "mathml"
+smartquotes = False  # values such as 'zoh' are copied from the page
 
 autosummary_generate = True
 numpydoc_show_class_members = False
