@@ -94,4 +94,3 @@ axis.set(xlabel="Frequency over that of the mass alone", ylabel="Displacement ov
 axis.grid(alpha=0.4)
 axis.legend()
 figure.savefig("absorber_designs.png", dpi=110)
-plt.close("all")
