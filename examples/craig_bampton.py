@@ -198,7 +198,7 @@ for (name, model), color, width in zip(models.items(), ("C2", "C3", "0.75"), (2.
     )
     axes["errors"].semilogy(hertz, errors[name], MARKERS[name], color=color, label=name)
 axes["response"].loglog(w / (2 * np.pi), abs(mobility), "k.", markersize=3, zorder=3, label="whole crane")
-axes["response"].set(xlabel="Frequency [Hz]", ylabel="Mobility of the tip [m/s/N]")
+axes["response"].set(xlabel="Frequency [Hz]", ylabel="Mobility of the tip [(m/s)/N]")
 axes["errors"].set(xlabel="Natural frequency [Hz]", ylabel="Relative error of the frequency")
 axes["crane"].legend(loc="lower right")
 axes["response"].legend(fontsize="small", loc="lower left")

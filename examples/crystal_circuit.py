@@ -63,7 +63,8 @@ C1 c out {float(C)!r}
 C0 a out {float(electrodes)!r}
 Rl out 0 50
 .end""")
-print(filter_circuit.state_labels, filter_circuit.damping_ratios)
+print("states:", *filter_circuit.state_labels)
+print("damping ratios:", *(f"{ratio:.4g}" for ratio in filter_circuit.damping_ratios))
 assert phc.passivity(filter_circuit).is_passive
 
 wide = f.mean() + np.linspace(-10e3, 40e3, 4001)

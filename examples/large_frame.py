@@ -3,7 +3,7 @@ From 100 000 degrees of freedom to a controller
 ===============================================
 
 A building of thirty storeys and twenty bays, as finite elements. Forty modes of it are enough for its response up to a
-few hertz, twenty states for a controller, and since all of them are port-Hamiltonian the controller that was made for
+few hertz, twenty states for a controller, and since all of them are port-Hamiltonian, the controller that was made for
 the smallest damps the largest. ``python large_frame.py 29`` splits every beam and column into 29 elements: 105 210
 degrees of freedom, ten seconds of one core. Without an argument it is two elements each, and 5 580 degrees of freedom.
 """
@@ -56,8 +56,8 @@ K, M = (sparse.coo_array((np.concatenate(one), (rows, columns)), (3 * count, 3 *
         [:, 3 * COLUMNS :] for one in (stiffness, mass))  # fmt: skip
 
 # %%
-# Ports are the sideways force and velocity of the roof and of the fifteenth floor. Damping is that of Rayleigh, about
-# half a per cent.
+# Ports are the sideways force and velocity of the roof and of the fifteenth floor. Damping is that of Rayleigh, 0.2
+# to 1.1 % of critical.
 
 F = np.zeros((K.shape[0], 2))
 for port, storey in enumerate((STOREYS, STOREYS // 2)):

@@ -36,5 +36,5 @@ selection.plot(time_unit="s").figure.savefig("order_selection.png", dpi=110)
 # shown.
 
 result = phc.pem((u, y), dt=0.25)
-print(f"pem: {result.order} modes;", result.message)
+print(f"pem: {result.order} modes.", result.message)
 print("errors in units of their standard errors:", ((result.d - plant.d) / result.stderr["d"]).round(1))

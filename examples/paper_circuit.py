@@ -61,7 +61,8 @@ plain = [descend(seed, "plain") for seed in range(STARTS)]
 print(f"gradient descent, plain steps: {sum(result.diverged for result in plain)} of {STARTS} starts diverge")
 print("   ", plain[0].message)
 learned = min((descend(seed) for seed in range(STARTS)), key=lambda result: result.loss)
-print(f"gradient descent, steps of Adam, best of {STARTS} starts:", learned.message)
+print(f"gradient descent, steps of Adam, best of {STARTS} starts")
+print("   ", learned.message)
 print("    frequencies", np.sort(learned.d).round(3), "where the circuit has", circuit.d)
 
 # %%

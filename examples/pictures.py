@@ -12,8 +12,9 @@ import numpy as np
 
 import ph_control as phc
 
-# A slow mode and a fast one, 1 and 200000 rad/s.  Instants that suit the slow one have a small part of a sample in a
-# period of the fast one: a line through them shows a motion that is not there.  `step_plot` draws the envelope.
+# %%
+# A slow mode and a fast one, 1 and 200 000 rad/s.  Instants that suit the slow one are far apart for the fast one: a
+# line through them shows a motion that is not there.  `step_plot` draws the envelope.
 
 stiff = phc.ph(phc.modes([1.0, 2e5], [1.0, 0.3]), name="stiff")
 sampled = ct.step_response(ct.ss(stiff), timepts=np.linspace(0.0, 20.0, 201))

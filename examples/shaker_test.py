@@ -62,7 +62,8 @@ print(f"distance of the pairs in half-power bandwidths: {', '.join(f'{one:.2f}' 
 
 # %%
 # Above, the response at the shaker on floor 4: the pairs look like single peaks. Below, the shapes that the fit tells
-# apart, left side and right side over the floors, with 95 % intervals: pairs that bend, and that twist.
+# apart, left side and right side over the floors, with 95 % intervals: one of each pair bends, the other
+# twists.
 
 figure = plt.figure(figsize=(11, 7), layout="constrained")
 upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1))

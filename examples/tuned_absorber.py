@@ -41,7 +41,7 @@ assert both.n == tower.n + absorber.n - 1 and both.poles().real.max() < 0
 # %%
 # The mobility of the roof: one peak becomes two low ones.
 
-plot = phc.bode_plot([tower, both], gain_unit="m/s/N", time_unit="s", omega=2 * np.pi * np.geomspace(0.8, 12, 800))
+plot = phc.bode_plot([tower, both], gain_unit="(m/s)/N", time_unit="s", omega=2 * np.pi * np.geomspace(0.8, 12, 800))
 plot.figure.savefig("absorber_bode.png", dpi=110)
 peaks = [np.abs(one(1j * np.linspace(0.5, 1.5, 2001) * w1)).max() for one in (tower, both)]
 print(f"the first peak is {peaks[0] / peaks[1]:.1f} times lower")
