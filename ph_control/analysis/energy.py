@@ -128,8 +128,8 @@ def energy_balance(
     >>> sys = phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0])
     >>> t = np.linspace(0.0, 1.0, 11)
     >>> euler = phc.forced_response(sys, t, 0.0, [1.0, 0.0], method="euler")
-    >>> phc.energy_balance(euler, sys).defect[1].round(3)
-    np.float64(0.08)
+    >>> phc.energy_balance(euler, sys).defect[1].round(3).item()
+    0.08
     """
     if not isinstance(sys, PortHamiltonian):
         raise StructureError(f"this is a {type(sys).__name__}; the energy is that of a PortHamiltonian: use ph(sys)")

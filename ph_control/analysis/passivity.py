@@ -49,8 +49,8 @@ class PassivityReport(Frozen, Report):
     --------
     >>> import control as ct, ph_control as phc
     >>> report = phc.passivity(ct.tf([1.0, 1.0], [1.0, 0.2, 1.0]))
-    >>> report.is_passive, [(low, high) for low, high in report.bands]
-    (False, [(1.11803398874989..., inf)])
+    >>> report.is_passive, [(round(low, 3), high) for low, high in report.bands]
+    (False, [(1.118, inf)])
     """
 
     kind: str

@@ -785,8 +785,8 @@ def modes(
     >>> damped = phc.modes([3.0, 1.0], [0.5, 2.0], damping=0.01)
     >>> damped.natural_frequencies, damped.damping_ratios.round(6)
     (array([1., 3.]), array([0.01, 0.01]))
-    >>> damped.freqresp(1.0).round(3)
-    np.complex128(100.001+0.187j)
+    >>> damped.freqresp(1.0).round(3).item()
+    (100.001+0.187j)
     """
     if participation is not None:
         if r is None or damping is not None:
