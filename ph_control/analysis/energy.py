@@ -37,7 +37,7 @@ class EnergyBalance(Report):
     dissipated : ndarray, shape (T,)
         Energy lost since the first instant; 0 of a lossless system.
     time_unit : str or None
-        Unit of time that the response tells; None where it tells none.
+        Unit of time of the response; None where it is not known.
 
     Examples
     --------
@@ -112,8 +112,8 @@ def energy_balance(
     Raises
     ------
     StructureError
-        If the response is none, has no states, several traces, sizes that do not fit the system or one another,
-        numbers that are not real and finite, or energies beyond the range of doubles.
+        If the response is not a `TimeResponseData`, has no states, several traces, sizes that do not fit the system or
+        one another, numbers that are not real and finite, or energies beyond the range of doubles.
 
     Notes
     -----

@@ -100,8 +100,8 @@ def forced_response(
     -----
     Blocks of samples as matrix products, modal states carried between them: O(T (block + n)) for the outputs, with
     blocks of about `sqrt(180 n)` samples, and O(T n^2) for the states.  The phase of each mode is kept to twice the
-    digits, so the error after 1e5 steps is below 1e-12 of the largest output.  See theory of exact hold equivalents
-    for 'zoh' and 'foh'.
+    digits, so the error after 1e5 steps is below 1e-12 of the largest output.  'zoh' and 'foh' are
+    exact hold equivalents.
 
     States of a canonical form have ten digits of their largest value or more: where doubles have not, decimal numbers
     of many digits take their place.  Where these would take too long, a `ConditioningWarning` tells the digits, and

@@ -54,8 +54,8 @@ def observer(
 
     Notes
     -----
-    `x^' = (J - R - B_k K B_k^T) Q x^ + (B - P) u + B_k K y`: the error `e` obeys the same equation without inputs, so
-    that its energy `e^T Q e / 2` never rises; with losses or where ports see all modes it falls to 0.  Sensors away
+    `xhat' = (J - R - B_k K B_k^T) Q xhat + (B - P) u + B_k K y`: the error `e` obeys the same equation without inputs,
+    so that its energy `e^T Q e / 2` never rises; with losses or where ports see all modes it falls to 0.  Sensors away
     from the ports have no such law; for these use `control.lqe`.
 
     Examples
@@ -141,12 +141,12 @@ def lqg(
     In coordinates of unit energy, `Q = I` and `C = B^T`: the noise of the measurement has the covariance `E`, that of
     the states `2 R + B E^{-1} B^T`, such as thermal noise; the covariance of the estimates is then the identity and
     the gain of the filter `B E^{-1}`.  With the cost `x^T (W + B E^{-1} B^T) x + u^T E u` and the solution `X` of its
-    Riccati equation, `u = -E^{-1} B^T X x^`, and
+    Riccati equation, `u = -E^{-1} B^T X xhat`, and
 
         `X A_c + A_c^T X = -W - (X B + B) E^{-1} (X B + B)^T`
 
-    for the dynamics `A_c` of the controller: its energy is `x^^T X x^ / 2`, and it is passive (Lozano-Leal and Joshi).
-    The loop is stable with every passive plant, not only with the one it was made for.
+    for the dynamics `A_c` of the controller: its energy is `xhat^T X xhat / 2`, and it is passive (Lozano-Leal and
+    Joshi).  The loop is stable with every passive plant, not only with the one it was made for.
 
     Examples
     --------

@@ -39,7 +39,7 @@ class UniversalModes(Frozen):
         Mode shapes at the outputs.
     modal_a : ndarray of complex, shape (n,)
         Their scale: the receptance has the residues `shape shape^T / modal_a`, `modal_a = 2j Im p` with unit modal
-        mass; 0 where the file tells none.
+        mass; 0 where the file has none.
     output_labels : tuple of str
         Nodes and directions, such as `'3+Z'`.
     time_unit : str

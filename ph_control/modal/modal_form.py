@@ -238,7 +238,7 @@ class ModalForm(ShownModes):
         Raises
         ------
         StructureError
-            If the other is none, or the numbers of outputs differ.
+            If the other is not a `ModalForm`, or the numbers of outputs differ.
 
         Examples
         --------

@@ -59,7 +59,7 @@ def energy_plot(
     Raises
     ------
     StructureError
-        If `balance` is none, or the labels are not one for each.
+        If `balance` is not an `EnergyBalance`, or the labels are not one for each.
 
     Notes
     -----
@@ -131,7 +131,7 @@ def passivity_plot(report: PassivityReport, *, ax: Any = None, **style: Unpack[L
     Raises
     ------
     StructureError
-        If `report` is none, or the system is unstable.
+        If `report` is not a `PassivityReport`, or the system is unstable.
 
     Notes
     -----

@@ -83,7 +83,7 @@ class LosslessSystem(ct.StateSpace):
 
     @property
     def state_index(self) -> dict[str, int]:
-        """Names of the states, each with its place; made when somebody asks."""
+        """Names of the states, each with its index; made on first access."""
         if self._state_index is None:
             self.set_states(self.nstates)
         assert self._state_index is not None

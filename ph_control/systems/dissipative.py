@@ -66,7 +66,7 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     Notes
     -----
-    `dH/dt = u^T y - [e; u]^T W [e; u]` with `e = Q x` and `W = [[R, P], [P^T, S]] >= 0`.  Matrices are locked.
+    `dH/dt = u^T y - [e; u]^T W [e; u]` with `e = Q x` and `W = [[R, P], [P^T, S]] >= 0`.  Matrices are read-only.
     Frequency responses, poles and simulations run on the modal form, O(n) a point; what takes O(n^3) is computed on
     first access and kept.  Up to 500 states, modes are corrected by residuals of twice the digits: where a
     transformation parts the poles, they are right to their own rounding.

@@ -64,7 +64,7 @@ class PortHamiltonian(LosslessSystem):
     Notes
     -----
     Building costs O(n^2).  What takes O(n^3), modes and matrices, is computed on first access, kept, and shared with
-    copies and pickles.  Matrices are locked, and never those of the user, which may change.
+    copies and pickles.  Matrices are read-only copies of those given.
     Frequency responses, poles and zeros run on modal coordinates.  `+` of two PH systems and multiplication by a
     positive number stay PH; `0 + sys` is `sys`; every other operation gives a plain `StateSpace`, or what a
     `TransferFunction` on its left makes of it.

@@ -166,7 +166,7 @@ class PEMResult(Report, Frozen):
         Raises
         ------
         StructureError
-            If the other is no shapes, or not of as many outputs.
+            If the other has no shapes, or another number of outputs.
 
         Notes
         -----

@@ -88,7 +88,7 @@ class FittedExperiment(FittedData):
 
     @property
     def left(self) -> Difference:
-        """The residuals, worked out where they are asked for."""
+        """Residuals, computed when they are read."""
         return Difference(self.measured, self.predicted)
 
 

@@ -38,7 +38,7 @@ def compare_plot(comparison: Comparison, experiment: int = 0, **kwargs: Any) -> 
     Raises
     ------
     StructureError
-        If `comparison` is none, or there is no such experiment.
+        If `comparison` is not a `Comparison`, or there is no such experiment.
 
     Notes
     -----
@@ -78,7 +78,7 @@ def residual_plot(analysis: ResidualAnalysis | PEMResult, experiment: int = 0, *
     Raises
     ------
     StructureError
-        If `analysis` is none, or there is no such experiment.
+        If `analysis` is not a `ResidualAnalysis`, or there is no such experiment.
 
     Notes
     -----
@@ -142,7 +142,7 @@ def order_plot(selection: OrderSelection, criterion: str = "bic", **kwargs: Any)
     Raises
     ------
     StructureError
-        If `selection` is none, or has no such criterion.
+        If `selection` is not an `OrderSelection`, or has no such criterion.
 
     Notes
     -----
