@@ -301,7 +301,7 @@ def _message(
     best, power = losses[best_epoch], float(np.var(problem.y[problem.learned])) or 1.0
     parts = [
         f"{len(losses) - 1} steps of {epochs}: mean squared error {losses[0]:.3g} at the start, {best:.3g} at best "
-        f"({100 * best / power:.2g} % of the variance of the output)."
+        f"({float(f'{100 * best / power:.2g}'):g} % of the variance of the output)."
     ]
     kept = f"The parameters after step {best_epoch} are kept"
     if len(losses) <= epochs:
