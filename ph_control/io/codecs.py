@@ -187,8 +187,8 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     OutputExistsError
         If the file exists and `overwrite` is False or it is read-only, or the path is a folder, a device, a pipe or a
         socket.  Nothing is written then.
-    FileNotFoundError
-        If the folder does not exist (an error of this package as well).
+    FileMissingError
+        If the folder does not exist.
     StructureError
         If the object is of another kind, or holds what `load` would refuse, or the path cannot be the name of a file
         or is that of a MATLAB or text file, `.mat`, `.csv` or `.txt`, which this would not be.
@@ -258,8 +258,8 @@ def load(path: str | os.PathLike[str] | BinaryIO | TextIO) -> Any:
     FileFormatError
         If the file is not JSON, damaged, cut short, of another program, of a newer schema or of an unknown kind,
         or if its values are not a valid model.  The message says which, and where.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     Notes
     -----

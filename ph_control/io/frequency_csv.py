@@ -102,8 +102,8 @@ def read_frequency_csv(
         If the content is not such a table; it names line and column, what was found and what to do.
     StructureError
         If the arguments do not fit the file, or a unit is told by neither.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     See Also
     --------

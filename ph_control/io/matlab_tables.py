@@ -63,8 +63,8 @@ def read_mat(
         an input or the time has missing values, or the sampling is not uniform.
     StructureError
         If a variable is not in the file, or the lengths do not fit.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     See Also
     --------
@@ -150,8 +150,8 @@ def read_frequency_mat(
         If the file is damaged or no `.mat` file of version 5 to 7, or if a variable is not an array of numbers.
     StructureError
         If a variable is not in the file, or the lengths do not fit.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     See Also
     --------

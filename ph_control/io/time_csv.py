@@ -76,8 +76,8 @@ def read_csv(
         input or time, unequal sampling, and a file of fewer than two rows are such errors too.
     StructureError
         If the arguments do not fit the file, such as a column that it does not have.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     Notes
     -----

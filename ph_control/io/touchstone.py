@@ -52,8 +52,8 @@ def read_touchstone(path: str | os.PathLike[str] | BinaryIO | TextIO, *, paramet
         through connection has neither.
     MissingPackageError
         If scikit-rf is not installed; `pip install "ph_control[formats]"` brings it.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     See Also
     --------

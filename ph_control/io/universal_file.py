@@ -91,8 +91,8 @@ def read_uff(
         If a label is not in the file.
     MissingPackageError
         If pyuff is not installed; `pip install "ph_control[formats]"` brings it.
-    FileNotFoundError
-        If there is no such file (an error of this package as well).
+    FileMissingError
+        If there is no such file.
 
     See Also
     --------

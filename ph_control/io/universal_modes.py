@@ -119,8 +119,8 @@ def write_uff(
         If `result` is of another kind or has no modes, a place is no node and direction, or two outputs are at one.
     OutputExistsError
         If the file exists and `overwrite` is False, or it cannot be replaced.
-    FileNotFoundError
-        If the folder does not exist (an error of this package as well).
+    FileMissingError
+        If the folder does not exist.
 
     See Also
     --------
