@@ -178,7 +178,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     obj : PortHamiltonian, ControllableHamiltonian, ObservableHamiltonian, AffineHamiltonian, ModalForm or PEMResult
         The model.
     path : str or path-like
-        The file, `.json` by custom.
+        The file, `.json` by convention.
     overwrite : bool, optional
         Whether a file of that name may be replaced.
 
@@ -198,7 +198,7 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     Notes
     -----
     Every number comes back bit by bit, with all names; a system made from modes stays one.  The file appears whole
-    or not at all; one that is replaced keeps its permissions.  Its content is described in `docs/files.md`.
+    or not at all; one that is replaced keeps its permissions.  The page Files of the documentation describes it.
 
     Examples
     --------

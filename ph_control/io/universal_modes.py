@@ -106,7 +106,7 @@ def write_uff(
     result : PEMResult or UniversalModes
         The modes.
     path : str or path-like
-        The file, `.uff` or `.unv` by custom.
+        The file, `.uff` or `.unv` by convention.
     places : list of str, or mapping, optional
         Node and direction of each output, `"3+Z"`, or `"3-Z"` for a sensor that points the other way; by label in a
         mapping.  Default: the labels, which are such places after `read_uff`.
