@@ -152,9 +152,9 @@ def trim_code(app, doctree):
 
 
 def hold_units(app, doctree):
-    """Keep a per cent sign or a unit on the line of its number, outside code."""
+    """Keep a per cent sign, a unit and the thousands of 20 000 on the line of their number, outside code."""
     for text in list(doctree.findall(nodes.Text)):
-        held = re.sub(rf"(?<=\d) (?=(?:%|{UNITS})(?!\w))", "\u00a0", text)
+        held = re.sub(rf"(?<=\d) (?=(?:%|\d{{3}}|{UNITS})(?!\w))", "\u00a0", text)
         if held != text and not isinstance(text.parent, CODE):
             text.parent.replace(text, nodes.Text(held))
 
@@ -173,10 +173,10 @@ def break_long_code(app, pagename, templatename, context, doctree):
 
 
 def _breakable(tag, text):
-    """Text of code with places to break after punctuation, and options held together."""
+    """Text of code with places to break, and options and negative values held together."""
     if "long" in tag:
         text = BREAK.sub("<wbr>", text)
-    return re.sub(r"(?<![\w-])(--[a-z-]+)(?![^<]*>)", r'<span class="whole">\1</span>', text)
+    return re.sub(r"(?<![\w-])(--?\w[a-z-]*)(?![^<]*>)", r'<span class="whole">\1</span>', text)
 
 
 def without_private(_app, _what, _name, _obj, _options, signature, return_annotation):
