@@ -233,3 +233,18 @@ def test_the_command_line_fits_channels_and_names_ports(tmp_path):
     assert np.shape(answer["stderr"]["residues"]) == (2, 3, 2, 2)
     refused = run(*words[:-1], "a-f")
     assert refused.status == 2 and "not a list of ports" in refused.error
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+def test_the_hold_is_that_of_the_more_nearly_real_shapes(intersample, seed):
+    """With one local damper, and a sensor away from the force, no structure stands, and both holds fit alike."""
+    n, rng = 4, np.random.default_rng(seed)
+    K = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    C = 0.01 * K + 0.06 * np.diag(np.arange(n) == seed)
+    velocity = {"velocity": np.eye(n)[[2]]}
+    plant = phc.from_second_order(np.eye(n), K, np.eye(n)[0], C=C, sensors=velocity)
+    u = rng.standard_normal(3000)
+    y = phc.forced_response(plant, 0.5 * np.arange(3000), u, intersample=intersample).outputs[1]
+    result = phc.pem((u, y + 0.05 * y.std() * rng.standard_normal(3000)), dt=0.5)
+    assert result.structure == "free" and result.intersample == intersample

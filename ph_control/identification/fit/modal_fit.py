@@ -119,7 +119,11 @@ def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]
 
 
 def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> DampedResult:
-    """The same in the rows there are."""
+    """The same in the rows there are.
+
+    Where no structure stands under either hold, as neither is exact, it is the one under which shapes are more nearly
+    real.
+    """
     try:
         first = _structure_of(free, asked)
     except KeyboardInterrupt:
@@ -130,9 +134,12 @@ def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...
     if free.rival is None or first[0].structure in settled:
         return _result(free, *first, asked, findings)
     try:
-        simpler = STRUCTURES[: STRUCTURES.index(first[0].structure)]
-        if asked.structure == "auto" and _tested(free.rival, asked, simpler)[0].structure not in simpler:
-            return _result(free, *first, asked, findings)
+        if asked.structure == "auto":
+            simpler = STRUCTURES[: STRUCTURES.index(first[0].structure)]
+            chosen, tests = _tested(free.rival, asked, simpler)
+            gain = _classical_cost(free, first[1]) - _classical_cost(free.rival, tests)
+            if chosen.structure not in simpler and (first[0].structure != "free" or gain <= 2 * TUNING.sure):
+                return _result(free, *first, asked, findings)
         second = _structure_of(free.rival, asked)
     except KeyboardInterrupt:
         return cut_short(_result(free, *first, asked, findings))
@@ -140,6 +147,11 @@ def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...
         return _result(free.rival, *second, asked, findings)
     found, other = _result(free, *first, asked, findings), _result(free.rival, *second, asked, findings)
     return other if other.loglik > found.loglik + TUNING.sure else found
+
+
+def _classical_cost(free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
+    """Criterion of the classical model of a fit, short of its unknowns; that of the fit itself where it has none."""
+    return free.criteria.bic + sum(one.likelihood_ratio for one in tests if one.hypothesis == "classical")
 
 
 def structured(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:

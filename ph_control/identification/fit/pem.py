@@ -82,7 +82,8 @@ def pem(
         Discretisation of the model; 'exact' for real recordings, the others for data made by such an integrator,
         which a lossless model is fitted to.
     intersample : {'auto', 'zoh', 'foh'}
-        Input between samples: held, or linear; 'auto' takes what the data prefer, and 'zoh' where they cannot tell.
+        Input between samples: held, or linear; 'auto' takes what the data prefer, where they cannot tell that with
+        which the structure is simpler or shapes are more nearly real, and else 'zoh'.
     initial_state : {'estimate', 'zero'}
         Whether the records may start in motion.
     offset : bool or 'auto'
