@@ -458,7 +458,8 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         return (
             f"The residuals of {finding.output!r} grow with the response, as with {100 * values[0]:.2g} % more input "
             f"({certain}): unmeasured forces, or noise on the recorded input, which makes residues "
-            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % for white inputs."
+            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % for white inputs. Of a hammer, set the "
+            "force to 0 outside the contact."
         )
     return (
         f"The recorded input has noise of about {100 * values[0]:.2g} % of its size ({certain}) that did not act on "
