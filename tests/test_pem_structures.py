@@ -141,6 +141,21 @@ def test_a_roving_hammer_and_roving_sensors_are_one_experiment_each():
     assert np.all(np.abs(found.shapes - PLANT.shapes) < 5 * np.abs(found.stderr["shapes"]))
 
 
+def test_shapes_of_a_roving_hammer_compare_over_the_places_of_the_hits():
+    rng, t, parts = np.random.default_rng(5), np.arange(500.0), []
+    for k in (0, 1, 0, 1):
+        u = np.zeros((2, 500))
+        u[k] = rng.standard_normal(500)
+        y = PLANT.velocities(u)[0]
+        y = y + 0.02 * np.std(y) * rng.standard_normal(500)
+        parts.append(ct.TimeResponseData(t, y, inputs=u[k], issiso=True, input_labels=[f"u{k}"], output_labels=["y"]))
+    found = phc.pem(parts, ports=[("y", "u0")], structure="free")
+    assert found.shapes.shape == (2, 1)
+    np.testing.assert_allclose(found.mac(PLANT.shapes[:, :2]).diagonal(), 1, atol=1e-3)
+    np.testing.assert_allclose(found.mac(found), phc.mac_plot(found).lines[0, 0][0].get_array())
+    assert np.all(found.phase_collinearity > 0.99) and np.all(found.phase_collinearity < 1)
+
+
 def test_gaps_and_an_offset_are_no_modes():
     u, y = recording()
     y = y + np.array([[3.0], [0.0], [-20.0]])

@@ -341,7 +341,7 @@ def shape_table(
     source = getattr(given, "modes", given) if not hasattr(given, "shapes") else given
     found = getattr(source, "shapes", given)
     c, places, names = _checked_shapes(found), "Sensor", "output_labels"
-    moved = _over_inputs(given)
+    moved = over_inputs(given)
     if moved is not None:
         c, places, names = moved, "Input", "input_labels"
     unit = unit_for(time_unit, given)
@@ -372,12 +372,12 @@ def shape_table(
     return ShapeTable(shapes, reach, phase_collinearity(c), titles, ticks, name, labels, places, interval)
 
 
-def _over_inputs(given: Any) -> ComplexArray | None:
+def over_inputs(given: Any) -> ComplexArray | None:
     """Shapes over the places of the forces (n, m), of a result of one output and several inputs."""
-    b, quantities = (getattr(given, name, None) for name in ("participation", "quantities"))
-    if b is None or quantities is None or len(quantities) > 1 or b.shape[1] < 2:
+    quantities = getattr(given, "quantities", None)
+    if quantities is None or len(quantities) > 1 or given.participation.shape[1] < 2:
         return None
-    p = given.poles
+    b, p = given.participation, given.poles
     return np.asarray(b * (2j * p.imag / p ** _POWERS.get(quantities[0], 0))[:, None])
 
 

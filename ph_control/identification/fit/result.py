@@ -23,7 +23,7 @@ from ...numerics.mode_shapes import mac, phase_collinearity
 from ...plotting.bode_plot import bode_plot
 from ...plotting.fit_plot import fit_plot
 from ...plotting.frf_plot import frf_plot
-from ...plotting.shape_plot import circle_plot, mac_plot, shape_plot
+from ...plotting.shape_plot import circle_plot, mac_plot, over_inputs, shape_plot
 from ...plotting.validation_plot import hypothesis_plot, stabilisation_plot
 from ..diagnosis.verdict import CUT_SHORT, Outcome
 from ..regression.prediction import chosen_experiment, joint_percent, shares_left
@@ -147,8 +147,11 @@ class PEMResult(Report, Frozen):
 
     @property
     def phase_collinearity(self) -> Array:
-        """Modal phase collinearity `|c^T c|^2 / (c^H c)^2`, shape (n,): 1 where outputs move in phase or opposed."""
-        return phase_collinearity(self.shapes)
+        """Modal phase collinearity `|c^T c|^2 / (c^H c)^2`, shape (n,): 1 where outputs move in phase or opposed.
+
+        Of one output and several inputs, as of a roving hammer, it is that of the shapes over the inputs.
+        """
+        return phase_collinearity(_compared_shapes(self))
 
     def mac(self, other: Any) -> Array:
         """Modal assurance criterion `|c^H c'|^2 / (|c|^2 |c'|^2)` of the mode shapes of two results, from 0 to 1.
@@ -156,7 +159,7 @@ class PEMResult(Report, Frozen):
         Parameters
         ----------
         other : PEMResult, ModalForm, or array_like, shape (k, p)
-            Other mode shapes of the same outputs.
+            Other mode shapes of the same outputs; where this result has one output and several inputs, of the inputs.
 
         Returns
         -------
@@ -171,7 +174,8 @@ class PEMResult(Report, Frozen):
         Notes
         -----
         Shapes of results are in units of velocity, so that fits to accelerations and to velocities compare.  A form or
-        an array must have the same quantity at all outputs, or be in units of velocity.
+        an array must have the same quantity at all outputs, or be in units of velocity.  Of a result of one output and
+        several inputs, as of a roving hammer, the shapes are those over the inputs, as in `shape_plot`.
 
         Examples
         --------
@@ -183,7 +187,7 @@ class PEMResult(Report, Frozen):
         array([[1.]])
         """
         if isinstance(other, PEMResult | ModalForm):
-            return mac(self.shapes, other.shapes)
+            return mac(_compared_shapes(self), _compared_shapes(other))
         try:
             shapes = np.array(other, dtype=complex)
         except (TypeError, ValueError, OverflowError):
@@ -194,7 +198,7 @@ class PEMResult(Report, Frozen):
                 "finite elements `structural_modes.shapes[places].T`, with the rows where the sensors are"
             )
         _checks.finite("other", shapes)
-        return mac(self.shapes, shapes)
+        return mac(_compared_shapes(self), shapes)
 
     def _only(self, name: str) -> Any:
         if len(self.experiments) > 1:
@@ -508,6 +512,12 @@ class PEMResult(Report, Frozen):
         refuse_unwritable(target, overwrite)
         page = page_of(self, title or "Identification report")
         write_atomically(target, page, overwrite=overwrite)
+
+
+def _compared_shapes(found: Any) -> ComplexArray:
+    """Shapes over the outputs (n, p), or of one output and several inputs over the inputs (n, m)."""
+    moved = over_inputs(found)
+    return np.asarray(found.shapes) if moved is None else moved
 
 
 def cut_short(result: Any) -> Any:
