@@ -143,7 +143,18 @@ def test_a_delay_is_named_and_the_order_stays(delay, samples):
     finding = causes(result)["DELAY"]
     assert finding.values == (delay,) and finding.gain > 20
     assert result.order == plant.n
+    assert "has a delay; fit u[" in result.message
     assert not result.outcome.leaves_a_model
+
+
+def test_a_mode_slower_than_the_record_is_called_a_drift():
+    rng, plant = np.random.default_rng(8), phc.ph(phc.modes(3.0, 0.33, damping=0.01))
+    t, u = 0.05 * np.arange(1500), rng.standard_normal(1500)
+    y = phc.forced_response(plant, t, u, intersample="zoh").outputs + 0.01 * rng.standard_normal(1500)
+    result = phc.pem((u, y + 0.5 * np.sin(2 * np.pi * t / 110)), 2, dt=0.05, offset=False)
+    assert result.order == 2 and result.natural_frequencies[0] < 2 * np.pi / t[-1]
+    assert "Mode 1 would complete less than one period in the record" in result.message
+    assert "less than one period" not in phc.pem((u, y), dt=0.05).message
 
 
 # --- noise -----------------------------------------------------------------------------------------------------------
@@ -162,6 +173,7 @@ def test_a_delay_of_a_damped_plant_is_named_and_none_where_there_is_none(drift):
     for delay in (1, 4, 8):
         late = phc.pem((u[delay:], y[:-delay]), dt=0.05)
         assert causes(late)["DELAY"].values == (delay,)
+        assert f"this is the fit of u[:-{delay}], y[{delay}:]" in late.message
         assert [one.cause.name for one in late.findings].count("DRIFT") == (drift > 0)
         # beside a drift, rounding decides whether a third and weak mode mends what is left of it
         assert 2 <= late.order <= 2 + (drift > 0) and late.structure == "classical"

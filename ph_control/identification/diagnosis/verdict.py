@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -152,11 +153,7 @@ class FitVerdict:
                 "question the model."
             )
         if self.drifting and not self.blind:
-            named = named_modes([l + 1 for l in self.drifting]).capitalize()
-            parts.append(
-                f"{named} would complete less than one period in the record: probably an offset or a drift; subtract "
-                "the mean or the trend first."
-            )
+            parts.append(slower_than_record(self.drifting))
         if self.active and not self.blind:
             asked = (
                 "the record needs a residue that no lossless model with input and output at the same port has."
@@ -233,3 +230,11 @@ class FitVerdict:
             f"{found}: suspect damping, a sensor away from the actuator, an output that is not the {self.quantity} "
             f"({', '.join(others)})."
         )
+
+
+def slower_than_record(modes: Sequence[int]) -> str:
+    """What modes, numbered from 0, are that would complete less than one period in the record, and what to do."""
+    return (
+        f"{named_modes([l + 1 for l in modes]).capitalize()} would complete less than one period in the record: "
+        "probably an offset or a drift; subtract the mean or the trend first."
+    )

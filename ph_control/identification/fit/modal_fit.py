@@ -21,7 +21,7 @@ from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers, saturation
-from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome
+from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, Pairs, joint_percent, pieces, shares_left
@@ -296,6 +296,8 @@ def _judged(
         findings = (*findings, *_outliers(experiments, spare))
     spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
     growing = np.flatnonzero(poles.real > _CERTAIN * spread * np.abs(poles))
+    length = max((one.dt * one.samples for one in free.channels if isinstance(one, Recording)), default=np.inf)
+    slow = np.flatnonzero(np.abs(poles) * length < 2 * np.pi * (1 - 1e-6))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
     shown = tuple(_squeezed(one) for one in experiments) if single else experiments
     far = any(one.cause is Cause.OUTLIERS for one in findings)
@@ -330,7 +332,7 @@ def _judged(
         findings=findings,
         success=fit.converged and not free.interrupted,
         outcome=outcome,
-        message=_message(free, growing, tests, findings, shapes, fitted, whiteness, outcome),
+        message=_message(free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome),
         intersample="zoh" if free.per_entry else free.intersample,
     )  # fmt: skip
 
@@ -540,7 +542,7 @@ def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bo
 
 
 def _message(
-    free: FreeFit, growing: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
+    free: FreeFit, growing: Indices, slow: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
     shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
@@ -558,13 +560,16 @@ def _message(
                 "record a decay or the forces, or use a program for ambient excitation."
             )
     unit = free.channels[0].time_unit
-    parts += [sentence_of(one, free.intersample, unit) for one in findings if worth_telling(one, free.intersample)]
+    told = [one for one in findings if worth_telling(one, free.intersample)]
+    parts += [sentence_of(one, free.intersample, unit, removed=True) for one in told]
     kept = [one for one in tests if one.p >= LEVEL and one.dof]
     if kept:
         parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")
     if len(growing):
         grow = "grows" if len(growing) == 1 else "grow"
         parts.append(f"{counted(len(growing), 'mode')} {grow}: {', '.join(map(str, growing + 1))}.")
+    if len(slow):
+        parts.append(slower_than_record(slow.tolist()))
     if shapes.shapes.shape[1] > 1:
         parts.append(
             "Mode shapes are those of unit modal mass."

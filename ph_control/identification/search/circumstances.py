@@ -389,8 +389,11 @@ def worth_telling(finding: Finding, intersample: str) -> bool:
     return not (default and intersample == "zoh")
 
 
-def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None) -> str:
-    """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known."""
+def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None, removed: bool = False) -> str:
+    """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known.
+
+    A delay is `removed` from the data that were fitted, or left in them.
+    """
     values, certain = finding.values, f"log-likelihood + {finding.gain:.3g}"
     shown = ", ".join(f"{value:.3g}" for value in values[:4]) + ", ..." * (len(values) > 4)
     if finding.cause is Cause.CONSTANT:
@@ -410,9 +413,10 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         which, remedy = ("later", f"u[:-{samples}], y[{samples}:]") if samples > 0 else (
             "earlier", f"u[{-samples}:], y[:{samples}]"
         )  # fmt: skip
+        advice = f"this is the fit of {remedy}" if removed else f"fit {remedy}"
         return (
             f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} than the response to the input "
-            f"({certain}): the recording has a delay; fit {remedy}."
+            f"({certain}): the recording has a delay; {advice}."
         )
     if finding.cause in REJECTED.values():
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)
