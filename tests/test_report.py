@@ -72,6 +72,22 @@ def test_page_stands_alone_with_all_its_parts(structure, tmp_path):
     assert (tmp_path / "again.html").read_text(encoding="utf-8") == text
 
 
+@pytest.mark.parametrize("options", [{"initial_state": "zero", "offset": True}, {"offset": False}])
+def test_the_call_on_the_page_repeats_initial_state_and_offset(options, tmp_path):
+    rng, plant = np.random.default_rng(3), phc.ph(phc.modes([1.0, 2.5], [1.0, 0.4], damping=0.02))
+    t, u = 0.1 * np.arange(800), rng.standard_normal(800)
+    y = phc.forced_response(plant, t, u, intersample="zoh").outputs + 0.1 * rng.standard_normal(800) + 0.2
+    data = ct.TimeResponseData(t, y, inputs=u, issiso=True, title="mast.csv")
+    result = phc.pem(data, 2, **options)
+    result.report(tmp_path / "fit.html")
+    text = html.unescape((tmp_path / "fit.html").read_text(encoding="utf-8"))
+    call = re.search(r"phc\.pem\(data, (order=2, .*)\)", text)
+    again = phc.pem(data, **eval(f"dict({call[1]})"))
+    assert np.array_equal(again.offsets != 0, result.offsets != 0) and again.unknowns == result.unknowns
+    np.testing.assert_allclose(again.poles, result.poles, rtol=1e-6)
+    assert "mast.csv" in text
+
+
 def test_page_of_a_lossless_fit_and_files_that_are_there(tmp_path):
     rng = np.random.default_rng(1)
     plant, u = phc.ph(phc.modes([1.0, 2.5], [1.0, 0.4])), rng.standard_normal(600)

@@ -61,6 +61,8 @@ def page_of(result: PEMResult, title: str) -> str:
             continue
         parts += _section(result, kind, heading, caption)
     settings = [[name, str(getattr(result, name))] for name in _SETTINGS if getattr(result, name, None) is not None]
+    titles = list(dict.fromkeys(one.record.title for one in result.experiments if one.record.title))
+    settings = [["data", ", ".join(titles)]] * bool(titles) + settings
     orders = [[str(row.order), f"{row.loss:.6g}", f"{row.aic:.6g}", f"{row.bic:.6g}"] for row in result.order_table]
     parts += ["<h2>Orders tried</h2>", html_table(["order", "loss", "AIC", "BIC"], orders)] * bool(orders)
     parts += ["<h2>To repeat it</h2>", html_report(_call(result)), html_table(["setting", "value"], settings)]
@@ -80,7 +82,21 @@ def _call(result: PEMResult) -> str:
     given["quantity"] = getattr(result, "quantities", None) or getattr(result, "quantity", None)
     given |= {name: getattr(result, name, None) for name in _KEYWORDS}
     given = {name: list(value) if isinstance(value, tuple) else value for name, value in given.items() if value}
+    if not np.iscomplexobj(result.predicted):
+        given |= _beside_the_modes(result)
     return f"phc.pem(data, {', '.join(f'{keyword}={value!r}' for keyword, value in given.items())})"
+
+
+def _beside_the_modes(result: PEMResult) -> dict[str, Any]:
+    """Keywords of `pem` for motions, constants and drifts of recordings; drifts are found again."""
+    given: dict[str, Any] = {}
+    if result.order and not any(np.any(one.free_amplitudes) for one in result.experiments):
+        given["initial_state"] = "zero"
+    if not any(np.any(getattr(one, "drifts", getattr(one, "drift", 0.0))) for one in result.experiments):
+        given["offset"] = any(
+            bool(np.any(getattr(one, "offsets", getattr(one, "offset", 0.0)))) for one in result.experiments
+        )
+    return given
 
 
 def _version(name: str) -> str:
