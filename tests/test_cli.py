@@ -399,13 +399,15 @@ def test_messages_speak_of_options_and_not_of_keywords(recording, monkeypatch):
     def refuse(*arguments, **keywords):
         raise phc.StructureError(
             "pass header=True or header=False; use initial_state='estimate', max_order=30 or say which with input= "
-            "and output=; (intersample='foh'); pass (None, y), offset=True; time=False, dt=0.1."
+            "and output=; several columns are passed as a list; (intersample='foh'); pass "
+            "(None, y), offset=True; time=False, dt=0.1."
         )
 
     monkeypatch.setattr(phc, "pem", refuse)
     assert run("fit", recording).error == (
         "ph-control: pass --header or --no-header; use --initial-state estimate, --max-order 30 or say which with "
-        "--input and --output; (--intersample foh); pass --no-input, --offset; --no-time, --dt 0.1.\n"
+        "--input and --output; several columns need --inputs or --outputs; (--intersample foh); "
+        "pass --no-input, --offset; --no-time, --dt 0.1.\n"
     )
 
 

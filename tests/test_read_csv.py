@@ -250,7 +250,9 @@ def test_free_decay_has_no_input(read):
         ({"input": 1, "output": 1}, "column 1 ('force [N]') is chosen twice; give each its own"),
         ({"input": 1, "output": 0}, "column 0 ('time [s]') is chosen twice"),
         ({}, "which column is the input and which the output? 4 of 5 columns are left to choose from; say which with "
-             "input= and output= (the columns are 0 'time [s]', 1 'force [N]'"),
+             "input= and output=; several columns are passed as a list (the columns are 0 'time [s]', 1 'force [N]'"),
+        ({"input": "force,1"}, "input: there is no column called 'force,1'"),
+        ({"input": "force,force"}, "; several columns are passed as a list"),
         ({"output": 1}, "which column is the input? 3 of 5 columns are left"),
         ({"input": False}, "which column is the output? 4 of 5 columns are left"),
         ({"input": 1, "output": 2, "time": "clock"}, "time: there is no column called 'clock'"),

@@ -30,6 +30,7 @@ _SPOKEN = (
     (r"\b(input|time|header)=False", r"--no-\1"),
     (r"\b(header|offset|overwrite)=True", r"--\1"),
     (r"\buse Hz=False", "leave --hz out"),
+    (r"\bseveral columns are passed as a list", "several columns need --inputs or --outputs"),
 )
 _KEYWORDS = (
     "input", "output", "time", "dt", "delimiter", "decimal", "order", "max_order", "method", "intersample",

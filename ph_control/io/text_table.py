@@ -137,6 +137,9 @@ class Table:
             return self.find(int(wanted), role)
         close = difflib.get_close_matches(wanted, self.labels or (), 1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
+        parts = wanted.split(",")
+        if len(parts) > 1 and all(labelled(one, self.labels or ()) for one in parts):
+            hint = "; several columns are passed as a list"
         raise StructureError(f"{self.path}: {role}: there is no column called {wanted!r}; {self.listing()}{hint}")
 
 

@@ -185,11 +185,12 @@ def _signal_columns(table: Table, clock: int | None, input: Any, output: Any) ->
     missing = [name for name, columns in chosen.items() if columns is None]
     if missing and len(rest) != len(missing):
         few = "input" in missing and len(rest) < len(missing)
+        several = "; several columns are passed as a list" * (len(rest) > len(missing))
         free = ", or pass input=False if the recording has no input" * few
         raise StructureError(
             f"{table.path}: which column is the {' and which the '.join(missing)}? {len(rest)} of {table.width} "
-            f"columns are left to choose from; say which with {' and '.join(f'{name}=' for name in missing)}{free} "
-            f"({table.listing()})"
+            f"columns are left to choose from; say which with {' and '.join(f'{name}=' for name in missing)}{free}"
+            f"{several} ({table.listing()})"
         )
     found = {**chosen, **{name: [column] for name, column in zip(missing, rest, strict=False)}}
     return found["input"] or [], found["output"] or []
