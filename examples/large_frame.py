@@ -70,14 +70,14 @@ print("damping of the first modes:", " ".join(f"{100 * z:.2f}" for z in frame.da
 
 # %%
 # Models of 20 states by three methods, and what each loses of the response. Where damping is light, the two storages
-# that balancing compares differ little, and the H2 norm sees best what counts.
+# that balancing compares differ little; the heights of resonances and the H2 norm tell better what counts.
 
 highest = max(np.linalg.norm(frame(2j * np.pi * f), 2) for f in frame.hertz[:10])
 models = {method: phc.reduce(frame, 20, method=method) for method in ("modal", "balanced", "h2")}
 for method, model in models.items():
     print(f"{method}: largest error {100 * model.error_bound / highest:.1f} % of the highest resonance")
 small = models["h2"]
-assert small.error_bound < models["modal"].error_bound < models["balanced"].error_bound
+assert max(small.error_bound, models["modal"].error_bound) < 0.3 * models["balanced"].error_bound
 
 # %%
 # A passive LQG controller for the small model, joined to the large one. That it damps modes that the small model does
