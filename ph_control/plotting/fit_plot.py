@@ -250,6 +250,8 @@ def _drawn(
     if part is not None:
         axes[0].axvspan(outputs.time[part][0], outputs.time[part][-1], color="0.85", zorder=0)
         drawn.lines[2, 0] = draw_outputs(axes[2], outputs.cut(part), names, SAMPLES)
+        if ax is None:
+            axes[2].ticklabel_format(axis="x", useOffset=False)
         axes[2].set_title(_SHADED, loc="left")
     for axis, quantity in zip(axes, (*quantities, quantities[0]), strict=False):
         axis.set_ylabel(quantity)
