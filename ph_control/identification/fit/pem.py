@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from ...exceptions import IdentifiabilityWarning, StructureError
 from ...modal.discretization import METHODS
 from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels, as_measured
+from ..data.hammer import contacts_alone
 from ..data.parts import GLANCE, is_long, stages
 from ..data.quantities import checked_quantities, quantity_of
 from ..data.time_record import LONG
@@ -25,7 +27,7 @@ from ..diagnosis.damping import REFUSED, DampingWatch, beside, lossless_test
 from ..diagnosis.verdict import Outcome
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import LAST, Problem, Projection, refine
-from ..search.circumstances import Cause
+from ..search.circumstances import Cause, Finding
 from ..search.criteria import CRITERIA, HELD_OUT, criteria, preference, significant
 from ..search.formulation import REPRESENTATIONS, Callback, DampedModes, Formulation, Records, reporter
 from ..search.modal_search import likely_delays
@@ -181,22 +183,48 @@ def pem(
     options = Options(
         order, intersample, offset, max_order, criterion, callback, initial_state == "estimate", weights is not None
     )
+    fit = partial(
+        _fitted, options=options, method=method, initial_state=initial_state, quantity=quantity,
+        representation=representation, initial_guess=initial_guess, workers=workers, rng=rng, structure=structure,
+        ports=ports,
+    )  # fmt: skip
+    hits = contacts_alone(records)
+    if hits is None:
+        return fit(records)
+    quiet, *sizes = hits
+    found = fit(quiet, (Finding(Cause.HAMMER_NOISE, tuple(sizes), 0.0),))
+    if not found.order or found.outcome is Outcome.INTERRUPTED:
+        return found
+    # what the channel shows between hits may be a force
+    other = fit(records, options=replace(options, order=found.order))
+    if other.outcome is Outcome.INTERRUPTED or other.loglik <= found.loglik:
+        return found
+    return fit(records) if order == "auto" else other
+
+
+def _fitted(
+    records: Any, findings: tuple[Finding, ...] = (), *, options: Options, method: str, initial_state: str,
+    quantity: Any, representation: str, initial_guess: Any, workers: Any, rng: Any, structure: str, ports: Any,
+) -> PEMResult:  # fmt: skip
+    """The fit to checked records, with what was found of them before."""
+    several = isinstance(records[0], Recording | ResponseMatrix)
     if several or quantity == "free":
         _refuse_lossless_options(structure, method, representation)
         _checks.choice("initial_state", initial_state, ("estimate", "zero"))
-        channels = records if several else as_channels(data, dt, weights=weights)
+        channels = records if several else as_channels(list(records))
         asked = asked_of(channels, structure, ports, quantity)
-        return fit_channels(channels, asked, options, starting_poles(initial_guess))
+        return fit_channels(channels, asked, options, starting_poles(initial_guess), findings)
     if ports is not None:
         _checks.port_pairs(ports, records[0].output_labels, max((one.input_labels for one in records), key=len))
     check_workers(workers)
     random = None if rng is None else _checks.random_generator(rng)
     posed = Formulation.of(
-        records, method=method, intersample=intersample, initial_state=initial_state, offset=offset, quantity=quantity,
-        representation=representation,
+        records, method=method, intersample=options.intersample, initial_state=initial_state, offset=options.offset,
+        quantity=quantity, representation=representation,
     )  # fmt: skip
+    posed = replace(posed, findings=findings)
     guess = posed.guess(initial_guess)
-    largest = posed.largest_order(order, max_order, guess)
+    largest = posed.largest_order(options.order, options.max_order, guess)
     posed.check_signals()
     damped = structure == "auto" and method == "exact"
     asking = LosslessSearch(options, largest, guess, damped, workers, random, representation, quantity, method)
@@ -208,7 +236,7 @@ def pem(
     if other is not None:
         return other
     if found.blind:
-        warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
+        warnings.warn(found.blind, IdentifiabilityWarning, stacklevel=4)  # the line that calls the decorated function
     return found.result
 
 

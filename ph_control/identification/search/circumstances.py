@@ -56,6 +56,7 @@ class Cause(Enum):
     COLOURED_RESIDUALS = "residuals that are coloured"
     OUTLIERS = "values far out of the noise"
     SATURATION = "an output that stays at an end of its range"
+    HAMMER_NOISE = "noise of a hammer's force between its contacts"
 
 
 REJECTED = {
@@ -81,7 +82,8 @@ class Finding:
         freedom; of a real pole its rate, and the share that it explains of what the modes leave; of coloured residuals
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
-        stays at an end of its range how many samples do, and that end or both.
+        stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
+        standard deviation, and the peak of the force.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -448,6 +450,12 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
             f"The residuals of {finding.output!r} are coloured ({certain}): {100 * share:.0f} % of their power lies "
             f"between {low:.4g} and {high:.4g} {unit}, at {size:.3g} times the mean density (geometric)."
         )
+    if finding.cause is Cause.HAMMER_NOISE:
+        noise, peak = values
+        return (
+            f"Outside the contacts of the hammer the force was set to 0: noise of {noise:.2g} beside a peak of "
+            f"{peak:.3g}, as a force, would explain the outputs less well."
+        )
     if finding.cause is Cause.SATURATION:
         where = f" in experiment {finding.experiment + 1}" * bool(finding.experiment)
         ends = " or ".join(f"{one:.6g}" for one in values[1:])
@@ -462,8 +470,7 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         return (
             f"The residuals of {finding.output!r} grow with the response, as with {100 * values[0]:.2g} % more input "
             f"({certain}): unmeasured forces, or noise on the recorded input, which makes residues "
-            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % for white inputs. Of a hammer, set the "
-            "force to 0 outside the contact."
+            f"smaller, by {100 * values[0] ** 2 / (1 + values[0] ** 2):.2g} % for white inputs."
         )
     return (
         f"The recorded input has noise of about {100 * values[0]:.2g} % of its size ({certain}) that did not act on "

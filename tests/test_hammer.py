@@ -1,0 +1,65 @@
+"""Hammer tests whose force channel has noise between the contacts."""
+
+import numpy as np
+import pytest
+
+import ph_control as phc
+
+STEP, SAMPLES, PEAK = 0.02, 3000, 150.0
+PLANT = phc.spring_chain([1.0, 1.0, 1.0], 40.0, ground=[40.0, 0, 0], c=0.02, port=2)
+TIME = STEP * np.arange(SAMPLES)
+
+
+def names(result):
+    return [one.cause.name for one in result.findings]
+
+
+def hit(seed, *, noise, background=0.0, outputs=1):
+    """Recording of a hit after a pre-trigger; the background is a force, the noise is of the channel."""
+    rng = np.random.default_rng(seed)
+    force = np.zeros(SAMPLES)
+    force[30:40] = PEAK * rng.uniform(0.7, 1.0) * np.sin(np.pi * (np.arange(10) + 0.5) / 10) ** 2
+    force += background * np.sin(3.0 * TIME + rng.uniform(0, 6))
+    y = phc.forced_response(PLANT, TIME, force).outputs
+    y = np.array([y, 0.5 * y][:outputs])
+    y = y + 0.005 * y.std() * rng.standard_normal(y.shape)
+    columns = {"force": force + noise * rng.standard_normal(SAMPLES)} | {f"v{k}": row for k, row in enumerate(y)}
+    return phc.recording(columns, input="force", output=list(columns)[1:], fs=1 / STEP)
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_of_the_force_between_hits_is_no_force(seed, outputs):
+    given = [hit([seed, k], noise=0.2, outputs=outputs) for k in range(3)]
+    kept = [one.u.copy() for one in given]
+    result = phc.pem(given, order="auto")
+    assert result.order == 3 and names(result).count("HAMMER_NOISE") == 1
+    (finding,) = [one for one in result.findings if one.cause.name == "HAMMER_NOISE"]
+    assert finding.values[0] == pytest.approx(0.2, rel=0.1) and 0.6 * PEAK < finding.values[1] < 1.1 * PEAK
+    assert np.abs(result.natural_frequencies / np.sort(PLANT.natural_frequencies) - 1).max() < 1e-4
+    assert "Outside the contacts" in result.message
+    for one, before in zip(given, kept, strict=True):
+        assert np.array_equal(one.u, before)
+    fitted = np.ravel(result.experiments[0].record.u)
+    assert np.count_nonzero(fitted) < 60 and not fitted[100:].any()
+
+
+def test_a_force_without_noise_is_as_given():
+    result = phc.pem([hit([2, k], noise=0.0) for k in range(2)])
+    assert result.order == 3 and "HAMMER_NOISE" not in names(result)
+
+
+def test_a_force_between_hits_that_the_outputs_answer_stays():
+    """A machine runs beside: its force is small beside the hits, but resonates."""
+    given = [hit([3, k], noise=0.01, background=0.5) for k in range(2)]
+    result = phc.pem(given)
+    assert "HAMMER_NOISE" not in names(result)
+    assert np.array_equal(np.ravel(result.experiments[0].record.u), np.ravel(given[0].u))
+
+
+def test_a_random_force_is_no_hammer():
+    rng = np.random.default_rng(4)
+    force = rng.standard_normal(SAMPLES)
+    y = phc.forced_response(PLANT, TIME, force, intersample="zoh").outputs
+    result = phc.pem((force, y + 0.05 * y.std() * rng.standard_normal(SAMPLES)), dt=STEP)
+    assert "HAMMER_NOISE" not in names(result)
