@@ -64,7 +64,9 @@ def _of_contacts(force: Array) -> tuple[Array | None, float, float]:
     seen = size > _SEEN * noise
     if noise == 0 or peak < _CLEAR * noise or seen.sum() > _SHORT * len(force):
         return None, noise, peak
-    ends = np.flatnonzero(np.diff(seen.astype(int), prepend=0, append=0))
-    width = max(_LEAST, int((ends[1::2] - ends[::2]).max()))
-    contact = np.convolve(seen, np.ones(2 * width + 1), mode="full")[width : width + len(force)] > 0
-    return np.where(contact, beside, 0.0), noise, peak
+    starts, stops = np.flatnonzero(np.diff(seen.astype(int), prepend=0, append=0)).reshape(-1, 2).T
+    width = max(_LEAST, int((stops - starts).max()))
+    alone = np.zeros(len(force))
+    for first, last in zip(np.maximum(starts - width, 0), stops + width, strict=True):
+        alone[first:last] = beside[first:last]
+    return alone, noise, peak
