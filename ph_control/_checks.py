@@ -546,10 +546,20 @@ def without_unit(label: str) -> str:
     return re.sub(r"(?<!\s)\s*(\[[^\]]*\]|\([^)]*\)|\s/\s*\S+)$", "", label).strip()
 
 
+def labelled(wanted: str, labels: Sequence[str]) -> list[int]:
+    """Places of the labels that say it: literally, else without their unit, else without regard to case."""
+    for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
+        target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
+        matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
+        if matches:
+            return matches
+    return []
+
+
 def label_named(name: str, labels: Sequence[str]) -> str | None:
-    """Label that a name stands for: the same text, or the only one that is this name with a unit; None without one."""
-    alike = [label for label in labels if label == name] or [label for label in labels if without_unit(label) == name]
-    return alike[0] if len(set(alike)) == 1 else None
+    """Label that a name stands for, as `labelled` finds it; None without one, or with several."""
+    alike = {labels[k] for k in labelled(name, labels)}
+    return alike.pop() if len(alike) == 1 else None
 
 
 def signal_number(role: str, value: Any, labels: Sequence[str]) -> int:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import _checks
-from .._checks import without_unit
+from .._checks import labelled, without_unit
 from .._display import counted
 from .._types import Array, Mask
 from .._units import UNIT, known_unit
@@ -141,16 +141,6 @@ class Table:
         if len(parts) > 1 and all(labelled(one, self.labels or ()) for one in parts):
             hint = "; several columns are passed as a list"
         raise StructureError(f"{self.path}: {role}: there is no column called {wanted!r}; {self.listing()}{hint}")
-
-
-def labelled(wanted: str, labels: Sequence[str]) -> list[int]:
-    """Places of the labels that say it: literally, else without their unit, else without regard to case."""
-    for simplify in (str.strip, without_unit, str.casefold, lambda label: without_unit(label).casefold()):
-        target = wanted.strip() if simplify in (str.strip, without_unit) else wanted.strip().casefold()
-        matches = [j for j, label in enumerate(labels) if label and simplify(label) == target]
-        if matches:
-            return matches
-    return []
 
 
 def is_time_label(label: str) -> bool:

@@ -58,9 +58,9 @@ def _changed(one: Any, sizes: list[tuple[float, float]]) -> Any:
 
 def _of_contacts(force: Array) -> tuple[Array | None, float, float]:
     """Force that is 0 outside contacts, None if there are none, with its noise and peak."""
-    beside = force - np.median(force) if len(force) else force
+    beside = force - np.median(force)
     size = np.abs(beside)
-    noise, peak = float(np.quantile(size, 0.9)) / _NORMAL if len(force) else 0.0, float(size.max(initial=0.0))
+    noise, peak = float(np.quantile(size, 0.9)) / _NORMAL, float(size.max())
     seen = size > _SEEN * noise
     if noise == 0 or peak < _CLEAR * noise or seen.sum() > _SHORT * len(force):
         return None, noise, peak

@@ -151,6 +151,9 @@ def pem(
     A mode that is not significant among all the places where noise could have shown one is dropped from an automatic
     choice.  Parts of one record given as two experiments have two initial states to estimate.
 
+    The force of a hammer counts as 0 outside its contacts where that explains the outputs better than the noise that
+    its channel shows there; `findings` say so, and the records of the result have that force.
+
     Examples
     --------
     >>> import control as ct, numpy as np, ph_control as phc
