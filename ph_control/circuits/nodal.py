@@ -3,7 +3,8 @@
 Kirchhoff's voltage law makes every branch voltage a combination `v = F v_t` of those of a tree, and his current law
 reads `F^T i = 0`.  The tree takes voltage sources first, then capacitors, resistors and inductors, and current sources
 last.  A capacitor outside of the tree closes a loop of capacitors, and an inductor inside it belongs to a cut set of
-inductors: each leaves one state fewer.  Ideal transformers are constraints on the voltages, met before all others.
+inductors: each leaves one state fewer.  Ideal transformers are constraints on the voltages, met before all others, and
+so are coils without leakage: the voltages of coupled coils are those of as many as their inductance matrix has rank.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -22,10 +23,11 @@ from .._types import Array
 from ..exceptions import FileFormatError, StructureError
 from ..systems.dissipative import DissipativePortHamiltonian
 from .elements import Element
-from .spice_text import content_of, elements_of
+from .hierarchy import elements_of
+from .spice_text import content_of
 
 _TREE = "VCRLI"  # which branches a tree takes first
-_NONE = 1e-10  # of the largest entry of a row: what elimination leaves of 0
+_ROUNDING = 8  # times size and EPS, of what was added up: what elimination leaves of 0
 
 
 def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> DissipativePortHamiltonian:
@@ -46,28 +48,38 @@ def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> Dissipat
         that it delivers the output, of a current source (current from its first node through the source to its second)
         the current is the input and the voltage at which it delivers it the output.  States: the charges of capacitors
         (C) and the flux linkages of inductors (Wb); of a loop of capacitors those of all but one, of a cut set of
-        inductors likewise.
+        inductors likewise, of coils without leakage (`K = 1`) that of the first.
 
     Raises
     ------
     FileFormatError
-        If a line is not understood, with its number.
+        If a line is not understood, with its number; a value is negative; an element is not linear; or another file is
+        named (`.include`, `.lib`): none but the given one is opened.
     FileMissingError
         If there is no such file.
     StructureError
         If there is no port, no state or no ground, a part is not connected to ground, sources contradict each other,
         a source charges capacitors or cuts inductors without anything between (its current would contain the derivative
-        of its voltage), or controlled sources are no transformer.
+        of its voltage), couplings supply energy, or controlled sources are no transformer.
 
     Notes
     -----
-    Read are R, L, C, K (coupled inductors), V, I, and pairs of E and F that make ideal transformers as `netlist`
-    writes them; suffixes t, g, meg, k, mil, m, u, n, p, f with any unit behind them (f is 1e-15 and m 1e-3, in either
-    case); comments (`*`, `;`, `$`) and continuation lines (`+`).  Lines of analyses and control blocks are passed over,
-    and so is what a source is set to.  The first line is the title, unless it is that of an element.
+    Read are R, L, C, K (coupled inductors, `|K| <= 1`), V, I, subcircuits (`.subckt`, `.ends`, X, also nested and with
+    parameters), `.param`, `.global`, and pairs of E and F that make ideal transformers as `netlist` writes them.  Of an
+    inductor or capacitor `Rser`, `Lser`, `Rpar`, `Cpar` and `Rlshunt` are elements of their own, as in LTspice but 0 by
+    default, and of a voltage source `Rser` and `Cpar`; `m` is a number of elements side by side.  R = 0 and L = 0 are
+    wires, and C = 0 is nothing.
+
+    Values have suffixes t, g, meg, k, mil, m, u, n, p, f with any unit behind them (f is 1e-15 and m 1e-3, in either
+    case).  In braces or single quotation marks stands arithmetic of numbers and parameters: `+ - * / **` (also `^`),
+    parentheses, `pi`, `abs, sqrt, exp, ln, log, log10, min, max, pow, sin, cos, tan`.  Comments are `*`, `;`, `$`,
+    `//`, continuation lines begin with `+`.  Passed over are analyses, control blocks, `.model`, initial conditions,
+    temperatures, and what a source is set to.  The first line is the title, unless it is that of an element.  Names of
+    elements in subcircuits are those of ngspice: `L.X1.L2` is L2 in X1, and its state is `phi_L_X1_L2`.
 
     `H = q^T C^{-1} q / 2 + phi^T L^{-1} phi / 2`.  Branch voltages are eliminated exactly, on incidence matrices of
-    0, 1 and -1.  Dense matrices, O(n^3).
+    0, 1 and -1.  Coils without leakage are an ideal transformer and the inductance of as many of them as the rank of
+    their inductance matrix.  Dense matrices, O(n^3).
 
     Examples
     --------
@@ -88,8 +100,10 @@ def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> Dissipat
 
 
 def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePortHamiltonian:
-    turns = _Transformers(elements)
-    branches = [one for letter in _TREE for one in elements if one.letter == letter and one.name not in turns.sensing]
+    coils = _Coils(elements)
+    turns = _Transformers(elements, coils)
+    left_out = turns.sensing | coils.dependent
+    branches = [one for letter in _TREE for one in elements if one.letter == letter and one.name not in left_out]
     ports = [one for one in elements if one.letter in "VI" and one.name not in turns.sensing]
     _refuse_unconnected(elements)
     if not ports:
@@ -114,7 +128,7 @@ def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePo
     capacitors = rows("C")
     charge = block(capacitors, "C")
     capacitance = charge.T @ (np.array([branches[k].value for k in capacitors])[:, None] * charge)
-    inductance = W.T @ _inductances([branches[k] for k in every_L], elements) @ W
+    inductance = W.T @ coils.inductance @ W
     K = _kirchhoff(block, rows, np.array([1.0 / branches[k].value for k in rows("R")]), link_L)
     nc, nl = len(capacitance), len(inductance)
     n = nc + nl
@@ -155,31 +169,75 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(0.5 * (found + found.T))
 
 
-def _inductances(coils: list[Element], elements: Sequence[Element]) -> Array:
-    """Inductance matrix of coils with their couplings."""
-    found = {one.name.upper(): k for k, one in enumerate(coils)}
-    root = np.sqrt([one.value for one in coils])
+class _Coils:
+    """Inductors with their couplings.
+
+    A coil that others determine, because nothing leaks between them, has no flux linkage of its own: its voltage is
+    `ratios` times theirs, and its current, which that constraint takes, does no work beside theirs.
+
+    Attributes
+    ----------
+    inductance : ndarray
+        Inductance matrix of the other coils, in their order.
+    dependent : set of str
+        Names of coils that others determine.
+    constraints : list of (Element, list of (Element, float))
+        Such a coil, and the others with the ratio of its voltage to theirs.
+    """
+
+    def __init__(self, elements: Sequence[Element]) -> None:
+        coils = [one for one in elements if one.letter == "L"]
+        root, coupling = np.sqrt([one.value for one in coils]), _couplings(coils, elements)
+        tolerance = _ROUNDING * max(1, len(coils)) * _checks.EPS
+        independent: list[int] = []
+        self.constraints: list[tuple[Element, list[tuple[Element, float]]]] = []
+        for group in _groups(coupling):
+            L, kept = np.zeros((0, 0)), list[int]()
+            for k in group:
+                row = solve_triangular(L, coupling[kept, k], lower=True) if kept else np.zeros(0)
+                rest = 1.0 - row @ row
+                if rest > tolerance:
+                    L = np.block([[L, np.zeros((len(L), 1))], [row[None, :], np.full((1, 1), np.sqrt(rest))]])
+                    kept.append(k)
+                    continue
+                ratios = root[k] * solve_triangular(L, row, lower=True, trans="T") / root[kept]
+                self.constraints.append((coils[k], [(coils[j], x) for j, x in zip(kept, ratios, strict=True) if x]))
+            independent += kept
+        kept = sorted(independent)
+        self.dependent = {one.name for one, _ in self.constraints}
+        self.inductance = np.asarray(root[kept, None] * coupling[np.ix_(kept, kept)] * root[kept])
+
+
+def _couplings(coils: list[Element], elements: Sequence[Element]) -> Array:
+    """Symmetric matrix of couplings, with a diagonal of 1; one with a negative eigenvalue is refused."""
+    number = {one.name.upper(): k for k, one in enumerate(coils)}
     coupling = np.eye(len(coils))
     for one in elements:
         if one.letter != "K":
             continue
-        missing = [name for name in one.nodes if name.upper() not in found]
-        if missing or one.nodes[0] == one.nodes[1]:
+        missing = [name for name in one.nodes if name.upper() not in number]
+        if missing or one.nodes[0].upper() == one.nodes[1].upper():
             raise FileFormatError(
                 f"{one.name} couples {one.nodes[0]} and {one.nodes[1]}: "
                 + (f"there is no inductor {missing[0]}" if missing else "name two inductors")
             )
-        i, j = (found[name.upper()] for name in one.nodes)
+        i, j = (number[name.upper()] for name in one.nodes)
         if coupling[i, j]:
             raise FileFormatError(f"{one.name}: {one.nodes[0]} and {one.nodes[1]} are coupled twice")
         coupling[i, j] = coupling[j, i] = one.value
-    least = float(np.linalg.eigvalsh(coupling)[0]) if len(coils) else 1.0
-    if not least > len(coils) * _checks.EPS:
+    least = min((float(np.linalg.eigvalsh(coupling[np.ix_(g, g)])[0]) for g in _groups(coupling)), default=1.0)
+    if least < -_ROUNDING * len(coils) * _checks.EPS:
         raise StructureError(
-            f"the coupled inductors have no positive definite inductance: the least eigenvalue of their couplings is "
-            f"{least:.3g}, expected > 0; make the couplings smaller"
+            "the inductances of the coupled inductors are not positive semidefinite: the least eigenvalue of their "
+            f"couplings is {least:.3g}, expected >= 0; make the couplings smaller"
         )
-    return np.asarray(root[:, None] * coupling * root)
+    return coupling
+
+
+def _groups(coupling: Array) -> list[list[int]]:
+    """Coils that are coupled, directly or through others; each alone where it is not."""
+    count, label = connected_components(coo_array(coupling), directed=False)
+    return [np.flatnonzero(label == k).tolist() for k in range(count)]
 
 
 # --- Kirchhoff's laws --------------------------------------------------------------------------------------------
@@ -196,9 +254,9 @@ def _incidence(elements: Sequence[Element], number: dict[str, int]) -> Array:
 
 
 class _Transformers:
-    """Controlled sources as constraints: of the voltages, and of the currents that they take."""
+    """Controlled sources and coils without leakage as constraints: of the voltages, and of the currents they take."""
 
-    def __init__(self, elements: Sequence[Element]) -> None:
+    def __init__(self, elements: Sequence[Element], coils: _Coils) -> None:
         names = {node for one in elements if one.letter != "K" for node in one.nodes[: 4 if one.letter == "E" else 2]}
         self.number = {node: k for k, node in enumerate(sorted(names - {"0"}))}
         sources = {one.name.upper(): one for one in elements if one.letter == "V"}
@@ -214,11 +272,16 @@ class _Transformers:
         output, sense = _incidence(voltages, self.number), _incidence(list(sensing.values()), self.number)
         control = _incidence([Element(one.name, one.nodes[2:], 0.0) for one in voltages], self.number)
         gain = np.array([one.value for one in voltages])
-        self.of_voltages = np.vstack([output - gain[:, None] * control, sense])
+        # coils: the constraint does no work, so that the currents which it takes are those of the same rows
+        wound = _incidence([one for one, _ in coils.constraints], self.number)
+        for row, (_, others) in zip(wound, coils.constraints, strict=True):
+            row -= np.array([x for _, x in others]) @ _incidence([one for one, _ in others], self.number)
+        self.controlled = len(output) + len(sense)
+        self.of_voltages = np.vstack([output - gain[:, None] * control, sense, wound])
         taken = sense.copy()
         for row, one in zip(_incidence(currents, self.number), currents, strict=True):
             taken[list(sensing).index(one.nodes[2].upper())] += one.value * row
-        self.of_currents = np.vstack([output, taken])
+        self.of_currents = np.vstack([output, taken, wound])
 
 
 def _fundamental(branches: list[Element], turns: _Transformers) -> tuple[Array, list[int]]:
@@ -226,8 +289,8 @@ def _fundamental(branches: list[Element], turns: _Transformers) -> tuple[Array, 
     A = _incidence(branches, turns.number)
     if not len(turns.of_voltages):
         return _echelon(A)
-    of_voltages, tree = _allowed(turns.of_voltages, A)
-    of_currents, _ = _allowed(turns.of_currents, A)
+    of_voltages, tree = _allowed(turns.of_voltages, A, turns.controlled)
+    of_currents, _ = _allowed(turns.of_currents, A, turns.controlled)
     # voltages that are allowed do no work on currents that are: the two spaces are one
     both = np.hstack([of_voltages, of_currents])
     if of_voltages.shape != of_currents.shape or np.linalg.matrix_rank(both, rtol=1e-9) > len(tree):
@@ -238,39 +301,43 @@ def _fundamental(branches: list[Element], turns: _Transformers) -> tuple[Array, 
     return of_voltages, tree
 
 
-def _allowed(constraints: Array, A: Array) -> tuple[Array, list[int]]:
-    """Branch voltages under constraints, by those of a tree."""
-    k = len(constraints)
+def _allowed(constraints: Array, A: Array, controlled: int) -> tuple[Array, list[int]]:
+    """Branch voltages under constraints, the first of them of controlled sources, by those of a tree."""
     table, basis = _echelon(np.vstack([constraints, A]))
-    if basis[:k] != list(range(k)):
+    if basis[:controlled] != list(range(controlled)):
         raise StructureError("the controlled sources contradict or repeat each other; leave out those that do")
-    return table[k:, k:], [one - k for one in basis[k:]]
+    k = len(constraints)
+    met = sum(one < k for one in basis)  # coils side by side may repeat a constraint
+    return table[k:, met:], [one - k for one in basis[met:]]
 
 
 def _echelon(rows: Array) -> tuple[Array, list[int]]:
     """Rows by a basis of them that takes each as early as it can: `(rows by basis, basis)`.
 
-    Columns are eliminated; of incidence matrices all entries stay 0, 1 and -1.
+    Columns are eliminated; of incidence matrices all entries stay 0, 1 and -1.  An entry is 0 where it is rounding of
+    what was added up to it.
     """
-    table, free, basis, columns = rows.copy(), list(range(rows.shape[1])), [], []
+    table, size, free, basis, columns = rows.copy(), np.abs(rows), list(range(rows.shape[1])), [], []
+    tolerance = _ROUNDING * max(1, rows.shape[1]) * _checks.EPS
     for k in range(len(table)):
         if not free:
             break
-        size = np.abs(rows[k]).max(initial=0.0)
         pivot = free[int(np.abs(table[k, free]).argmax())]
-        if not abs(table[k, pivot]) > _NONE * size:
+        if not table[k, pivot]:
             continue
+        size[:, pivot] /= abs(table[k, pivot])
         table[:, pivot] /= table[k, pivot]
         others = table[k].copy()
         others[pivot] = 0.0
         table -= np.outer(table[:, pivot], others)
+        size += np.outer(size[:, pivot], np.abs(others))
+        table[np.abs(table) <= tolerance * size] = 0.0
         table[k, :] = 0.0
         table[k, pivot] = 1.0
         free.remove(pivot)
         basis.append(k)
         columns.append(pivot)
-    found = table[:, columns]
-    return np.where(np.abs(found) > _NONE, found, 0.0), basis
+    return table[:, columns], basis
 
 
 def _kirchhoff(block: Any, rows: Any, conductances: Array, link_L: list[int]) -> Array:
@@ -340,6 +407,8 @@ def _refuse_contradictions(branches: list[Element], F: Array, tree: list[int]) -
         if k not in inside and one.letter in "VC":
             met = np.flatnonzero(F[k])
             loop = ", ".join([one.name, *(branches[tree[t]].name for t in met)])
+            if one.letter == "V" and not len(met):
+                raise StructureError(f"{one.name} is short-circuited; open the circuit, or leave the source out")
             if one.letter == "V":
                 raise StructureError(f"{loop} are a loop of voltage sources, whose voltages cannot be chosen; open it")
             if any(letters[t] == "V" for t in met):

@@ -1,33 +1,60 @@
-"""SPICE netlists as lists of elements."""
+"""Lines of a SPICE netlist, and the blocks of subcircuits that they make."""
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
-from .. import _checks
 from ..exceptions import FileFormatError
 from ..io.files import read_bytes, source_name
-from .elements import Element
+from .expressions import shown
 
-_SUFFIXES = {
-    "t": 1e12, "g": 1e9, "meg": 1e6, "k": 1e3, "mil": 25.4e-6, "m": 1e-3, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6,
-    "n": 1e-9, "p": 1e-12, "f": 1e-15,
-}  # fmt: skip
-_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)(meg|mil|[tgkmunpf\u00b5\u03bc])?([a-z\u03a9\u2126%]*)")
-# number of words between name and value
-_NODES = {"R": 2, "L": 2, "C": 2, "K": 2, "E": 4, "F": 3, "V": 2, "I": 2}
 # lines that change no element
 _ANALYSES = {
-    ".ac", ".dc", ".end", ".endc", ".four", ".ic", ".meas", ".measure", ".nodeset", ".noise", ".op", ".option",
-    ".options", ".plot", ".print", ".probe", ".pz", ".save", ".sens", ".temp", ".tf", ".title", ".tran", ".width",
+    ".ac", ".backanno", ".dc", ".disto", ".endc", ".fft", ".four", ".graph", ".ic", ".meas", ".measure", ".model",
+    ".net", ".nodeset", ".noise", ".op", ".opt", ".option", ".options", ".plot", ".print", ".probe", ".protect", ".pz",
+    ".save", ".savebias", ".sens", ".sp", ".step", ".temp", ".tf", ".title", ".tnom", ".tran", ".unprotect", ".wave",
+    ".width",
 }  # fmt: skip
+_OTHER_FILES = {".include", ".inc", ".incl", ".lib", ".endl"}
+_WORD = re.compile(r"\{(?:[^{}]|\{[^{}]*\})*\}|'[^']*'|=|[^\s=,{}']+|[{}']")
+_ASSIGNED = re.compile(r"([a-z_][\w.]*)\s*=(?!=)", re.IGNORECASE)
 _GROUND = {"gnd", "0"}
 
-Line = tuple[int, str]
+
+@dataclass(frozen=True)
+class Card:
+    """A line with its continuations, as words; `where` names it in errors."""
+
+    words: tuple[str, ...]
+    where: str
+    first: bool  # of the text, where a title may stand
+
+
+@dataclass(frozen=True)
+class Block:
+    """Elements, parameters and subcircuits between `.subckt` and `.ends`, or those of the whole text."""
+
+    name: str
+    where: str
+    nodes: tuple[str, ...] = ()
+    outer: Block | None = None
+    defaults: dict[str, str] = field(default_factory=dict)
+    parameters: dict[str, str] = field(default_factory=dict)
+    cards: list[Card] = field(default_factory=list)
+    inner: dict[str, Block] = field(default_factory=dict)
+
+    def subcircuit(self, name: str) -> Block | None:
+        """Subcircuit of a name: one that is defined in this block, or in one around it."""
+        block: Block | None = self
+        while block is not None:
+            if name.lower() in block.inner:
+                return block.inner[name.lower()]
+            block = block.outer
+        return None
 
 
 def content_of(source: str | os.PathLike[str] | Any) -> tuple[str, str]:
@@ -44,92 +71,96 @@ def content_of(source: str | os.PathLike[str] | Any) -> tuple[str, str]:
         return raw.decode("latin-1"), name
 
 
-def elements_of(text: str, name: str) -> list[Element]:
-    """Elements of a netlist in their order; sources without what they are set to."""
-    found: dict[str, Element] = {}
+def blocks_of(text: str, name: str) -> tuple[Block, set[str]]:
+    """Block of the whole text, and the nodes that are the same in all subcircuits."""
+    block, shared = Block("", name), set(_GROUND)
     for count, (number, line) in enumerate(_lines(text)):
-        where = f"{name}, line {number}: {_shown(line)}"
-        words = line.replace("=", " = ").replace(",", " ").split() or [line]
-        if words[0].startswith("."):
-            if words[0].lower() == ".end":
-                break
-            if words[0].lower() not in _ANALYSES:
-                raise FileFormatError(f"{where}: {words[0]} is not read; write the elements out, with numbers")
-            continue
-        try:
-            element = _element(words, where)
-        except FileFormatError:
-            if count == 0 and number == 1:  # the title
-                continue
-            raise
-        if element.name.upper() in found:
-            raise FileFormatError(f"{where}: there is another {element.name}; give each element a name of its own")
-        found[element.name.upper()] = element
-    if not found:
-        raise FileFormatError(f"{name} has no elements; lines such as 'R1 1 0 50' are read")
-    return list(found.values())
+        where = f"{name}, line {number}: {shown(line)}"
+        words = tuple(_WORD.findall(line)) or (line,)
+        command = words[0].lower()
+        if not command.startswith("."):
+            block.cards.append(Card(words, where, first=count == 0 and number == 1))
+        elif command == ".end":
+            break
+        elif command in (".subckt", ".macro"):
+            block = _opened(block, line, where)
+        elif command in (".ends", ".eom"):
+            if block.outer is None:
+                raise FileFormatError(f"{where}: {words[0]} ends no subcircuit; put .subckt before it, or delete it")
+            block = block.outer
+        elif command in (".param", ".params", ".parameter"):
+            _define(block.parameters, line.partition(words[0])[2], where)
+        elif command == ".global":
+            shared |= {word.lower() for word in words[1:]}
+        elif command in _OTHER_FILES:
+            raise FileFormatError(
+                f"{where}: {words[0]} names another file, and no other file is opened; put its text in the place of "
+                "this line"
+            )
+        elif command not in _ANALYSES:
+            raise FileFormatError(f"{where}: {words[0]} is not read; write the elements out, with numbers")
+    if block.outer is not None:
+        raise FileFormatError(f"{block.where}: the subcircuit has no end; put a line .ends after its elements")
+    return block, shared
 
 
-def _lines(text: str) -> Iterator[Line]:
+def node_of(word: str) -> str:
+    """Name of a node; names are the same in capital and small letters, and ground has several."""
+    lower = word.lower()
+    return "0" if lower in _GROUND else lower
+
+
+def _opened(outer: Block, line: str, where: str) -> Block:
+    """A new block, known to the one around it."""
+    words = [word for word in _before_assignments(line).replace(",", " ").split()[1:] if word.lower() != "params:"]
+    if not words:
+        raise FileFormatError(f"{where}: a subcircuit needs a name and its nodes, as in .subckt filter in out")
+    name, *nodes = words
+    if "optional:" in map(str.lower, nodes):
+        raise FileFormatError(f"{where}: optional nodes are not read; give the subcircuit all of its nodes")
+    if name.lower() in outer.inner:
+        raise FileFormatError(f"{where}: there is another subcircuit {name}; give each a name of its own")
+    nodes = [node_of(word) for word in nodes]
+    if len(set(nodes)) < len(nodes):
+        raise FileFormatError(f"{where}: a node is named twice; give each node of the subcircuit a name of its own")
+    block = Block(name, where, tuple(nodes), outer)
+    _define(block.defaults, line[len(_before_assignments(line)) :], where)
+    outer.inner[name.lower()] = block
+    return block
+
+
+def _before_assignments(line: str) -> str:
+    match = _ASSIGNED.search(line)
+    return line if match is None else line[: match.start()]
+
+
+def _define(parameters: dict[str, str], text: str, where: str) -> None:
+    """Add the assignments `name = expression` of a line."""
+    matches = list(_ASSIGNED.finditer(text))
+    if text.strip() and (not matches or text[: matches[0].start()].strip(" \t,")):
+        raise FileFormatError(f"{where}: write parameters as name=value")
+    for k, match in enumerate(matches):
+        end = matches[k + 1].start() if k + 1 < len(matches) else len(text)
+        name, value = match[1].lower(), text[match.end() : end].strip(" \t,")
+        if name in parameters:
+            raise FileFormatError(f"{where}: {match[1]} is set twice; set each parameter once")
+        parameters[name] = value
+
+
+def _lines(text: str) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, without comments and control blocks, continuation lines joined."""
-    joined: list[Line] = []
+    joined: list[tuple[int, str]] = []
     control = False
     for number, raw in enumerate(text.splitlines(), start=1):
         line = re.split(r";|(?:^|\s)\$(?:\s|$)|(?:^|\s)//", raw, maxsplit=1)[0].strip()
         if line.lower().split()[:1] in ([".control"], [".endc"]):
             control = line.lower().startswith(".control")
         elif line.startswith("+"):
+            if control:
+                continue
             if not joined:
-                raise FileFormatError(f"line {number}: {_shown(line)} continues no line")
+                raise FileFormatError(f"line {number}: {shown(line)} continues no line")
             joined[-1] = joined[-1][0], f"{joined[-1][1]} {line[1:]}"
         elif line and not line.startswith("*") and not control:
             joined.append((number, line))
     yield from joined
-
-
-def _element(words: list[str], where: str) -> Element:
-    letter = words[0][0].upper()
-    if letter not in _NODES:
-        raise FileFormatError(f"{where}: {words[0]} is no {', '.join(_NODES)}; a linear circuit has such elements only")
-    count = _NODES[letter]
-    if len(words) < count + 1 + (letter not in "VI"):
-        what = "two inductors" if letter == "K" else f"{count} nodes" if letter != "F" else "two nodes and a source"
-        value = "" if letter in "VI" else " and a value"
-        raise FileFormatError(f"{where}: {letter} needs a name, {what}{value}")
-    nodes = tuple(_node(word) for word in words[1 : count + 1])
-    if letter in "VI":
-        return Element(words[0], nodes, 0.0)
-    if len(words) > count + 2:
-        extra = " ".join(words[count + 2 :])
-        raise FileFormatError(f"{where}: {extra!r} after the value is not read; give one number, such as 4.7k or 10u")
-    return Element(words[0], nodes, _value(letter, words[count + 1], where))
-
-
-def _node(word: str) -> str:
-    lower = word.lower()
-    return "0" if lower in _GROUND else lower
-
-
-def _value(letter: str, word: str, where: str) -> float:
-    match = _NUMBER.fullmatch(word.lower())
-    if match is None:
-        raise FileFormatError(f"{where}: {word!r} is not a number; write 4700, 4.7k, 4.7e3; m is 1e-3, meg 1e6")
-    value = float(match[1]) * _SUFFIXES.get(match[2] or "", 1.0)
-    if match[2] and match[2] not in ("meg", "mil"):  # rounded once, as 4.7e3 would be
-        exponent = round(math.log10(_SUFFIXES[match[2]]))
-        digits, _, power = match[1].partition("e")
-        value = float(f"{digits}e{int(power or 0) + exponent}")
-    if letter in "RLC" and not _checks.SMALLEST <= value <= 1 / _checks.SMALLEST:
-        raise FileFormatError(f"{where}: the value is {value:g}; {letter} must be positive and finite")
-    if letter == "K" and not 0 < abs(value) < 1:
-        raise FileFormatError(
-            f"{where}: the coupling is {value:g}; it must be between 0 and 1, both excluded: coils without any leakage "
-            "have no flux linkages of their own"
-        )
-    if not math.isfinite(value):
-        raise FileFormatError(f"{where}: the value is {value:g}; it must be finite")
-    return value
-
-
-def _shown(line: str) -> str:
-    return repr(line if len(line) < 80 else f"{line[:77]}...")
