@@ -243,9 +243,9 @@ R7 1 2 3"""
 @pytest.mark.parametrize(
     ("line", "number"),
     [
-        ("R1 1 2", 3), ("R1 1 2 five", 3), ("R1 1 2 -5", 3), ("R1 1 2 0", 3), ("R1 1 2 1e400", 3), ("R1 1 2 5 6", 3),
+        ("R1 1 2", 3), ("R1 1 2 five", 3), ("R1 1 2 -5", 3), ("R1 1 2 1e400", 3), ("R1 1 2 5 6", 3),
         ("Q1 1 2 3 npn", 3), (".include other.cir", 3), (".subckt a 1 2", 3), ("C1 1 2 {c}", 3), ("V1 2 0", 3),
-        ("K1 L1 L2 1.0", 3), ("X1 1 2 other", 3), ("F1 1 0 V9", 3), (",", 3),
+        ("K1 L1 L2 1.1", 3), ("X1 1 2 other", 3), ("F1 1 0 V9", 3), (",", 3),
     ],
 )  # fmt: skip
 def test_a_line_that_is_not_understood_is_named(line, number):
@@ -262,7 +262,7 @@ def test_a_line_that_is_not_understood_is_named(line, number):
         ("I1 0 1\nL1 1 0 1", "L1, I1 are a cut set"), ("I1 0 1\nI2 1 0\nC1 2 0 1\nR1 2 0 1", "I1, I2 are a cut set"),
         ("V1 1 0\nL1 1 0 1\nC1 3 4 1", "3, 4"), ("V1 1 0\nL1 1 0 1\nL2 2 3 1\nR2 2 3 1\nK1 L1 L2 .5", "2, 3"),
         ("V1 1 0\nL1 1 0 1\nK1 L1 L7 .5", "l7"), ("V1 1 0\nL1 1 0 1\nK1 L1 L1 .5", "two inductors"),
-        ("V1 1 0\nL1 1 0 1\nL2 1 0 1\nL3 1 0 1\nK1 L1 L2 .9\nK2 L2 L3 .9\nK3 L1 L3 -.9", "positive definite"),
+        ("V1 1 0\nL1 1 0 1\nL2 1 0 1\nL3 1 0 1\nK1 L1 L2 .9\nK2 L2 L3 .9\nK3 L1 L3 -.9", "positive semidefinite"),
         ("V1 1 0\nL1 1 0 1\nF1 1 0 V9 2", "V9"), ("V1 1 0\nL1 1 2 1\nE1 2 0 1 0 2", "transformers"),
         ("V1 1 0\nL1 1 2 1\nR1 2 0 1\nE1 2 0 1 0 2\nE2 2 0 1 0 2", "contradict"),
     ],

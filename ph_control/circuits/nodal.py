@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -27,6 +27,7 @@ from .hierarchy import elements_of
 from .spice_text import content_of
 
 _TREE = "VCRLI"  # which branches a tree takes first
+_SINGULAR = 1e4  # condition of a capacitance or inductance matrix in units of its diagonal
 _ROUNDING = 8  # times size and EPS, of what was added up: what elimination leaves of 0
 
 
@@ -48,7 +49,8 @@ def read_netlist(source: str | os.PathLike[str] | Any, **names: Any) -> Dissipat
         that it delivers the output, of a current source (current from its first node through the source to its second)
         the current is the input and the voltage at which it delivers it the output.  States: the charges of capacitors
         (C) and the flux linkages of inductors (Wb); of a loop of capacitors those of all but one, of a cut set of
-        inductors likewise, of coils without leakage (`K = 1`) that of the first.
+        inductors likewise, of coils without leakage (`K = 1`) that of the first.  Of coils with hardly any, the flux
+        linkage beyond that which those before it induce.
 
     Raises
     ------
@@ -136,9 +138,9 @@ def _system(elements: Sequence[Element], names: dict[str, Any]) -> DissipativePo
         raise StructureError("the netlist has no capacitor and no inductor, and so no state; nothing moves in it")
     order = [(rows("V") + rows("I")).index(branches.index(port)) for port in ports]
     pick = np.array([*range(n), *(n + k for k in order)])
-    K = K[np.ix_(pick, pick)]
-    Q = np.zeros((n, n))
-    Q[:nc, :nc], Q[nc:, nc:] = _inverse(capacitance), _inverse(inductance)
+    energies, turns_of_states = zip(*map(_energy, (capacitance, inductance)), strict=True)
+    Q, turn = block_diag(*energies), block_diag(*turns_of_states, np.eye(len(ports)))
+    K = turn @ K[np.ix_(pick, pick)] @ turn.T
     skew, symmetric = 0.5 * (K - K.T), 0.5 * (K + K.T)
     kept = [branches[k].name for k in [*rows("C", True), *link_L]]
     kinds = [("v", "i") if port.letter == "V" else ("i", "v") for port in ports]
@@ -159,14 +161,24 @@ def _label(name: str) -> str:
     return name.replace(".", "_")
 
 
-def _inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix, of a diagonal one entry by entry."""
-    if np.count_nonzero(matrix) == len(matrix):
-        return np.diag(1.0 / np.diag(matrix))
+def _energy(matrix: Array) -> tuple[Array, Array]:
+    """Hamiltonian matrix `T^-T M^-1 T^-1` of a capacitance or inductance matrix M, and the coordinates T of the states.
+
+    T is the unit matrix, unless M is nearly singular, as of coils with hardly any leakage: differences of the states
+    would then lose digits, and each stands for what it exceeds that by which those before it induce.
+    """
+    n = len(matrix)
+    if np.count_nonzero(matrix) == n:
+        return np.diag(1.0 / np.diag(matrix)), np.eye(n)
     scale = np.sqrt(np.diag(matrix))
     inner = matrix / scale / scale[:, None]
-    found = cho_solve(cho_factor(inner), np.eye(len(matrix))) / scale / scale[:, None]
-    return np.asarray(0.5 * (found + found.T))
+    if np.linalg.cond(inner) < _SINGULAR:
+        inverse = cho_solve(cho_factor(inner), np.eye(n)) / scale / scale[:, None]
+        return np.asarray(0.5 * (inverse + inverse.T)), np.eye(n)
+    lower = cholesky(inner, lower=True)
+    root = np.diag(lower)
+    turn = solve_triangular(lower / root, np.eye(n), lower=True, unit_diagonal=True)
+    return np.diag(1.0 / (root * scale) ** 2), scale[:, None] * turn / scale
 
 
 class _Coils:
