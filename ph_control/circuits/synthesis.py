@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-import control as ct
 import numpy as np
 
 from .. import _checks
 from .._types import Array
-from ..exceptions import NotLosslessError, StructureError
-from ..modal.modal_form import ModalForm
-from ..systems.dissipative import DissipativePortHamiltonian
-from ..systems.passive_form import Conversion, PortRows, passive_parts
-from ..systems.port_hamiltonian import ph
+from ..exceptions import StructureError
 from .elements import Element, Netlist
 from .expansions import continued_fraction, continued_fraction_at_zero, reciprocal
+from .resonators import Resonator, Resonators, resonators_of
 
 FORMS = ("foster1", "foster2", "cauer1", "cauer2")
 KINDS = ("admittance", "impedance")
 _DIRECT = {"admittance": "foster2", "impedance": "foster1"}  # the partial fractions of the transfer function itself
 _TITLES = {"foster1": "Foster I", "foster2": "Foster II", "cauer1": "Cauer I", "cauer2": "Cauer II"}
-_REAL = 1e-9  # imaginary part of the residues of a circuit without gyrators, relative
 
 
 def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> Netlist:
@@ -82,7 +76,7 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     """
     kind = _checks.choice("kind", kind, KINDS)
     form = _DIRECT[kind] if form is None else _checks.choice("form", form, FORMS)
-    parts, one_port = _parts(sys)
+    parts, one_port = resonators_of(sys)
     if not parts.modes and not parts.poles_at_zero and not parts.relaxations and not parts.feedthrough.any():
         raise StructureError("no port reaches any mode: the transfer function is 0, and has no circuit")
     title = f"{_TITLES[form]} form of an {kind}"
@@ -100,97 +94,6 @@ def netlist(sys: Any, form: str | None = None, *, kind: str = "admittance") -> N
     else:
         draft.ladder(form, *one_port)
     return draft.netlist(form, title)
-
-
-@dataclass(frozen=True)
-class _Mode:
-    """Resonator `kappa s / (s^2 + loss s + x)` seen with the ratios `psi`; without a spring `kappa / (s + loss)`."""
-
-    kappa: float
-    psi: Array
-    loss: float = 0.0
-    flexibility: float = 0.0  # kappa / d^2
-
-
-@dataclass(frozen=True)
-class _Parts:
-    ports: int
-    modes: list[_Mode]
-    poles_at_zero: list[_Mode]
-    relaxations: list[_Mode]
-    feedthrough: Array
-
-
-OnePort = tuple[Array, Array, float]
-
-
-def _parts(sys: Any) -> tuple[_Parts, OnePort | None]:
-    """Resonators of a system, and frequencies, weights and pole at 0 of a lossless one-port."""
-    found = sys if isinstance(sys, ModalForm) and sys.is_lossless else ph(sys)
-    if isinstance(found, DissipativePortHamiltonian):
-        if len(found.sensors[0]):
-            raise StructureError(
-                f"the system has {len(found.sensors[0])} sensors beside its ports, and a circuit has ports only; "
-                "leave them out"
-            )
-        # whatever coordinates and energy the matrices have
-        given = PortRows(found.A, found.B, found.C, found.D)
-        try:
-            found = ph(ct.ss(found.A, found.B, found.C, found.D), lossless=True)
-        except NotLosslessError:
-            return _classical(*passive_parts(given, "auto", None, minimal=True)), None
-    modes = (found if isinstance(found, ModalForm) else found.modes).minimal()
-    parts = _of_lossless(modes)
-    return parts, None if modes.nports > 1 else (modes.d, modes.r, float(np.sum(modes.rigid**2)))
-
-
-def _of_lossless(modes: ModalForm) -> _Parts:
-    resonators = []
-    for d, nu, r in zip(modes.d, modes.nu, modes.r, strict=True):
-        psi, size = (np.ones(1), float(r)) if modes.nports == 1 else _ratios(nu)
-        resonators.append(_Mode(d * size, psi, flexibility=size / d))
-    at_zero = [_Mode(size, psi) for psi, size in map(_ratios, modes.rigid)]
-    return _Parts(modes.nports, resonators, at_zero, [], np.zeros(modes.nports))
-
-
-def _ratios(nu: Any) -> tuple[Array, float]:
-    """Real ratios, the largest 1, and the square of what they are multiplied by, of the weights of a mode."""
-    lead = nu[np.abs(nu).argmax()]
-    psi = nu / lead
-    if np.abs(psi.imag).max() > _REAL:
-        raise StructureError(
-            f"a mode reaches the ports with different phases (imaginary part {np.abs(psi.imag).max():.2g} of the "
-            f"largest, allowed {_REAL:g}): the transfer function is not symmetric, and its circuit needs gyrators"
-        )
-    return np.where(np.abs(psi.real) > _checks.EPS, psi.real, 0.0), float(np.abs(lead) ** 2)
-
-
-def _classical(matrices: dict[str, Array], conversion: Conversion) -> _Parts:
-    """Resonators with losses, side by side in Williamson coordinates; see `passive_form.classical_parts`."""
-    if conversion.energy != "modal":
-        raise NotLosslessError(
-            [], "the damping of the system is not classical: its modes are not resonators "
-            "kappa s/(s^2 + 2 zeta d s + d^2) side by side, so that it has no circuit of one branch for each; "
-            "keep the netlist that it was read from, or take the nearest one of such modes, with their damping ratios: "
-            "phc.modes(d, r, damping=zeta), or of data pem(data, structure='classical')",
-        )  # fmt: skip
-    through, G, J = matrices["S"] + matrices["N"], matrices["G"], matrices["J"]
-    if np.count_nonzero(through - np.diag(np.diag(through))):
-        raise StructureError(
-            "the feedthrough joins the ports, and a circuit of branches has one resistor at each port; its feedthrough "
-            "is diagonal"
-        )
-    k, d, losses = int(np.count_nonzero(J.any(axis=0))) // 2, np.diag(matrices["Q"]), np.diag(matrices["R"])
-    resonators: list[_Mode] = []
-    at_zero: list[_Mode] = []
-    relaxations: list[_Mode] = []
-    for row in range(k, 2 * k):
-        psi, size = _ratios(G[row] - 1j * G[row - k])
-        resonators.append(_Mode(d[row] * size, psi, losses[row] * d[row], size / d[row]))
-    for row in range(2 * k, len(G)):
-        psi, size = _ratios(G[row])
-        (relaxations if losses[row] else at_zero).append(_Mode(size, psi, losses[row]))
-    return _Parts(G.shape[1], resonators, at_zero, relaxations, np.diag(through))
 
 
 class _Draft:
@@ -227,7 +130,7 @@ class _Draft:
 
     # --- partial fractions ---------------------------------------------------------------------------------------
 
-    def side_by_side(self, parts: _Parts) -> None:
+    def side_by_side(self, parts: Resonators) -> None:
         """Branches across the ports of an admittance; tanks in series at those of an impedance."""
         every = [*parts.poles_at_zero, *parts.relaxations, *parts.modes]
         plain = [one for one in every if np.count_nonzero(one.psi) == 1]
@@ -259,7 +162,7 @@ class _Draft:
         self._ends[port] = self._node() if left[port] else "0"
         return begin, self._ends[port]
 
-    def _resonator(self, mode: _Mode, begin: str, end: str) -> None:
+    def _resonator(self, mode: Resonator, begin: str, end: str) -> None:
         """A branch, or the tank that is its dual, between two nodes."""
         values = {"C" if self._dual else "L": 1 / mode.kappa}
         if mode.loss:
@@ -274,7 +177,7 @@ class _Draft:
             self._add(letter, (begin, far), value)
             begin = far if in_series else begin
 
-    def _behind_transformers(self, mode: _Mode, left: list[int]) -> None:
+    def _behind_transformers(self, mode: Resonator, left: list[int]) -> None:
         """A resonator to ground behind ideal transformers, one for each port that it reaches.
 
         Admittance: the branch has the voltage `sum psi_k v_k`, each port the current `psi_k i`.  Impedance: the

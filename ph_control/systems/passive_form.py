@@ -27,6 +27,8 @@ from .. import _checks
 from .._checks import EPS
 from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
+from ..modal.general_form import GeneralModalForm
+from ..modal.modal_form import Cluster
 from ..modal.positive_real import Passivity, Split, is_positive, split_axis, violations, well_conditioned
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import equilibrated
@@ -473,6 +475,52 @@ def classical_parts(
     return None if modes is None else _side_by_side([*_axis_modes(axis, D.shape[1]), *modes], D)
 
 
+def parts_of_resonators(form: GeneralModalForm) -> Parts | None:
+    """Parts of modes each of which is a resonator or a relaxation by itself, of as many outputs as inputs, or None.
+
+    Such modes are passive however close they are; none is parted from another.
+    """
+    if form.noutputs != form.ninputs or form.feedthrough.any() or not form.n:
+        return None
+    none = np.zeros(0, complex)
+    resonators, damped = [], form.single
+    _, shapes, participation = damped._both_halves
+    residues = shapes[:, :, None] * participation[:, None, :]
+    real: list[tuple[float, ComplexArray]] = []
+    for p, residue in zip(damped.poles, residues, strict=True):
+        if p.imag > 0:
+            resonators.append((abs(p), -p.real / abs(p), residue * (2j * p.imag / p)))
+        elif p.imag == 0:
+            real.append((-p.real, residue))
+    for block in form.clusters:
+        square = float(np.linalg.det(block.A)) if len(block.A) == 2 and _no_response_at_zero(block) else 0.0
+        if not square > 0:
+            return None
+        d = float(np.sqrt(square))
+        resonators.append((d, -0.5 * float(np.trace(block.A)) / d, (block.C @ block.B).astype(complex)))
+    modes = []
+    for d, zeta, K in resonators:
+        size = _GIVEN * EPS * np.linalg.norm(K)
+        if not zeta >= 0 or np.linalg.norm(K - K.T) > size or np.linalg.norm(K.imag) > size:
+            return None
+        sigma, W = eigh(K.real)
+        if sigma[0] < -size:
+            return None
+        rows = np.sqrt(np.maximum(sigma[-1:], 0.0))[:, None] * W[:, -1:].T
+        modes += [_PassiveMode(d, zeta, 1j * row * np.sign(row[np.abs(row).argmax()] or 1.0), none) for row in rows]
+    relaxations = _of_real_poles(real) if all(rate >= 0 for rate, _ in real) else None
+    return None if relaxations is None else _side_by_side([*modes, *relaxations], form.feedthrough)
+
+
+def _no_response_at_zero(block: Cluster) -> bool:
+    """Whether a pair of poles that are not parted is a resonator, `C A^-1 B = 0`."""
+    try:
+        x = np.linalg.solve(block.A, block.B)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.linalg.norm(block.C @ x) <= 8 * _GIVEN * EPS * np.linalg.norm(block.C) * np.linalg.norm(x))
+
+
 def _axis_modes(axis: Sequence[tuple[float, ComplexArray]], m: int) -> list[_PassiveMode]:
     modes: list[_PassiveMode] = []
     for w, K in axis:
@@ -491,8 +539,7 @@ def _of_modes(A: Array, B: Array, C: Array) -> list[_PassiveMode] | None:
     b, c = np.linalg.solve(V, B), C @ V
     modes: list[_PassiveMode] = []
     none = np.zeros(0, complex)
-    slow: list[tuple[float, float, Array]] = []
-    fast: list[tuple[float, float, Array]] = []
+    real: list[tuple[float, ComplexArray]] = []
     scale = float(np.abs(poles).max())
     left = np.flatnonzero(poles.imag >= 0)
     while len(left):
@@ -506,15 +553,28 @@ def _of_modes(A: Array, B: Array, C: Array) -> list[_PassiveMode] | None:
             sigma, W = _factors(K.real)
             modes += [_PassiveMode(abs(p), -p.real / abs(p), 1j * row, none) for row in np.sqrt(sigma)[:, None] * W.T]
             continue
+        real.append((-p.real, residue))
+    relaxations = _of_real_poles(real)
+    return None if relaxations is None else modes + relaxations
+
+
+def _of_real_poles(found: Sequence[tuple[float, ComplexArray]]) -> list[_PassiveMode] | None:
+    """Overdamped resonators, each of two real poles, and relaxations, of rates and residues."""
+    slow: list[tuple[float, float, Array]] = []
+    fast: list[tuple[float, float, Array]] = []
+    modes: list[_PassiveMode] = []
+    none = np.zeros(0, complex)
+    for rate, residue in found:
         sigma, W = eigh(0.5 * (residue.real + residue.real.T))
         if np.linalg.norm(residue - residue.T) > _RESIDUE * np.abs(sigma).max():
             return None
         for k in np.flatnonzero(np.abs(sigma) > _NONE * np.abs(sigma).max()):
-            (fast if sigma[k] > 0 else slow).append((-p.real, abs(float(sigma[k])), W[:, k]))
+            (fast if sigma[k] > 0 else slow).append((rate, abs(float(sigma[k])), W[:, k]))
     for rate, weight, u in slow:
-        partner = next((one for one in fast if _is_pair((rate, weight, u), one)), None)
-        if partner is None:
+        partners = [one for one in fast if _is_pair((rate, weight, u), one)]
+        if not partners:
             return None
+        partner = min(partners, key=lambda one: abs(one[1] * rate - weight * one[0]))
         fast = [one for one in fast if one is not partner]
         d = np.sqrt(rate * partner[0])
         psi = np.sqrt(weight * (partner[0] - rate) / rate) * u

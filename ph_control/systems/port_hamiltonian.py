@@ -29,7 +29,7 @@ from ..symplectic.forms_and_williamson import (
     williamson,
 )
 from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
-from .passive_form import in_port_order
+from .passive_form import Conversion, in_port_order, parts_of_resonators
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
@@ -677,6 +677,10 @@ def _of_system(
     if isinstance(source, ModalForm) and source.is_lossless:
         return PortHamiltonian._from_modes(source, **names)
     if isinstance(source, GeneralModalForm):
+        if storage == "auto" and ports is None and not lossless and (parts := parts_of_resonators(source)):
+            from .dissipative import restored as with_losses
+
+            return with_losses(parts, names, None, Conversion("modal", 0, 0.0))
         source = source.state_space()
     if isinstance(source, LosslessSystem) and storage == "auto" and ports is None:
         if lossless and isinstance(source, PortHamiltonian):
