@@ -197,38 +197,43 @@ def _modes_of_halves(E: Array, L: Array, F: Array) -> list[tuple[float, float, A
     d = np.concatenate([s, np.zeros(n - len(s))])
     d[d <= max(E.shape) * EPS * d.max(initial=0.0)] = 0.0
     L, F = W @ L @ W.T, W @ F
-    L, F = _turned_together(d * d, L, F)
-    loss = np.maximum(np.diag(L), 0.0)
-    root = np.sqrt(loss)
-    off = np.where(np.abs(L) > 4 * n * EPS * root * root[:, None], np.abs(L), 0.0)
-    np.fill_diagonal(off, 0.0)
+    X, L, F = _turned_together(d * d, L, F)
+    d, loss = np.where(d == np.sqrt(np.diag(X)), d, np.sqrt(np.maximum(np.diag(X), 0.0))), np.maximum(np.diag(L), 0.0)
+    between = _between(X, n), _between(L, n)
+    off = between[0] + between[1]
     if n > 1:
         F = np.where(np.linalg.norm(F, axis=1, keepdims=True) > n * EPS * np.linalg.norm(F), F, 0.0)
     # modes that ports reach, if only through others
     count, label = connected_components(coo_array(off), directed=False)
     reached = np.isin(label, label[F.any(axis=1)]) if count else np.zeros(n, bool)
-    d, loss, F, off = d[reached], loss[reached], F[reached], off[np.ix_(reached, reached)]
-    if off.any() and not _beside(d, loss, F, off) <= _EXACT:
+    d, loss, F = d[reached], loss[reached], F[reached]
+    stiff, lossy = (matrix[np.ix_(reached, reached)] for matrix in between)
+    if (stiff.any() or lossy.any()) and not _beside(d, loss, F, stiff, lossy) <= _EXACT:
         return None
     return [(float(a), float(b), row) for a, b, row in zip(d, loss, F, strict=True) if row.any()]
 
 
-def _turned_together(x: Array, L: Array, F: Array) -> tuple[Array, Array]:
-    """Losses and ports of modes, turned where modes are so close that rounding alone may have mixed them.
+def _between(M: Array, n: int) -> Array:
+    """Sizes of what a positive semidefinite matrix has off its diagonal beyond rounding."""
+    root = np.sqrt(np.maximum(np.diag(M), 0.0))
+    return np.where((np.abs(M) > 4 * n * EPS * root * root[:, None]) & ~np.eye(len(M), dtype=bool), np.abs(M), 0.0)
+
+
+def _turned_together(x: Array, L: Array, F: Array) -> tuple[Array, Array, Array]:
+    """Squares of frequencies, losses and ports of modes, turned where modes are so close that rounding alone may have mixed them.
 
     Jacobi rotations of pairs make `diag(x)` and `L` as diagonal as they get together.
     """
-    n, L, F, X = len(x), L.copy(), F.copy(), np.diag(x)
+    n, L, F, X = len(x), L.copy(), F.copy(), np.diag(x).copy()
     sizes = [np.abs(M).max(initial=0.0) or 1.0 for M in (X, L)]
     for _ in range(_SWEEPS):
-        root = np.sqrt(np.maximum(np.diag(L), 0.0))
-        flagged = np.triu(np.abs(L) > 4 * n * EPS * root * root[:, None], 1)
+        flagged = np.triu(_between(L, n) + _between(X, n)) > 0
         flagged &= np.abs(np.subtract.outer(x, x)) <= _CLOSE * np.add.outer(x, x)
         turned = False
         for i, j in np.argwhere(flagged):
             h = np.array([[M[i, i] - M[j, j], 2 * M[i, j]] for M in (X / sizes[0], L / sizes[1])])
             on, both = float(h[:, 0] @ h[:, 0] - h[:, 1] @ h[:, 1]), float(2 * h[:, 0] @ h[:, 1])
-            angle = 0.5 * np.arctan2(both, on + np.hypot(on, both))
+            angle = 0.25 * np.arctan2(both, on)
             if abs(angle) <= EPS:
                 continue
             turned, pair = True, [i, j]
@@ -239,17 +244,28 @@ def _turned_together(x: Array, L: Array, F: Array) -> tuple[Array, Array]:
             F[pair] = Q @ F[pair]
         if not turned:
             break
-    return L, F
+    return X, L, F
 
 
-def _beside(d: Array, loss: Array, F: Array, off: Array) -> float:
-    """Bound of what losses between modes change of the response at the resonances, over the largest response."""
-    w = np.where(d > 0, d, loss)
-    weight = np.linalg.norm(F, axis=1)
-    with np.errstate(all="ignore"):
-        g = w[:, None] * weight / np.abs((d * d - (w * w)[:, None]) + 1j * w[:, None] * loss)
-        changed, size = np.einsum("ki,ki->k", g @ off, g), g @ weight
-    return float(np.max(changed) / np.max(size))
+def _beside(d: Array, loss: Array, F: Array, stiff: Array, lossy: Array) -> float:
+    """Bound of what is between modes changes of the response at the resonances, over the largest response there.
+
+    With `D_i = d_i^2 - w^2 + i w loss_i`, `N = |D|^-1/2 (stiff + w lossy) |D|^-1/2` and `h_i = |f_i| sqrt(w / |D_i|)`
+    the change is at most `h^T N (1 - N)^-1 h`, which is `h^T N h + 2 |N h|^2` for N up to 1/2.
+    """
+    joined = (stiff + lossy).any(axis=1)
+    pick = np.ix_(joined, joined)
+    d, loss, stiff, lossy = d[joined], loss[joined], stiff[pick], lossy[pick]
+    weight = np.linalg.norm(F[joined], axis=1)
+    w = np.where(d > 0, d, loss)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a mode without losses no bound is known
+        root = 1 / np.sqrt(np.abs(d * d - w * w + 1j * w * loss))
+        h = root * np.sqrt(w) * weight
+        if not np.max(root * (root @ stiff + w * (root @ lossy))) <= 0.5:
+            return np.inf
+    once = root * ((root * h) @ stiff + w * ((root * h) @ lossy))
+    changed = np.sum(h * once, axis=1) + 2 * np.sum(once * once, axis=1)
+    return float(np.max(changed) / np.max(np.sum(h * h, axis=1)))
 
 
 def _sorted(found: list[tuple[float, float, Array]], feedthrough: Array) -> Resonators:
