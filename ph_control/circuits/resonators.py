@@ -35,7 +35,7 @@ _EXACT = 1e-11  # of the largest response: what a form that was recognised may d
 _CLOSE = 1e-4  # of their sum: squares of frequencies whose modes rounding may turn into each other
 _SWEEPS = 30
 _CERTAIN = 1e-4  # imaginary part of a residue, relative: damping that is surely not classical
-_KNOWN = 1e-8  # relative error of a residue that is known
+_SURELY = 100.0  # times the estimated error of a residue
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ def _between(M: Array, n: int) -> Array:
 
 
 def _turned_together(x: Array, L: Array, F: Array) -> tuple[Array, Array, Array]:
-    """Squares of frequencies, losses and ports of modes, turned where modes are so close that rounding alone may have mixed them.
+    """Squares of frequencies, losses and ports of modes, turned where they are so close that rounding may mix them.
 
     Jacobi rotations of pairs make `diag(x)` and `L` as diagonal as they get together.
     """
@@ -306,9 +306,9 @@ def _refuse_complex_residues(given: PortRows) -> None:
         b, c = (left.conj().T @ given.B) / product[:, None], given.C @ right
         K: ComplexArray = np.einsum("pl,lm->lpm", c, b) * (2j * poles.imag / poles)[:, None, None]
     size = np.linalg.norm(K, axis=(1, 2))
-    damped = (poles.imag > 0) & (poles.real < -_CERTAIN * _CERTAIN * np.abs(poles)) & (error < _KNOWN)
-    seen = size > _KNOWN * size[np.isfinite(size)].max(initial=0.0)
-    if np.any(damped & seen & (np.linalg.norm(K.imag, axis=(1, 2)) > _CERTAIN * size)):
+    damped = (poles.imag > 0) & (poles.real < -_CERTAIN * _CERTAIN * np.abs(poles))
+    seen = size > _CERTAIN * size[np.isfinite(size)].max(initial=0.0)
+    if np.any(damped & seen & (np.linalg.norm(K.imag, axis=(1, 2)) > np.maximum(_CERTAIN, _SURELY * error) * size)):
         raise _not_classical()
 
 
