@@ -564,7 +564,8 @@ def _contents(kind: str) -> list[bytes]:
         return [(head + rows).encode() for head in heads]
     if kind == "cir":
         coupled = (
-            "t\nV1 1 0 AC 1\nR1 1 2 4.7k\nL1 2 0 1m\nL2 3 0 2u ; coil\nK1 L1 L2 .5\n+\nC1 3 0 10nF\nI1 0 3\n.end\n"
+            "t\nV1 1 0 AC 1\nR1 1 2 4.7k\nL1 2 0 1m\nL2 3 0 2u ; coil\nK1 L1 L2 .5\n+\nC1 3 0 10nF\nI1 0 3\n"
+            ".param a={2*b} b=3\n.subckt s p q c=1n\nC1 p q {c*a} Rser='b'\n.ends\nX1 3 0 s c=2n\n.end\n"
         )
         return [coupled.encode(), *(one.spice().encode() for one in pool("Netlist"))]
     if kind in ("uff", "s1p", "table"):
