@@ -520,6 +520,17 @@ def _text(what: str, name: Any) -> None:
         raise StructureError(f"{what} is {shown(name)}; a name is a text without dots")
 
 
+def without_dots(labels: Sequence[str]) -> list[str]:
+    """Labels as systems of python-control take them, without dots; those that differ still do."""
+    names: list[str] = []
+    for k, label in enumerate(labels):
+        name = label.replace(".", "_")
+        while name != label and (name in labels or name in names[:k]):
+            name += "_"
+        names.append(name)
+    return names
+
+
 def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tuple[tuple[int, int], ...]:
     """Numbers of the output and the input of each port, given by labels or numbers, as pairs or as a mapping."""
     try:

@@ -10,6 +10,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+# control characters but for tab and line feed, marks that turn the direction of reading, and halves of characters
+_UNSEEN = "\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff"
+_CONTROLS, _CONTROLS_AND_BREAKS = re.compile(f"[{_UNSEEN}]"), re.compile(f"[{_UNSEEN}\t\n]")
+
 
 class PHControlError(Exception):
     """Root of all errors raised by this package.
@@ -25,14 +29,21 @@ class PHControlError(Exception):
     """
 
     def __str__(self) -> str:
-        """Return the message, without the middle of what is too long to be read, such as a label."""
-        return shortened(super().__str__())
+        """Return the message, without the middle of what is too long to be read, such as a label, and printable."""
+        return printable(shortened(super().__str__()))
 
 
 def shortened(text: str) -> str:
     """Text without the middle of words of hundreds of letters, nor that of thousands of words."""
     text = re.sub(r"\S{400,}", lambda found: f"{found[0][:150]}...{found[0][-150:]}", text)
     return text if len(text) < 8000 else f"{text[:5000]} ... {text[-2000:]}"
+
+
+def printable(text: str, *, one_line: bool = False) -> str:
+    """Text with the characters that steer a terminal, or are not seen, as escapes; in one line also its breaks."""
+    return (_CONTROLS_AND_BREAKS if one_line else _CONTROLS).sub(
+        lambda found: found[0].encode("unicode_escape").decode(), text
+    )
 
 
 class StructureError(PHControlError, ValueError):

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError, shortened
+from ..exceptions import IdentifiabilityWarning, NotLosslessError, PHControlError, printable, shortened
 
 DONE, NO, BAD, BROKEN, INTERRUPTED, UNREAD = 0, 1, 2, 3, 130, 141
 
@@ -65,7 +65,7 @@ def complain(message: str) -> None:
     """One line on standard error; where that is closed, nothing."""
     if sys.stderr is not None:
         with suppress(OSError, ValueError):
-            print("ph-control: " + shortened(" ".join(message.split())), file=sys.stderr, flush=True)
+            print("ph-control: " + printable(shortened(" ".join(message.split()))), file=sys.stderr, flush=True)
 
 
 class ProgressLine:
@@ -129,7 +129,7 @@ class ProgressLine:
 
 def _put(line: str) -> None:
     """Put a line in the place of the last one on standard error."""
-    print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
+    print(f"\r\033[K{printable(line, one_line=True)}", end="", file=sys.stderr, flush=True)
 
 
 def emit(content: str | bytes) -> None:
@@ -138,7 +138,7 @@ def emit(content: str | bytes) -> None:
         return
     try:
         if isinstance(content, str):
-            sys.stdout.write(content)
+            sys.stdout.write(printable(content))
         elif sys.stdout.isatty():
             raise PHControlError(
                 "standard output is a terminal, and this output is binary: redirect it, or name a file"

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
 import secrets
 import shutil
+import stat
+import time
+import zlib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 from .. import _checks
-from ..exceptions import FileFormatError, FileMissingError, OutputExistsError, PHControlError, StructureError
+from ..exceptions import FileFormatError, FileMissingError, OutputExistsError, PHControlError, StructureError, printable
+
+_HOST = f"{zlib.crc32(platform.node().encode()):08x}"
+_TEMPORARY = re.compile(r"\.ph_control-(?:([0-9a-f]{8})-)?[0-9a-f]{16}\.tmp")  # the host, and what makes it unique
+_DAY = 86400.0  # longer than any file is written
 
 
 def as_path(name: Any) -> Path:
@@ -35,7 +49,8 @@ def as_path(name: Any) -> Path:
 
 def source_name(source: Any) -> str:
     """Name of what is read, for errors and titles: that of the file, also of one that is open already."""
-    return str(getattr(source, "name", "the stream") if hasattr(source, "read") else source)
+    name = getattr(source, "name", "the stream") if hasattr(source, "read") else source
+    return printable(os.fsdecode(name) if isinstance(name, bytes) else str(name), one_line=True)
 
 
 def read_bytes(source: Any) -> bytes:
@@ -49,13 +64,14 @@ def read_bytes(source: Any) -> bytes:
             ) from error
         return content.encode() if isinstance(content, str) else bytes(content)
     path = as_path(source)
+    name = source_name(path)
     if path.is_dir():
-        raise FileFormatError(f"{path} is a folder; pass the file in it")
+        raise FileFormatError(f"{name} is a folder; pass the file in it")
     try:
         return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise FileMissingError(
-            f"there is no file {path} (looked from {Path.cwd()}); check its name and folder"
+            f"there is no file {name} (looked from {Path.cwd()}); check its name and folder"
         ) from None
 
 
@@ -84,18 +100,22 @@ def write_atomically(path: Path, content: str | bytes, *, overwrite: bool) -> No
     # through a symbolic link the file it points at is replaced, not the link
     target = path.resolve()
     refuse_unwritable(target, overwrite)
-    temporary = target.with_name(f".ph_control-{secrets.token_hex(8)}.tmp")
+    stream, temporary = _temporary_file(target.parent, target)
     try:
-        # not tempfile: its files are private, this one shall have the permissions of any new file
-        with open(temporary, "xb") as stream:
+        try:
             stream.write(content.encode() if isinstance(content, str) else content)
             stream.flush()
             os.fsync(stream.fileno())
-        # somebody else may have made it in the meantime
-        refuse_unwritable(target, overwrite)
-        if target.exists():
-            shutil.copymode(target, temporary)
-        os.replace(temporary, target)
+            if fcntl is None:
+                stream.close()  # what is open cannot be renamed there
+            # somebody else may have made it in the meantime
+            refuse_unwritable(target, overwrite)
+            if target.exists():
+                shutil.copymode(target, temporary)
+            # still locked, so that nobody takes it for abandoned
+            os.replace(temporary, target)
+        finally:
+            stream.close()
     except PHControlError:
         raise
     except OSError as error:
@@ -104,3 +124,57 @@ def write_atomically(path: Path, content: str | bytes, *, overwrite: bool) -> No
     finally:
         with suppress(OSError):
             temporary.unlink()
+    _remove_abandoned(target.parent)
+
+
+def _temporary_file(folder: Path, target: Path) -> tuple[BinaryIO, Path]:
+    """New file for the content of another, open and locked, and its name."""
+    while True:
+        name = folder / f".ph_control-{_HOST}-{secrets.token_hex(8)}.tmp"
+        try:
+            # not tempfile: its files are private, this one shall have the permissions of any new file
+            stream = open(name, "xb")
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(target)) from None
+        # between opening and locking another process may have taken it for abandoned
+        if not _locked(stream.fileno()) or os.fstat(stream.fileno()).st_nlink:
+            return stream, name
+        stream.close()
+
+
+def _locked(descriptor: int) -> bool:
+    """Lock an open file, which the death of its process ends; False where that cannot be or another one has it."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove temporary files whose processes were killed while they wrote."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        names = [(entry.path, found[1]) for entry in entries if (found := _TEMPORARY.fullmatch(entry.name))]
+        for path, host in names:
+            with suppress(OSError):
+                _remove_if_abandoned(path, host == _HOST)
+
+
+def _remove_if_abandoned(path: str, of_this_host: bool) -> None:
+    """Remove a temporary file that nobody writes: by its lock on this host, else by its age."""
+    status = os.lstat(path)
+    own = stat.S_ISREG(status.st_mode) and (fcntl is None or status.st_uid == os.getuid())
+    if not own or not (time.time() - status.st_mtime > _DAY or (of_this_host and fcntl is not None)):
+        return
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0))
+    try:
+        if fcntl is not None and not _locked(descriptor):
+            return
+        if fcntl is not None:
+            os.unlink(path)  # while it is locked
+    finally:
+        os.close(descriptor)
+    if fcntl is None:
+        os.unlink(path)  # what another process has open stays

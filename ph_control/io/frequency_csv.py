@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, BinaryIO, TextIO
 
@@ -13,7 +14,7 @@ from scipy.special import cosdg, sindg
 from .. import _checks
 from .._types import Array, ComplexArray
 from .._units import with_unit
-from ..exceptions import StructureError
+from ..exceptions import StructureError, printable
 from .text_table import Table, is_time_label, name_and_unit, read_table
 
 Column = int | str
@@ -42,15 +43,27 @@ _LABELS = {
         *(f"|{letter}|" for letter in "ghzy"),
     ),
     "phase": ("phase", "phi", "arg", "angle"),
-    "real": ("re", "real", "real part"),
-    "imag": ("im", "imag", "imaginary", "imaginary part"),
+    "real": ("re", "real", "real part", *(f"{part}({letter})" for part in ("re", "real") for letter in "ghzy"), "z'"),
+    "imag": (
+        "im",
+        "imag",
+        "imaginary",
+        "imaginary part",
+        *(f"{part}({letter})" for part in ("im", "imag") for letter in "ghzy"),
+        "z''",
+        'z"',
+    ),
 }
 COLUMNS = tuple(_LABELS)
+# before a label; dashes of other widths are as common as the hyphen
+_MINUS = re.compile(
+    r"\s*(?:\(?[-\u2010-\u2015\u2212\ufe63\uff0d]\)?\s*(?:1\s*[*·×]\s*)?|(?:minus|neg(?:ative)?)\b[\s.]*)(?=\S)", re.I
+)
 _PAIRS = _POLAR, _CARTESIAN = ("magnitude", "phase"), ("real", "imag")
 _SPELLINGS = {
     "rads": "rad/s", "rad_s": "rad/s", "rad/sec": "rad/s", "1/s": "rad/s", "s^-1": "rad/s", "hz": "Hz", "khz": "kHz",
     "ghz": "GHz", "db": "dB", "deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg", "rad": "rad",
-    "radian": "rad", "radians": "rad",
+    "radian": "rad", "radians": "rad", "ohm": "Ohm", "ohms": "Ohm", "ω": "Ohm",
 }  # fmt: skip
 
 
@@ -111,7 +124,8 @@ def read_frequency_csv(
 
     Notes
     -----
-    A label carries its unit as `frequency [Hz]`, `mag (dB)` or `phase_deg`.  O(K) for K rows.
+    A label carries its unit as `frequency [Hz]`, `mag (dB)` or `phase_deg`.  A part or a phase whose label begins with
+    a minus sign, such as `-Im(Z)`, is the negative of what the column holds.  O(K) for K rows.
 
     Examples
     --------
@@ -139,7 +153,8 @@ def response_in(
     values = table.columns(chosen)
     omega = _angular(table, values[0], clock, units["frequency_unit"])
     pairs = zip(first, second, values[1 : len(first) + 1], values[len(first) + 1 :], strict=False)
-    response = np.array([_polar(table, units, [j, k], a, b) if polar else a + 1j * b for j, k, a, b in pairs])
+    signed = [(j, k, a if polar else _sign(table, j) * a, _sign(table, k) * b) for j, k, a, b in pairs]
+    response = np.array([_polar(table, units, [j, k], a, b) if polar else a + 1j * b for j, k, a, b in signed])
     order = np.argsort(omega, kind="stable")
     found = response_matrix(omega, response.reshape(*shape, -1), None, None, table.path)
     return found, None if weights is None else values[-1][order]
@@ -149,8 +164,10 @@ def response_matrix(
     omega: Array, response: ComplexArray, inputs: list[str] | None, outputs: list[str] | None, path: str
 ) -> FrequencyResponseData:
     """Data of python-control, ascending in frequency: response (p, m, K), labels, and the file it comes from."""
-    order = np.argsort(omega, kind="stable")
-    names: dict[str, Any] = {} if inputs is None else {"inputs": inputs, "outputs": outputs}
+    order, names = np.argsort(omega, kind="stable"), {}
+    for role, labels in (("inputs", inputs), ("outputs", outputs)):
+        if labels is not None:
+            names[role] = _checks.without_dots([printable(label, one_line=True) for label in labels])
     found = FrequencyResponseData(response[..., order], omega[order], title=os.path.basename(path) or None, **names)
     return with_unit(found, "s")
 
@@ -226,7 +243,13 @@ def _found(table: Table, given: Any, role: str) -> Any:
 
 def _labelled(table: Table, role: str) -> list[int]:
     labels = [name_and_unit(label, _spelled)[0].casefold() for label in table.labels or ()]
-    return [k for k, label in enumerate(labels) if label in _LABELS[role]]
+    signed = _LABELS[role] if role in ("phase", "real", "imag") else ()
+    return [k for k, label in enumerate(labels) if label in _LABELS[role] or _MINUS.sub("", label) in signed]
+
+
+def _sign(table: Table, column: int) -> float:
+    """-1 for a column that holds the negative of a part or a phase by its label, as `-Im(Z)` does."""
+    return -1.0 if table.labels and _MINUS.match(table.labels[column]) else 1.0
 
 
 # --- units -------------------------------------------------------------------------------------------------------

@@ -1,16 +1,21 @@
-"""MATLAB's `.mat` files: level 5 is read here, with every size checked; the reader of scipy crashes on damaged ones."""
+"""MATLAB's `.mat` files: level 5 is read here, with every size checked; the reader of scipy crashes on damaged ones.
+
+Those of version 7.3 are HDF5, which h5py reads.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.io
 
-from ..exceptions import FileFormatError
+from ..exceptions import FileFormatError, MissingPackageError, PHControlError
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _UTF8 = 16
@@ -19,6 +24,20 @@ _CELL, _STRUCT, _TEXT, _SPARSE, _NUMERIC = 1, 2, 4, 5, range(6, 16)  # classes o
 _OBJECTS = (3, 16, 17)
 _LOGICAL, _COMPLEX = 0x200, 0x800  # flags of arrays
 _MOST = 1 << 26  # entries of a sparse matrix, which is filled up
+_DEEPEST = 32  # structures in one another
+_MOST_NODES = 1 << 17  # arrays of a file; references of a damaged one may go in circles
+_RATIO = 2000  # of the numbers of an array to its bytes: deflate, which MATLAB uses, has at most 1032
+_SMALL = 1 << 20  # bytes of an array that may be declared without a content
+_REAL = frozenset("biuf")
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Array of structures, or cell array: its values in the order of MATLAB, the first index fastest."""
+
+    kind: str
+    shape: tuple[int, ...]
+    values: Sequence[Any]
 
 
 class _MatlabObject(Exception):
@@ -31,14 +50,16 @@ def is_matlab(content: bytes, name: str) -> bool:
 
 
 def read_matlab(content: bytes, name: str) -> dict[str, Any]:
-    """Variables of a `.mat` file: arrays, and structures as mappings; of what is no number a text in its place."""
-    if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise FileFormatError(f"{name} is of version 7.3, not supported; save it in MATLAB with the option '-v7'")
+    """Variables of a `.mat` file: arrays, structures as mappings, several as `Elements`; of other things a text."""
     try:
+        if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
+            return _hdf5_variables(content, name)
         # the header of level 5, which the files of MATLAB 4 do not have, ends in the mark of its byte order
         order = {b"IM": "<", b"MI": ">"}[content[126:128]]
         with np.errstate(all="ignore"):
             return dict(_variables(content[128:], order))
+    except PHControlError:
+        raise
     except _MatlabObject:
         raise FileFormatError(
             f"{name} holds a MATLAB object, which only MATLAB reads; run there [A,B,C,D] = ssdata(sys); "
@@ -105,13 +126,27 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
         width, names = int(_numbers(next(elements), order)[0]), next(elements)[1]
         keys = [names[k : k + width].split(b"\0")[0].decode("latin-1") for k in range(0, len(names), width)]
         values = [_matrix(part, order)[1] for _, part in elements]
-        return name, dict(zip(keys, values, strict=True)) if np.prod(shape) == 1 else "an array of structures"
+        if len(values) != len(keys) * math.prod(shape):
+            raise ValueError(shape)
+        parts = range(0, len(values), max(len(keys), 1))
+        fields = [dict(zip(keys, values[k : k + len(keys)], strict=True)) for k in parts]
+        return name, _structures(shape, fields)
     if kind == _TEXT:
         return name, _text(next(elements, (_UTF8, b"")), order)
     if kind == _CELL:
         inner = [_matrix(part, order)[1] for _, part in elements]
-        return name, inner if all(isinstance(one, str) for one in inner) else "a cell array"
+        return name, _cells(shape, inner)
     return name, {_SPARSE: "a sparse matrix of logical values"}[kind]
+
+
+def _structures(shape: tuple[int, ...], values: Sequence[Mapping[str, Any]]) -> Any:
+    """Structure, or array of several."""
+    return values[0] if len(values) == math.prod(shape) == 1 else Elements("an array of structures", shape, values)
+
+
+def _cells(shape: tuple[int, ...], values: list[Any]) -> Any:
+    """Cell array: a list where all of it are texts, such as names."""
+    return values if all(isinstance(value, str) for value in values) else Elements("a cell array", shape, values)
 
 
 def _text(element: tuple[int, bytes], order: str) -> str:
@@ -125,11 +160,128 @@ def _filled(shape: tuple[int, ...], rows: Any, ends: Any, values: Any) -> Any:
     # not by scipy.sparse, whose own checks let indices through that it does not survive
     ends, stored = ends.astype(np.int64), min(len(rows), len(values))
     steps = np.diff(ends, prepend=0, append=stored)
-    if len(ends) != shape[1] + 1 or steps.min() < 0 or shape[0] * shape[1] > _MOST:
+    if len(ends) != shape[1] + 1 or steps.min() < 0 or (stored and rows.min() < 0) or shape[0] * shape[1] > _MOST:
         raise ValueError(shape)
     full = np.zeros(shape, values.dtype)
     full[rows[: ends[-1]], np.repeat(np.arange(shape[1]), np.diff(ends))] = values[: ends[-1]]
     return full
+
+
+# --- version 7.3 -----------------------------------------------------------------------------------------------------
+
+
+def _hdf5_variables(content: bytes, name: str) -> dict[str, Any]:
+    """Variables of a file, as `read_matlab` gives them."""
+    try:
+        import h5py
+    except ImportError:
+        raise MissingPackageError(
+            f"{name} is of version 7.3, read by h5py, which is not installed: pip install 'ph_control[formats]', or "
+            "save the file in MATLAB with the option '-v7'"
+        ) from None
+    with h5py.File(io.BytesIO(content), "r") as file:
+        return _Hdf5(file, h5py, name).fields(file, 0)
+
+
+class _Hdf5:
+    """Values of the nodes of one file; links and data outside of it are refused, and so are declared sizes it lacks."""
+
+    def __init__(self, file: Any, h5py: Any, name: str) -> None:
+        self.file, self.h5py, self.name = file, h5py, name
+        self.nodes = 0
+
+    def fields(self, group: Any, depth: int) -> dict[str, Any]:
+        """Variables of a file, or fields of a structure; `#refs#` holds what others refer to."""
+        names = [key for key in group if not key.startswith("#")]
+        for key in names:
+            if not isinstance(group.get(key, getlink=True), self.h5py.HardLink):
+                raise FileFormatError(f"{self.name}: {key} is a link; save it in MATLAB, which writes none")
+        return {key: self.value(group[key], depth + 1) for key in names}
+
+    def value(self, node: Any, depth: int) -> Any:
+        """Array, mapping of a structure, or several of these."""
+        self.nodes += 1
+        if depth > _DEEPEST or self.nodes > _MOST_NODES:
+            raise FileFormatError(
+                f"{self.name} has arrays in more than {_DEEPEST} others, or more than {_MOST_NODES}; save those "
+                "that are needed in a file of their own"
+            )
+        kind = self.kind(node)
+        if "MATLAB_object_decode" in node.attrs or kind in ("function_handle", "opaque"):
+            raise _MatlabObject
+        if isinstance(node, self.h5py.Group):
+            return self.sparse(node) if "MATLAB_sparse" in node.attrs else self.structure(node, depth)
+        if not isinstance(node, self.h5py.Dataset):
+            return "a type"
+        if node.attrs.get("MATLAB_empty", 0):
+            shape = tuple(int(size) for size in np.ravel(node[()]))
+            return "" if kind == "char" else _cells(shape, []) if kind == "cell" else np.zeros((0, 0))
+        values = self.array(node)
+        if node.dtype == self.h5py.ref_dtype:
+            return _cells(values.shape, [self.value(self.file[ref], depth + 1) for ref in values.ravel(order="F")])
+        if kind == "char":
+            return "".join(map(chr, values.ravel().tolist()))
+        if values.dtype.names is not None and {"real", "imag"} <= set(values.dtype.names):
+            return values["real"].astype(float) + 1j * values["imag"].astype(float)
+        if values.dtype.kind not in _REAL | {"c"}:
+            return "a text"
+        return values.astype(complex if values.dtype.kind == "c" else float)
+
+    def kind(self, node: Any) -> str:
+        """Class that MATLAB has written."""
+        told = node.attrs.get("MATLAB_class", b"")
+        return told.decode("ascii", "replace") if isinstance(told, bytes) else str(told)
+
+    def array(self, node: Any) -> Any:
+        """Array in the order of its dimensions in MATLAB, at least two of them."""
+        held = node.id.get_storage_size()
+        if node.external or node.is_virtual:
+            raise FileFormatError(f"{self.name}: {node.name} lies in another file, and no other file is opened")
+        declared = math.prod(node.shape or (0,)) * node.dtype.itemsize
+        if declared > _SMALL and declared > _RATIO * held:
+            raise FileFormatError(
+                f"{self.name}: {node.name} has {declared} bytes by its header, and {held} in the file; save it again"
+            )
+        if node.shape is None:
+            return np.zeros((0, 0))
+        values = np.asarray(node[()]).T
+        # numbers and vectors of other programs
+        return values.reshape(1, -1) if values.ndim < 2 else values
+
+    def structure(self, group: Any, depth: int) -> Any:
+        """Structure, or array of structures: then each field is an array of references."""
+        own = [key for key in group if not key.startswith("#")]
+        lists = [
+            isinstance(node := group.get(key), self.h5py.Dataset) and node.dtype == self.h5py.ref_dtype
+            and not self.kind(node)
+            for key in own
+        ]  # fmt: skip
+        if not own or not all(lists):
+            return self.fields(group, depth)
+        columns = {key: self.array(group[key]) for key in own}
+        shapes = {values.shape for values in columns.values()}
+        if len(shapes) != 1:
+            raise FileFormatError(f"{self.name}: the fields of {group.name} have several sizes; save it again")
+        shape = shapes.pop()
+        parts = {key: values.ravel(order="F") for key, values in columns.items()}
+        fields = [
+            {key: self.value(self.file[refs[k]], depth + 1) for key, refs in parts.items()}
+            for k in range(math.prod(shape))
+        ]
+        return _structures(shape, fields)
+
+    def sparse(self, group: Any) -> Any:
+        """Sparse matrix, filled up."""
+        ends = self.array(group["jc"]).ravel()
+        values: Any
+        rows, values = (self.array(group[key]).ravel() if key in group else np.zeros(0) for key in ("ir", "data"))
+        if values.dtype.names is not None:
+            values = values["real"] + 1j * values["imag"]
+        shape = int(group.attrs["MATLAB_sparse"]), len(ends) - 1
+        return _filled(shape, rows, ends, values.astype(complex if np.iscomplexobj(values) else float))
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
 
 
 def matlab_of(fields: Mapping[str, Any]) -> bytes:

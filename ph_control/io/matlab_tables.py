@@ -18,10 +18,11 @@ from ..analysis.time_grid import printed_step
 from ..exceptions import FileFormatError, StructureError
 from .files import read_bytes, source_name
 from .frequency_csv import FREQUENCY_UNITS, response_matrix
-from .matlab import is_matlab, read_matlab
+from .matlab import Elements, is_matlab, read_matlab
 from .time_csv import complete_grid, recording
 
-_COLUMN = re.compile(r"(.*?)\[([0-9]+)\]")
+_COLUMN = re.compile(r"(.*)\[([0-9]+)\]")
+_FROM_ONE = re.compile(r"[({]\s*([0-9]+(?:\s*,\s*[0-9]+)*)\s*[)}]")  # indices as MATLAB spells them
 _TIMES = ("t", "time")
 
 
@@ -220,6 +221,7 @@ class _Variables:
         return [self._one(role, one.strip()) for one in names]
 
     def _one(self, role: str, wanted: str) -> tuple[str, Array, int | None]:
+        wanted = _FROM_ONE.sub(lambda found: f"[{','.join(str(int(k) - 1) for k in found[1].split(','))}]", wanted)
         bare, column = wanted, None
         if wanted not in self._found and (found := _COLUMN.fullmatch(wanted)):
             bare, column = found[1], int(found[2])
@@ -254,11 +256,22 @@ class _Variables:
 
 
 def _flat(fields: Mapping[str, Any], before: str) -> Iterator[tuple[str, Any]]:
+    """Names of all arrays and what else there is; those of an element of an array of structures as `runs[1].u`."""
     for key, value in fields.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{before}{key}.")
-        else:
-            yield f"{before}{key}", value
+        yield from _inside(f"{before}{key}", value)
+
+
+def _inside(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        yield from _flat(value, f"{name}.")
+    elif isinstance(value, Elements):
+        yield name, value.kind
+        for k, element in enumerate(value.values):
+            index = np.unravel_index(k, value.shape, order="F")
+            place = str(k) if max(value.shape) == len(value.values) else ",".join(map(str, index))
+            yield from _inside(f"{name}[{place}]", element)
+    else:
+        yield name, value
 
 
 def _kind(value: Any) -> str:

@@ -14,7 +14,7 @@ from .. import _checks
 from .._types import Array
 from .._units import checked_unit, with_unit
 from ..analysis.time_grid import printed_step
-from ..exceptions import FileFormatError, StructureError
+from ..exceptions import FileFormatError, StructureError, printable
 from .text_table import Table, is_time_label, read_table, unit_of_time
 
 Column = int | str
@@ -135,6 +135,7 @@ def recording(
     grid: Array, u: Array, y: Array, inputs: list[str], outputs: list[str], path: str, unit: str | None
 ) -> TimeResponseData:
     """Data of python-control: inputs (m, N), outputs (p, N), their labels, and the file they come from."""
+    inputs, outputs = ([printable(label, one_line=True) for label in labels] for labels in (inputs, outputs))
     found = TimeResponseData(
         grid, y, inputs=u if len(u) else None, issiso=len(y) == 1 and len(u) <= 1, input_labels=inputs or None,
         output_labels=outputs, title=Path(path).name,

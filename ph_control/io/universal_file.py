@@ -6,7 +6,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
@@ -74,12 +74,15 @@ def read_uff(
     list of control.FrequencyResponseData and control.TimeResponseData, or of one UniversalModes
         In the order of the file, with labels, and `time_unit` 's'; frequencies in rad/s.  `quantity` is a mapping from
         labels of outputs to 'displacement', 'velocity' or 'acceleration', of those that the file calls so and that
-        respond to forces; `pem` takes it.
+        respond to forces; `pem` takes it.  `ports` is a list of (output, input), the labels of driving points: outputs
+        with such a quantity at the place and in the direction of a force; `pem` takes it as well.
 
         Frequency response functions on the same frequencies form one matrix, shape (p, m, K): a row for each place of
         response, a column for each reference, NaN where a pair was not measured.  A pair that comes again opens the
         next matrix.  Channels in time on the same grid and of one load case form one recording; a channel that
         comes again opens the next one.  A file without excitation forces gives recordings without input.
+
+        In labels of frequency responses `_` takes the place of a dot, which python-control does not allow.
 
         A file with neither, but with normal or complex modes (data set 55), gives these, and takes no labels.
 
@@ -125,8 +128,8 @@ def read_uff(
     ...     (data,) = phc.read_uff(pathlib.Path(folder, "beam.uff"))
     >>> data.output_labels, data.input_labels, data.frdata.shape
     (['1+Z', '2+Z'], ['1+Z'], (2, 1, 4))
-    >>> data.quantity
-    {'1+Z': 'displacement', '2+Z': 'displacement'}
+    >>> data.quantity, data.ports
+    ({'1+Z': 'displacement', '2+Z': 'displacement'}, [('1+Z', '1+Z')])
     """
     name = source_name(path)
     wanted = _labels("input", input), _labels("output", output)
@@ -143,12 +146,15 @@ def read_uff(
         if input is not None or output is not None:
             raise StructureError(f"{name} holds modes, which are read as a whole; leave out input and output")
         return [modes]
-    kinds = [_matrices(functions, name, *wanted), _recordings(functions, name, *wanted)]
+    known = list(dict.fromkeys(label for one in functions for label in (one.response, one.reference)))
+    inputs, outputs = (_in_file(labels, known) for labels in wanted)
+    kinds = [_matrices(functions, name, inputs, outputs), _recordings(functions, name, inputs, outputs)]
     # in the order of the file, by the first function of each
     found = [data for _, data in sorted(((place, data) for kind in kinds for place, data in kind), key=lambda x: x[0])]
     if not found:
-        listed = sorted({one.response for one in functions} | {one.reference for one in functions})
-        raise StructureError(f"{name}: no function has the labels asked for; those of the file are {', '.join(listed)}")
+        raise StructureError(
+            f"{name}: no function has the labels asked for; those of the file are {', '.join(sorted(known))}"
+        )
     return found
 
 
@@ -159,6 +165,12 @@ def _labels(role: str, given: Any) -> list[str] | None:
     if not isinstance(found, list | tuple) or not found or not all(isinstance(one, str) for one in found):
         raise StructureError(f"{role} is {_checks.shown(given)}; give a label such as '3+Z', or a list of these")
     return list(found)
+
+
+def _in_file(wanted: list[str] | None, known: list[str]) -> list[str] | None:
+    """Labels that are asked for as the file has them, where they are those of the data that were read of it."""
+    shown = dict(zip(_checks.without_dots(known), known, strict=True))
+    return None if wanted is None else [label if label in known else shown.get(label, label) for label in wanted]
 
 
 # --- functions of a file ---------------------------------------------------------------------------------------------
@@ -293,7 +305,7 @@ def _matrices(
         for (response, reference), one in entries.items():
             matrix[rows.index(response), columns.index(reference)] = one.values
         data = response_matrix(2 * np.pi * hertz, matrix, columns, rows, name)
-        yield place, _with_quantity(data, [(one.response, one.quantity, one.by_force) for one in entries.values()])
+        yield place, _described(data, rows, columns, list(entries.values()))
 
 
 def _recordings(
@@ -328,16 +340,30 @@ def _recordings(
         grid = complete_grid(channels[0].abscissa, u, list(driving), name)
         data = recording(grid, u, y, list(driving), list(moving), name, "s")
         forced = all(one.is_force for one in driving.values())
-        yield place, _with_quantity(data, [(label, one.quantity, forced) for label, one in moving.items()])
+        functions = [replace(one, by_force=forced) for one in moving.values()]
+        yield place, _described(data, list(moving), list(driving), functions)
 
 
-def _with_quantity(data: Any, functions: list[tuple[str, str | None, bool]]) -> Any:
-    """The same data, told what each output is where all its functions say the same, and are responses to forces."""
+def _described(data: Any, outputs: list[str], inputs: list[str], functions: list[_Function]) -> Any:
+    """The same data, told what each output is where all its functions say the same, and are responses to forces.
+
+    An output of which this is known is a driving point where an input has its place and direction.
+    """
     found: dict[str, set[str | None]] = {}
-    for label, quantity, forced in functions:
-        found.setdefault(label, set()).add(quantity if forced else None)
-    data.quantity = {label: one for label, (one, *others) in found.items() if one and not others}
+    for one in functions:
+        found.setdefault(one.response, set()).add(one.quantity if one.by_force else None)
+    # the labels of the data may differ from those of the file
+    rows, columns = dict(zip(outputs, data.output_labels, strict=True)), {}
+    if inputs:
+        columns = dict(zip(inputs, data.input_labels, strict=True))
+    told = {label: one for label, (one, *others) in found.items() if one and not others}
+    data.quantity = {rows[label]: one for label, one in told.items()}
+    data.ports = [(rows[label], columns[label]) for label in told if label in columns and _has_direction(label)]
     return data
+
+
+def _has_direction(label: str) -> bool:
+    return label[-1] in "XYZ"
 
 
 def _asked(wanted: list[str] | None, label: str) -> bool:

@@ -12,7 +12,7 @@ from control.iosys import InputOutputSystem
 from .. import _checks
 from .._display import fits_in_a_formula, html_formula, html_heading, latex_matrix, literal, modes_table
 from .._types import Array, ComplexArray, NDArray
-from ..exceptions import NotLosslessError, StructureError
+from ..exceptions import NotLosslessError, StructureError, printable
 from ..modal.modal_form import ModalForm, imaginary
 
 _ASIDE = 32 * _checks.EPS  # of a value on the imaginary axis: what is left beside it once a phase is rounded
@@ -219,8 +219,8 @@ class LosslessSystem(ct.StateSpace):
 
     def __str__(self) -> str:
         if self.n <= _LOOKED_AT:
-            return str(super().__str__())
-        text = f"<{type(self).__name__}>: {self.name}\nInputs ({self.ninputs}): {self.input_labels}"
+            return printable(str(super().__str__()))
+        text = f"<{type(self).__name__}>: {printable(self.name)}\nInputs ({self.ninputs}): {self.input_labels}"
         text += f"\nOutputs ({self.noutputs}): {self.output_labels}\nStates ({self.nstates})"
         if not self._modes_at_hand():
             return text

@@ -31,14 +31,9 @@ class InFrequency(CheckedData):
 
     def as_response(self) -> FrequencyResponseData:
         """Return the data as python-control keeps them, which has no weights; names have no dots."""
-        names = {"inputs": plain(self.input_labels), "outputs": plain(self.output_labels)}  # type: ignore[attr-defined]
+        names = {"inputs": _checks.without_dots(self.input_labels), "outputs": _checks.without_dots(self.output_labels)}  # type: ignore[attr-defined]
         found = FrequencyResponseData(self.response, self.omega, **names, title=self.title or None)
         return with_unit(found, self.time_unit)
-
-
-def plain(labels: tuple[str, ...]) -> list[str]:
-    """Labels without dots, which python-control does not take."""
-    return [label.replace(".", "_") for label in labels]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -84,6 +84,19 @@ def quantity_of(data: Any) -> Any:
     return found or "velocity"
 
 
+def ports_of(data: Any, quantity: Any) -> list[tuple[str, str]] | None:
+    """Driving points by their labels, of data that tell them, without sensors of another kind; None without any."""
+    told = [getattr(one, "ports", None) for one in (data if isinstance(data, list | tuple) else [data])]
+    pairs = dict.fromkeys(pair for ports in told if isinstance(ports, list) for pair in ports if _is_pair(pair))
+    free = [label for label, kind in quantity.items() if kind == "free"] if isinstance(quantity, dict) else []
+    found = [(output, input) for output, input in pairs if quantity != "free" and output not in free]
+    return found or None
+
+
+def _is_pair(pair: Any) -> bool:
+    return isinstance(pair, tuple) and len(pair) == 2 and all(isinstance(label, str) for label in pair)
+
+
 def _output_labels(data: Any) -> list[str]:
     labels = getattr(data, "output_labels", None)
     if isinstance(labels, list | tuple):

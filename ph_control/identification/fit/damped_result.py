@@ -23,7 +23,6 @@ from ...reduction.nearest_passive import nearest_passive
 from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels
-from ..data.frequency_record import plain
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
 from ..regression.prediction import FittedExperiment
@@ -216,7 +215,8 @@ class DampedResult(DampedReport, PEMResult):
             poles, shapes, through = list(self.poles), [self.shapes], np.zeros((p, 1))
             participation = [np.zeros((n, 1), complex)]
         A, B, C = real_matrices(np.array(poles, complex), 2 * np.concatenate(participation), np.concatenate(shapes).T)
-        names = {"inputs": plain(self.input_labels), "outputs": plain(outputs)} if m else {"outputs": plain(outputs)}
+        names = {"outputs": _checks.without_dots(outputs)}
+        names |= {"inputs": _checks.without_dots(self.input_labels)} if m else {}
         return with_unit(ct.StateSpace(A, B, C, through, remove_useless_states=False, **names), self.time_unit)
 
     @cached_property

@@ -20,7 +20,7 @@ from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels, as_measured
 from ..data.hammer import contacts_alone
 from ..data.parts import GLANCE, is_long, stages
-from ..data.quantities import checked_quantities, quantity_of
+from ..data.quantities import checked_quantities, ports_of, quantity_of
 from ..data.time_record import LONG
 from ..diagnosis.circumstance_tests import NOISE
 from ..diagnosis.damping import REFUSED, DampingWatch, beside, lossless_test
@@ -120,7 +120,8 @@ def pem(
         decouple; a plant that gives no energy; nothing.  'auto' takes the simplest that is not rejected at 5 %.
     ports : list of (output, input), or mapping from output to input, optional
         Driving points, where an output is measured where and along which an input acts: labels, or numbers from 0.
-        They set the scale of mode shapes.  One input and output are taken for one.
+        They set the scale of mode shapes.  Default: what the data give by an attribute `ports`, as `read_uff` does;
+        one input and output are taken for one.
 
     Returns
     -------
@@ -178,6 +179,7 @@ def pem(
     _checks.choice("criterion", criterion, CRITERIA)
     _checks.choice("structure", structure, ("auto", *STRUCTURES))
     quantity = quantity_of(data) if quantity is None else quantity
+    ports = ports_of(data, quantity) if ports is None else ports
     take = as_measured if structure in ("auto", "lossless") and quantity != "free" else as_channels
     records: Any = take(data, dt, weights=weights)
     several = isinstance(records[0], Recording | ResponseMatrix)

@@ -10,7 +10,7 @@ import numpy as np
 from ..._display import Report, aligned, counted, html_heading, html_report, html_table, p_value, percent, to_its_error
 from ..._types import Array
 from ..._units import hertz_size, rate, step_of
-from ...exceptions import shortened
+from ...exceptions import printable, shortened
 from ..data.quantities import measured_by
 from ..data.time_record import Record
 
@@ -27,7 +27,7 @@ class FitReport(Report):
         for table in self._tables():
             lines += ["", *table]
         wrapped = textwrap.wrap(self.message, 100, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
-        return shortened("\n".join([*lines, "", *wrapped]))
+        return printable(shortened("\n".join([*lines, "", *wrapped])))
 
     def _repr_html_(self: Any) -> str:
         """HTML for notebooks: the summary, its modes as a table."""
