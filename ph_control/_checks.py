@@ -385,7 +385,10 @@ def time_step(t: Array, *, name: str = "the time vector") -> float:
         raise StructureError(f"{name} is empty; give at least one instant")
     if t.size == 1:
         return 0.0
-    step, rounding = float(t[1] - t[0]), 2 * EPS * max(abs(float(t[0])), abs(float(t[-1])))
+    largest = max(abs(float(t[0])), abs(float(t[-1])))
+    if largest > 0.25 * np.finfo(float).max:
+        raise StructureError(f"{name} goes to {largest:.3g}, out of the range of doubles; choose another unit of time")
+    step, rounding = float(t[1] - t[0]), 2 * EPS * largest
     off = distance_from_grid(t, step)
     if off > rounding:
         step = float((t[-1] - t[0]) / (t.size - 1))

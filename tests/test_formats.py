@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 import pytest
 import scipy.io
+import scipy.linalg
 from shell import run
 
 import ph_control as phc
@@ -211,6 +212,69 @@ def test_quantities_of_several_outputs_go_by_their_labels(tmp_path):
     again.quantity = {"1+Z": "velocity"}
     with pytest.raises(phc.StructureError, match=r"'1\+Z' is acceleration in one experiment and velocity"):
         phc.pem([data, again], 2)
+
+
+def test_dots_of_a_component_are_no_hindrance(tmp_path):
+    f = np.arange(1.0, 6.0)
+    many = [function(f, (k + 1) * np.ones(5), (3, 3), (3, 3), component=name) for k, name in enumerate(("a.b", "a_b"))]
+    path = written(tmp_path, *many)
+    (data,) = phc.read_uff(path)
+    assert data.output_labels[0] != data.output_labels[1] == "a_b:3+Z" and "." not in data.output_labels[0]
+    assert np.allclose(data.frdata[:, 0].real, [[1] * 5, [2] * 5])
+    assert data.quantity == dict.fromkeys(data.output_labels, "acceleration")
+    for label in ("a.b:3+Z", data.output_labels[0]):
+        (part,) = phc.read_uff(path, output=label)
+        assert np.allclose(part.frdata, 1)
+    t = np.arange(6.0)
+    (record,) = phc.read_uff(written(tmp_path, function(t, t, (1, 1), in_time=True, component="a.b"), name="b.uff"))
+    assert record.output_labels == ["a.b:1+X"]
+
+
+def responses(folder, outputs, hammers, **options):
+    """Universal file of a frame of two places, its natural frequencies and mode shapes of unit modal mass."""
+    f = np.arange(0.5, 40.0, 0.25)
+    M, K = np.diag([2.0, 1.0]), np.array([[3e4, -1e4], [-1e4, 1e4]])
+    C, w = 0.4 * M + 3e-5 * K, 2 * np.pi * f
+    H = np.array([-x * x * np.linalg.inv(K - x * x * M + 1j * x * C) for x in w])
+    pairs = [(int(np.sign(a)), abs(a), int(np.sign(b)), abs(b)) for b in hammers for a in outputs]
+    sets = [function(f, s * r * H[:, a - 1, b - 1], (a, 3 * s), (b, 3 * r), **options) for s, a, r, b in pairs]
+    values, vectors = scipy.linalg.eigh(K, M)
+    return written(folder, *sets), np.sqrt(values), np.abs(vectors)
+
+
+def test_driving_points_are_those_of_equal_places_and_directions(tmp_path):
+    path, d, shapes = responses(tmp_path, [1, 2], [2])
+    (data,) = phc.read_uff(path)
+    assert data.ports == [("2+Z", "2+Z")]
+    result = phc.pem(data)
+    assert result.ports == ((1, 0),) and result.shapes_scaled and result.structure != "free"
+    assert np.allclose(result.natural_frequencies, d, rtol=1e-5)
+    # the shapes of `pem` are those of unit modal mass in units of velocity
+    assert np.allclose(np.abs(result.shapes), shapes.T, rtol=1e-3)
+    assert phc.pem(data, ports=[]).ports == () and phc.pem(data, quantity="free").ports == ()
+
+
+def test_what_is_no_driving_point_is_not_taken_for_one(tmp_path):
+    for options, outputs, hammers in (
+        ({"applied": 12}, [1, 2], [2]), ({"measured": 0}, [1, 2], [2]), ({}, [1, -2], [2]), ({}, [1], [2]),
+    ):  # fmt: skip
+        path, _, _ = responses(tmp_path, outputs, hammers, **options)
+        assert phc.read_uff(path)[0].ports == []
+        path.unlink()
+    path, _, _ = responses(tmp_path, [-1, 2], [-1, 2])
+    assert phc.read_uff(path)[0].ports == [("1-Z", "1-Z"), ("2+Z", "2+Z")]
+    path.unlink()
+    f = np.arange(1.0, 6.0)
+    path = written(tmp_path, function(f, np.ones(5), (3, 0), (3, 0)))
+    assert phc.read_uff(path)[0].ports == []
+
+
+def test_driving_points_of_recordings(tmp_path):
+    t = np.arange(0.0, 1.0, 0.125)
+    force = function(t, np.cos(t), (2, 3), in_time=True, force=True)
+    motions = [function(t, k * t, (k, 3), in_time=True) for k in (1, 2)]
+    (data,) = phc.read_uff(written(tmp_path, force, *motions))
+    assert data.ports == [("2+Z", "2+Z")]
 
 
 @pytest.mark.parametrize("absent", [(1, 0), (2, 1)])

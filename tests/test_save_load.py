@@ -14,6 +14,8 @@ import os
 import re
 import stat
 import struct
+import subprocess
+import sys
 import tempfile
 import zlib
 from pathlib import Path
@@ -269,6 +271,54 @@ def test_failure_while_writing_leaves_nothing_behind_and_the_old_file_whole(
     assert os.listdir(path.parent) == (["model.json"] if overwrite else [])
     if overwrite:
         assert path.read_text() == "old"
+
+
+KILLED = """
+import os, signal, sys
+import ph_control as phc
+
+def ended(descriptor):
+    if sys.argv[2] == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    print("writing", flush=True)
+    sys.stdin.readline()
+
+os.fsync = ended
+phc.save(phc.modes(1.0, 2.0), sys.argv[1])
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+def test_what_a_killed_process_leaves_is_removed_by_the_next_one_and_nothing_else(path, model, tmp_path):
+    def process(name, fate):
+        words = [sys.executable, "-c", KILLED, str(tmp_path / name), fate]
+        return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    own = [".ph_control-notes.tmp", "x.tmp", ".ph_control-0123456789abcdef.tmp.txt", "ph_control-0123456789abcdef.tmp"]
+    for name in own:
+        (tmp_path / name).write_text("mine")
+    with process("killed.json", "killed") as killed, process("living.json", "living") as living:
+        assert killed.wait() == -9 and living.stdout.readline() == "writing\n"
+        assert len(os.listdir(tmp_path)) == len(own) + 2
+        save(model, path)
+        (left,) = {*os.listdir(tmp_path)} - {*own, path.name}
+        assert (tmp_path / left).stat().st_size
+        living.communicate("go on\n")
+    assert living.returncode == 0
+    assert sorted(os.listdir(tmp_path)) == sorted([*own, path.name, "living.json"])
+    assert load(tmp_path / "living.json").r.tolist() == [2.0]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links are those of POSIX")
+def test_what_may_be_written_by_another_computer_is_removed_after_a_day(path, model, tmp_path):
+    other, link = tmp_path / ".ph_control-0123456789abcdef.tmp", tmp_path / ".ph_control-fedcba9876543210.tmp"
+    other.write_text("half")
+    link.symlink_to(tmp_path / "somewhere")
+    save(model, path)
+    assert other.exists()
+    os.utime(other, (0, 0))
+    save(model, path, overwrite=True)
+    assert not other.exists() and link.is_symlink()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="file modes are those of POSIX")

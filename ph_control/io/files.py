@@ -62,7 +62,14 @@ def read_bytes(source: Any) -> bytes:
             raise StructureError(
                 f"{source_name(source)} cannot be read: {error}; pass its name, or open it for reading, as bytes best"
             ) from error
-        return content.encode() if isinstance(content, str) else bytes(content)
+        if isinstance(content, str):
+            try:
+                return content.encode(errors="surrogateescape")
+            except UnicodeEncodeError:
+                raise FileFormatError(f"{source_name(source)} holds halves of characters; open it as bytes") from None
+        if not isinstance(content, bytes | bytearray | memoryview):
+            raise StructureError(f"{source_name(source)} gives {_checks.shown(content)}; its read must give bytes")
+        return bytes(content)
     path = as_path(source)
     name = source_name(path)
     if path.is_dir():
@@ -73,6 +80,8 @@ def read_bytes(source: Any) -> bytes:
         raise FileMissingError(
             f"there is no file {name} (looked from {Path.cwd()}); check its name and folder"
         ) from None
+    except OSError as error:
+        raise StructureError(f"{name} cannot be read: {error.strerror or error}; check its permissions") from error
 
 
 def refuse_unwritable(path: Path, overwrite: bool) -> None:

@@ -55,6 +55,7 @@ _LABELS = {
     ),
 }
 COLUMNS = tuple(_LABELS)
+_LARGEST_PHASE = 1e12  # whose rounding is a ten-thousandth of a degree, or of a radian
 # before a label; dashes of other widths are as common as the hyphen
 _MINUS = re.compile(
     r"\s*(?:\(?[-\u2010-\u2015\u2212\ufe63\uff0d]\)?\s*(?:1\s*[*·×]\s*)?|(?:minus|neg(?:ative)?)\b[\s.]*)(?=\S)", re.I
@@ -293,6 +294,8 @@ def _polar(
 ) -> ComplexArray:
     """Response of its magnitude and phase."""
     degrees = _unit(table, columns[1], units["phase_unit"], "phase_unit") == "deg"
+    wrong = "a phase of {:.6g} has no digits left within a turn; correct it, or leave the field empty if it is missing"
+    table.refuse(columns[1], np.abs(angle) > _LARGEST_PHASE, wrong, angle)
     # at quarter turns exact, so that a lossless response stays on its axis
     turns: ComplexArray = cosdg(angle) + 1j * sindg(angle) if degrees else np.exp(1j * angle)
     if (units["magnitude_unit"] or _spelled(_named(table, columns[0])[1])) != "dB":

@@ -128,8 +128,8 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
         values = [_matrix(part, order)[1] for _, part in elements]
         if len(values) != len(keys) * math.prod(shape):
             raise ValueError(shape)
-        parts = range(0, len(values), max(len(keys), 1))
-        fields = [dict(zip(keys, values[k : k + len(keys)], strict=True)) for k in parts]
+        starts = range(0, len(values), max(len(keys), 1))
+        fields = [dict(zip(keys, values[k : k + len(keys)], strict=True)) for k in starts]
         return name, _structures(shape, fields)
     if kind == _TEXT:
         return name, _text(next(elements, (_UTF8, b"")), order)
@@ -217,8 +217,8 @@ class _Hdf5:
             shape = tuple(int(size) for size in np.ravel(node[()]))
             return "" if kind == "char" else _cells(shape, []) if kind == "cell" else np.zeros((0, 0))
         values = self.array(node)
-        if node.dtype == self.h5py.ref_dtype:
-            return _cells(values.shape, [self.value(self.file[ref], depth + 1) for ref in values.ravel(order="F")])
+        if self.refers(node):
+            return _cells(values.shape, [self.target(ref, depth) for ref in values.ravel(order="F")])
         if kind == "char":
             return "".join(map(chr, values.ravel().tolist()))
         if values.dtype.names is not None and {"real", "imag"} <= set(values.dtype.names):
@@ -231,6 +231,14 @@ class _Hdf5:
         """Class that MATLAB has written."""
         told = node.attrs.get("MATLAB_class", b"")
         return told.decode("ascii", "replace") if isinstance(told, bytes) else str(told)
+
+    def refers(self, node: Any) -> bool:
+        """Whether an array holds references to others."""
+        return self.h5py.check_ref_dtype(node.dtype) is self.h5py.Reference
+
+    def target(self, reference: Any, depth: int) -> Any:
+        """What a reference refers to; an empty one to nothing."""
+        return self.value(self.file[reference], depth + 1) if reference else np.zeros((0, 0))
 
     def array(self, node: Any) -> Any:
         """Array in the order of its dimensions in MATLAB, at least two of them."""
@@ -252,8 +260,7 @@ class _Hdf5:
         """Structure, or array of structures: then each field is an array of references."""
         own = [key for key in group if not key.startswith("#")]
         lists = [
-            isinstance(node := group.get(key), self.h5py.Dataset) and node.dtype == self.h5py.ref_dtype
-            and not self.kind(node)
+            isinstance(node := group.get(key), self.h5py.Dataset) and self.refers(node) and not self.kind(node)
             for key in own
         ]  # fmt: skip
         if not own or not all(lists):
@@ -264,10 +271,7 @@ class _Hdf5:
             raise FileFormatError(f"{self.name}: the fields of {group.name} have several sizes; save it again")
         shape = shapes.pop()
         parts = {key: values.ravel(order="F") for key, values in columns.items()}
-        fields = [
-            {key: self.value(self.file[refs[k]], depth + 1) for key, refs in parts.items()}
-            for k in range(math.prod(shape))
-        ]
+        fields = [{key: self.target(refs[k], depth) for key, refs in parts.items()} for k in range(math.prod(shape))]
         return _structures(shape, fields)
 
     def sparse(self, group: Any) -> Any:

@@ -15,7 +15,7 @@ from .. import _checks
 from .._types import Array, ComplexArray
 from .._units import checked_unit
 from ..analysis.time_grid import printed_step
-from ..exceptions import FileFormatError, StructureError
+from ..exceptions import FileFormatError, StructureError, printable
 from .files import read_bytes, source_name
 from .frequency_csv import FREQUENCY_UNITS, response_matrix
 from .matlab import Elements, is_matlab, read_matlab
@@ -180,10 +180,10 @@ def read_frequency_mat(
         )
     size = FREQUENCY_UNITS[_checks.choice("frequency_unit", frequency_unit, known)]
     variables = _Variables(read_bytes(path), name)
-    ((label, f, column),) = variables.named("frequency", [frequency])
-    hertz = _real(np.ravel(f) if column is None else f[:, column], label, name)
+    ((label_f, f, column),) = variables.named("frequency", [frequency])
+    hertz = _real(np.ravel(f) if column is None else f[:, column], label_f, name)
     if not len(hertz) or not np.isfinite(hertz).all():
-        raise FileFormatError(f"{name}: {label} needs finite frequencies; export it again")
+        raise FileFormatError(f"{name}: {label_f} needs finite frequencies; export it again")
     blocks, outputs, inputs = [], [], 1
     for label, value, column in variables.named("response", response):
         block = _entries(value if column is None else value[:, [column]], len(hertz), label, name)
@@ -191,12 +191,18 @@ def read_frequency_mat(
         outputs += [own] if len(block) == 1 else [f"{own}[{k}]" for k in range(len(block))]
         blocks.append(block)
         inputs = block.shape[1]
+    if len(set(outputs)) < len(outputs):
+        raise StructureError(f"{name}: {next(one for one in outputs if outputs.count(one) > 1)} is named twice")
     if len({block.shape[1] for block in blocks}) != 1:
         raise StructureError(f"{name}: the responses have several numbers of inputs; read those of one number")
     if any(np.isinf(block).any() for block in blocks):
         raise FileFormatError(f"{name}: the response has infinite values; replace them by NaN for missing values")
     entries: ComplexArray = np.concatenate(blocks)
-    return response_matrix(size * hertz, entries, [f"u[{k}]" for k in range(inputs)], outputs, name)
+    with np.errstate(over="ignore"):
+        omega = size * hertz
+    if np.isinf(omega).any():
+        raise FileFormatError(f"{name}: {label_f} is beyond the range of doubles in rad/s; correct it or its unit")
+    return response_matrix(omega, entries, [f"u[{k}]" for k in range(inputs)], outputs, name)
 
 
 # --- variables -------------------------------------------------------------------------------------------------------
@@ -258,7 +264,7 @@ class _Variables:
 def _flat(fields: Mapping[str, Any], before: str) -> Iterator[tuple[str, Any]]:
     """Names of all arrays and what else there is; those of an element of an array of structures as `runs[1].u`."""
     for key, value in fields.items():
-        yield from _inside(f"{before}{key}", value)
+        yield from _inside(f"{before}{printable(key, one_line=True)}", value)
 
 
 def _inside(name: str, value: Any) -> Iterator[tuple[str, Any]]:

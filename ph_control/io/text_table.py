@@ -173,6 +173,8 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
         )
     lines = text_lines(data, name)
     content = _content(lines, None)
+    if content and _join_header(lines, content[0]):
+        content = _content(lines, None)
     if not content:
         found = "holds only comments" if any(line.strip() for line in lines) else "is empty"
         raise FileFormatError(f"{name} {found}; it needs rows of numbers")
@@ -207,6 +209,18 @@ def read_table(path: Any, header: bool | None, delimiter: str | None, decimal: s
     return Table(name, labels and labels[:width], width, rows, numbers, delimiter, decimal)
 
 
+def _join_header(lines: list[str], first: int) -> bool:
+    """Join a header whose quoted labels go over several lines; these stay as blank ones."""
+    parts = 1
+    while '"' in lines[first] and " ".join(lines[first : first + parts]).count('"') % 2:
+        parts += 1
+        if parts > _SAMPLE or first + parts > len(lines):
+            return False
+    if parts > 1:
+        lines[first : first + parts] = [" ".join(lines[first : first + parts]), *[""] * (parts - 1)]
+    return parts > 1
+
+
 def _check_layout(header: Any, delimiter: Any, decimal: Any) -> None:
     if header is not None and not _checks.is_flag(header):
         raise StructureError(f"header is {_checks.shown(header)}; it must be True, False or None")
@@ -226,8 +240,9 @@ def text_lines(data: bytes, name: str) -> list[str]:
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         with suppress(UnicodeDecodeError):
             data = data.decode("utf-16").encode()
+    data = data.rstrip(b"\x1a")  # the mark of the end in old systems
     if len(data.translate(None, _CONTROL)) < len(data):
-        raise FileFormatError(f"{name} is not a text file: it holds bytes that no text has; export it as CSV")
+        raise FileFormatError(f"{name} is not a text file: it holds bytes that no text has; export it as text in UTF-8")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

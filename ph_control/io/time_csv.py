@@ -19,6 +19,7 @@ from .text_table import Table, is_time_label, read_table, unit_of_time
 
 Column = int | str
 
+_LATEST = 1e300
 _DRIFT = 0.01  # of a step: how far two grids may part over the record and still be the same
 
 
@@ -215,6 +216,8 @@ def _signal_labels(table: Table, columns: list[int], prefix: str) -> list[str]:
 
 def _uniform_grid(table: Table, instants: Array, column: int, dt: float | None) -> Array:
     """The uniform grid that instants in print stand for."""
+    wrong = "the time is {:.3g}, out of the range of doubles; choose another unit"
+    table.refuse(column, np.abs(instants) > _LATEST, wrong, instants)
     try:
         _checks.time_vector(instants)
     except StructureError:

@@ -76,7 +76,9 @@ def read_touchstone(path: str | os.PathLike[str] | BinaryIO | TextIO, *, paramet
     """
     _checks.choice("parameter", parameter, PARAMETERS)
     name = source_name(path)
-    network = _network("\n".join(text_lines(read_bytes(path), name)), name)
+    text = "\n".join(text_lines(read_bytes(path), name))
+    network = _network(text, name)
+    _refuse_cut(text, len(network.f), name)
     matrix = np.asarray(network.s)
     if parameter != "S":
         _refuse_singular(matrix, network.f, parameter, name)
@@ -112,7 +114,8 @@ def _network(text: str, name: str) -> Any:
             # a damaged file ends in errors of every kind
             reason = str(error).split(".")[0][:100] or type(error).__name__
             raise FileFormatError(
-                f"{name} is not a Touchstone file, or damaged ({reason}); the suffix gives the number of ports (.s2p)"
+                f"{name} is not a Touchstone file, or damaged ({reason}); the suffix gives the number of ports (.s2p); "
+                "export it again in version 1 or 2"
             ) from None
     if not len(found[1]):
         raise FileFormatError(f"{name} holds no frequencies; export the measurement again")
@@ -120,7 +123,19 @@ def _network(text: str, name: str) -> Any:
         raise FileFormatError(
             f"{name} holds numbers that are not finite, or beyond the range of doubles; export it again"
         )
+    if (found[2].real <= 0).any():
+        raise FileFormatError(
+            f"{name} has a reference impedance of {found[2].real.min():.6g} ohm (R in the line that begins with #); it "
+            "must be positive"
+        )
     return network
+
+
+def _refuse_cut(text: str, count: int, name: str) -> None:
+    """Refuse a file of version 2 with fewer frequencies than it announces."""
+    told = re.search(r"^\s*\[number of frequencies\]\s*(\d+)", text, re.IGNORECASE | re.MULTILINE)
+    if told and int(told[1]) != count:
+        raise FileFormatError(f"{name} has {count} frequencies, and says {told[1]}; copy or export it again")
 
 
 def _refuse_singular(S: Any, f: Any, parameter: str, name: str) -> None:
