@@ -43,7 +43,8 @@ def read_mat(
         The file.
     input, output : str or list of str, optional
         Variables: vectors, or matrices with a column for each channel.  `"data.u"` is a field of a structure,
-        `"x[2]"` the column 2 of `x`, counted from 0.  `input=False` says that there is no input.  Default: `u` and `y`.
+        `"x[2]"` the column 2 of `x`, counted from 0, `"runs[1].u"` or, as in MATLAB, `"runs(2).u"` that of the second
+        of several structures, and `"c[1]"` or `"c{2}"` the second cell.  `input=False` says that there is no input.  Default: `u` and `y`.
     time : str or False, optional
         Variable of the time.  Default: `t` or `time`, if there is one and `dt` is not given.
     dt : float, optional
@@ -60,10 +61,12 @@ def read_mat(
     Raises
     ------
     FileFormatError
-        If the file is damaged or no `.mat` file of version 5 to 7, or if a variable is not an array of real numbers,
+        If the file is damaged or no `.mat` file of version 5 to 7.3, or if a variable is not an array of real numbers,
         an input or the time has missing values, or the sampling is not uniform.
     StructureError
         If a variable is not in the file, or the lengths do not fit.
+    MissingPackageError
+        If the file is of version 7.3 and h5py is not installed; `pip install "ph_control[formats]"` brings it.
     FileMissingError
         If there is no such file.
 
@@ -75,7 +78,7 @@ def read_mat(
     Notes
     -----
     Samples run along the rows of a matrix, as MATLAB has them, unless only its columns are as many as the samples of
-    the time or of a vector.  Files of version 7.3 are refused; MATLAB writes one that is read with the option `-v7`.
+    the time or of a vector.  h5py reads files of version 7.3 (HDF5); no other file is opened for links in them.
     O(size of the file).
 
     Examples
@@ -148,9 +151,11 @@ def read_frequency_mat(
     Raises
     ------
     FileFormatError
-        If the file is damaged or no `.mat` file of version 5 to 7, or if a variable is not an array of numbers.
+        If the file is damaged or no `.mat` file of version 5 to 7.3, or if a variable is not an array of numbers.
     StructureError
         If a variable is not in the file, or the lengths do not fit.
+    MissingPackageError
+        If the file is of version 7.3 and h5py is not installed; `pip install "ph_control[formats]"` brings it.
     FileMissingError
         If there is no such file.
 
