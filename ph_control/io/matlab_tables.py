@@ -44,7 +44,8 @@ def read_mat(
     input, output : str or list of str, optional
         Variables: vectors, or matrices with a column for each channel.  `"data.u"` is a field of a structure,
         `"x[2]"` the column 2 of `x`, counted from 0, `"runs[1].u"` or, as in MATLAB, `"runs(2).u"` that of the second
-        of several structures, and `"c[1]"` or `"c{2}"` the second cell.  `input=False` says that there is no input.  Default: `u` and `y`.
+        of several structures, and `"c[1]"` or `"c{2}"` the second cell.  `input=False` says that there is no input.
+        Default: `u` and `y`.
     time : str or False, optional
         Variable of the time.  Default: `t` or `time`, if there is one and `dt` is not given.
     dt : float, optional

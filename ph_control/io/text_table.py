@@ -242,7 +242,9 @@ def text_lines(data: bytes, name: str) -> list[str]:
             data = data.decode("utf-16").encode()
     data = data.rstrip(b"\x1a")  # the mark of the end in old systems
     if len(data.translate(None, _CONTROL)) < len(data):
-        raise FileFormatError(f"{name} is not a text file: it holds bytes that no text has; export it as text in UTF-8")
+        raise FileFormatError(
+            f"{name} is not a text file: it holds bytes that no text has; export it as CSV, as text in UTF-8"
+        )
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
