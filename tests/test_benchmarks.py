@@ -22,6 +22,8 @@ sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the packa
 from benchmarks import (
     cold,
     digits,
+    golden,
+    golden_records,
     measured,
     methods,
     modal_peers,
@@ -594,3 +596,75 @@ def test_the_second_half_of_the_robot_arm_is_predicted_as_the_first_was_fitted()
 def test_measured_data_that_are_not_there_are_skipped(monkeypatch, tmp_path):
     monkeypatch.setattr(measured, "DATA", tmp_path)
     assert all("skipped" in list(measured.study(case, None))[-1] for case in measured.CASES)
+
+
+# --- golden -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", golden_records.KINDS)
+def test_records_are_those_of_their_seed(name):
+    """The same seed is the same record, and another place another one."""
+    if name in ("very_long", "long"):
+        pytest.skip("long records are made as short ones are")
+    (seed, made), (again, other) = golden_records.record(name, 0), golden_records.record(name, 0)
+    assert seed == again and np.array_equal(made.plant.poles, other.plant.poles)
+    assert repr(made.keywords) == repr(other.keywords)
+    parts = [one.data if isinstance(one.data, list) else [one.data] for one in (made, other)]
+    for a, b in zip(*parts, strict=True):
+        outputs = [one.frdata if hasattr(one, "frdata") else one[1] for one in (a, b)]
+        assert np.array_equal(*outputs, equal_nan=True)
+    assert golden_records.record(name, 1)[0] != seed
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_outputs_of_a_golden_plant_are_those_of_its_states(hold):
+    rng = np.random.default_rng(4)
+    plant = golden_records.scattered(rng, np.array([2.0, 7.0, 7.1]), np.array([0.0, 0.3, 0.01]), 2, 2)
+    u, start = rng.standard_normal((2, 50)), golden_records.moving(rng, plant)
+    p, h = plant.poles, golden_records.STEP
+    x, expected = np.zeros((3, 2), complex), []  # the motion each input has left in each mode
+    for k in range(50):
+        free = start * np.exp(p * k * h)[:, None]
+        expected.append(2 * (np.einsum("lij,lj->i", plant.residues, x) + free.sum(axis=0)).real)
+        # the variation of constants by quadrature
+        s = 0.5 * h * (np.polynomial.legendre.leggauss(20)[0] + 1)
+        weight = 0.5 * h * np.polynomial.legendre.leggauss(20)[1]
+        after = u[:, min(k + 1, 49)] if hold == "foh" else u[:, k]
+        drive = u[:, [k]] + np.outer(after - u[:, k], s / h)
+        x = np.exp(p * h)[:, None] * x + np.einsum("q,lq,jq->lj", weight, np.exp(np.outer(p, h - s)), drive)
+    assert np.allclose(plant.output(u, start, hold), np.array(expected).T, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def golden_file(path, *, order=2, error=1e-3, seconds=1.0, **more):
+    fit = {"kind": "plain", "place": 0, "seed": 1, "true_order": 2, "order": order, "seconds": seconds}
+    fit |= {"structure": "free", "findings": ["DELAY"], "errors": {"frequencies": [error, -error]}}
+    path.write_text(golden.text_of({"version": "1", "fits": [fit | more]}))
+    return path
+
+
+@pytest.mark.parametrize(("new", "status", "said"), [
+    ({}, 0, "no worse"), ({"error": 1.019e-3}, 0, "no worse"), ({"error": 1.03e-3}, 1, "errors of frequencies"),
+    ({"order": 3}, 1, "order is right in 0"), ({"seconds": 1.1}, 1, "take 1.1 s"), ({"seed": 2}, 1, "no fit in common"),
+    ({"findings": ["HOLD"]}, 0, "findings -DELAY +HOLD"), ({"structure": "passive"}, 0, "structure free -> passive"),
+    ({"errors": None, "findings": None, "structure": None}, 0, "findings -DELAY"),
+])  # fmt: skip
+def test_the_gate_refuses_what_is_worse_and_nothing_else(tmp_path, capsys, new, status, said):
+    files = golden_file(tmp_path / "old.json"), golden_file(tmp_path / "new.json", **new)
+    assert golden.main(["compare", *map(str, files)]) == status
+    assert said in capsys.readouterr().out
+
+
+def test_exact_fits_are_compared_as_such(tmp_path):
+    files = golden_file(tmp_path / "old.json", error=1e-14), golden_file(tmp_path / "new.json", error=1e-11)
+    assert golden.main(["compare", *map(str, files)]) == 0
+
+
+def test_a_golden_fit_is_recorded_with_its_errors(tmp_path):
+    path = tmp_path / "fits.json"
+    assert golden.main(["record", str(path), "--kind", "response", "pure_noise"]) == 0
+    fits = json.loads(path.read_text())["fits"]
+    assert len(fits) == sum(golden_records.KINDS[name][0] for name in ("response", "pure_noise"))
+    for fit in fits:
+        assert fit["order"] == fit["true_order"] and (fit["kind"] == "pure_noise" or fit["stderr_frequencies"])
+    assert all(abs(one) < 1e-4 for fit in fits for one in fit["errors"]["frequencies"])
+    assert golden.main(["compare", str(path), str(path)]) == 0
