@@ -18,6 +18,7 @@ from .. import _checks
 from .._types import Array
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
+from ..numerics.rational import transfer_function
 from ..systems.affine import AffineHamiltonian
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian, ph
@@ -122,6 +123,11 @@ def stability_margins(
     return margins if returnall else _least(*margins)
 
 
+def _polynomials(loop: Any) -> Any:
+    """Transfer function of a state space of one port; anything else as it is."""
+    return transfer_function(loop) if isinstance(loop, ct.StateSpace) and loop.issiso() else loop
+
+
 def _lossless(loop: Any) -> ModalForm | None:
     """Minimal modal form of a lossless loop of one port; None for what python-control is to judge."""
     if isinstance(loop, ModalForm):
@@ -145,7 +151,7 @@ def _quietly(ask: Callable[..., Any], *loop: Any, **options: Any) -> Any:
         for one in loop:
             _refuse_infinite(one)
         with redirect_stdout(None), np.errstate(all="ignore"):
-            return ask(*loop, **options)
+            return ask(*map(_polynomials, loop), **options)
     except StructureError:
         raise
     except (ValueError, TypeError, ArithmeticError, LookupError) as error:

@@ -14,6 +14,7 @@ from .._display import Report
 from .._frozen import Frozen
 from ..exceptions import StructureError
 from ..modal.positive_real import Passivity, split_axis, violations, well_conditioned
+from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 
 Array = NDArray[np.float64]
@@ -204,10 +205,7 @@ def _judged(A: Array, B: Array, C: Array, D: Array, kind: str) -> PassivityRepor
 
 def _state_space(sys: Any) -> ct.StateSpace:
     if isinstance(sys, ct.TransferFunction):
-        try:
-            sys = ct.ss(sys)
-        except ValueError as error:
-            raise StructureError(f"{error}; passivity is tested of proper transfer functions") from None
+        sys = state_space(sys)
     if isinstance(sys, ct.FrequencyResponseData):
         raise StructureError(
             "this is a FrequencyResponseData, which tells nothing between its points; pass a model of it, such as "

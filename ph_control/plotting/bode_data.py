@@ -16,6 +16,7 @@ from .._types import Array, ComplexArray, Indices, Mask
 from .._units import parted
 from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
+from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
 from .inputs import Subject, is_damped, is_fit, models_around, subjects_of, timebase, title_of
 
@@ -380,7 +381,7 @@ def features(sys: Any) -> tuple[Array, Array]:
     """
     # with several ports the zeros of the system itself are not seen in a picture
     entries = [sys] if sys.issiso() else [sys[i, j] for i in range(sys.noutputs) for j in range(sys.ninputs)]
-    poles = np.asarray(sys.poles(), complex)
+    poles = poles_of(sys)
     points = np.concatenate([poles, *(np.asarray(entry.zeros(), complex) for entry in entries)])
     if sys.isdtime(strict=True):
         points = np.log(points[points != 0]) / timebase(sys)

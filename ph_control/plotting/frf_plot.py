@@ -19,6 +19,7 @@ from .._units import parted, unit_for
 from ..analysis.spectral_estimate import INTERSAMPLE, hold_response, response_matrix_estimate
 from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
+from ..numerics.rational import poles as poles_of
 from .bode_data import POWERS, band_of, decibels, degrees_from
 from .inputs import measurements_of, recording_in, table_in, timebase
 from .style import (
@@ -210,7 +211,7 @@ def model_source(given: Any) -> ModelSource:
         )
     discrete = given.isdtime(strict=True)
     step = timebase(given) if discrete else 0.0
-    poles = np.asarray(given.poles(), complex)
+    poles = poles_of(given)
     if discrete:
         poles = np.log(poles[poles != 0]) / step
     return ModelSource(

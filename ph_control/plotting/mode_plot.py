@@ -16,6 +16,7 @@ from .._display import counted
 from .._types import Array, ComplexArray
 from .._units import unit_for
 from ..exceptions import StructureError
+from ..numerics.rational import poles as poles_of
 from ..systems.port_hamiltonian import modes as modes_of
 from .inputs import Subject, is_fit, subjects_of, title_of
 from .style import LineStyle, Look, MarkStyle, Picture, frequency_axis, labelled, picture, plain
@@ -426,7 +427,7 @@ def pole_zero_map(subject: Subject) -> PoleZeroMap:
         # those of the transfer function: the matrices have 0 twice where a mass is free, and show one of them
         return PoleZeroMap(label, sys.modes.poles, sys.modes.zeros, True, False, sys.ninputs)
     try:
-        poles, zeros = (np.asarray(points, complex) for points in (sys.poles(), sys.zeros()))
+        poles, zeros = poles_of(sys), np.asarray(sys.zeros(), complex)
     except NotImplementedError as error:
         raise StructureError(f"{label}: {error} Convert the system with control.ss") from None
     points = np.concatenate([poles, zeros])

@@ -22,6 +22,7 @@ from .._units import unit_for
 from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
+from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 from .inputs import Subject, is_damped, models_around, subjects_of, timebase, title_of
@@ -392,7 +393,7 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked
         t = step * np.arange(min(_MOST_STEPPED, int(np.floor(end / step * (1 + 1e-12))) + 1), dtype=float)
     else:
         # the fastest of the oscillations that last longer than a dot of the picture
-        poles = sys.poles()
+        poles = poles_of(sys)
         fastest = float(np.abs(poles[poles.real > -_GONE * _LEAST / end].imag).max(initial=0.0))
         count = _count(end, fastest, asked, _MOST_STEPPED)
         if given is None and asked is None and fastest * end / (count - 1) > _COARSEST:

@@ -17,6 +17,7 @@ from ..analysis.passivity import KINDS, PassivityReport, passivity
 from ..exceptions import ConditioningWarning, StructureError
 from ..modal.general_form import real_matrices
 from ..modal.positive_real import Split, split_axis
+from ..numerics.rational import state_space
 from ..systems.base import inherited_names
 from ..systems.passive_form import joined, lossless_parts, minimal_part
 from ..systems.port_hamiltonian import ph
@@ -105,7 +106,7 @@ def _weight(weight: Any, default: str) -> Any:
 def _of_system(sys: Any, weight: Any, kind: str) -> Any:
     report = passivity(sys, kind)
     _refuse_unstable(report)
-    plain = sys if isinstance(sys, ct.StateSpace) else ct.ss(sys)
+    plain = state_space(sys)
     if report.is_passive:
         return _passive_model(sys, plain, kind, 0.0)
     scattering = kind == "scattering"

@@ -20,6 +20,7 @@ from ..modal.general_form import GeneralModalForm, from_pole_residues, from_stat
 from ..modal.minimal import Reduction
 from ..modal.modal_form import ModalForm, from_frequencies
 from ..numerics import definiteness as _definite
+from ..numerics.rational import state_space
 from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import (
     apply_form,
@@ -738,11 +739,15 @@ def _state_space(source: Any, refusal: NotLosslessError | None) -> ct.StateSpace
         raise StructureError(f"the system is in discrete time, dt = {source.dt}; ports are chosen in continuous time")
     if isinstance(source, ct.StateSpace):
         return source
+    if isinstance(source, scipy.signal.StateSpace):
+        return ct.ss(source.A, source.B, source.C, source.D)
     try:
-        with warnings.catch_warnings():  # of coefficients that have no digits
-            warnings.simplefilter("error")
-            plain = source.to_ss() if lti else ct.ss(source)
-            return ct.ss(plain.A, plain.B, plain.C, plain.D) if lti else plain
+        if lti:
+            with warnings.catch_warnings():  # of coefficients that have no digits
+                warnings.simplefilter("error")
+                plain = source.to_tf()
+                source = ct.tf(plain.num, plain.den)
+        return state_space(source)
     except (ValueError, ArithmeticError, Warning) as error:  # improper, or out of range
         raise refusal or StructureError(f"the transfer function has no state space: {error}") from None
 
@@ -807,7 +812,7 @@ def modes(
     except StructureError:
         if not isinstance(d, ct.StateSpace | ct.TransferFunction) or d.isdtime(strict=True) or not d.ninputs:
             raise
-        return from_state_space(ct.ss(d))
+        return from_state_space(state_space(d))
 
 
 def full_port_hamiltonian(sys: Any) -> PortHamiltonian:

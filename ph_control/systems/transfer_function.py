@@ -12,6 +12,7 @@ from .._types import Array
 from ..exceptions import NotLosslessError
 from ..modal.modal_form import ModalForm
 from ..numerics.polynomials import cofactors, digits
+from ..numerics.rational import transfer_function
 from .base import LosslessSystem
 from .canonical_forms import warn_of_lost_digits
 from .port_hamiltonian import ph
@@ -62,13 +63,13 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     except NotLosslessError:
         if not isinstance(sys, ct.StateSpace | ct.TransferFunction):
             raise
-        return ct.tf(sys, **names)
+        return transfer_function(sys, **names) if isinstance(sys, ct.StateSpace) else ct.tf(sys, **names)
     _checks.signal_names(names, inputs=source.ninputs, outputs=source.noutputs, states=0)
     for kind, label in (("inputs", "input_labels"), ("outputs", "output_labels")):
         if names.get(kind) is None and names.get(kind[:-1]) is None:
             names[kind] = getattr(source, label)
     if not source._in_normal_form:
-        return ct.ss2tf(ct.ss(*(np.array(matrix) for matrix in (source.A, source.B, source.C, source.D))), **names)
+        return transfer_function(source, **names)
     modes = source.modes.minimal()
     warn_of_lost_digits(modes.n, digits(modes.d), "transfer function", stacklevel=3)
     if modes.nports == 1:

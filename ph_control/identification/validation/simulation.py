@@ -17,6 +17,7 @@ from ...modal.discretization import INTERSAMPLE, METHODS, Hold
 from ...modal.modal_form import ModalForm, imaginary
 from ...modal.propagation import step_through
 from ...numerics.invariant_subspaces import equilibrated
+from ...numerics.rational import state_space
 from ...systems.affine import AffineHamiltonian
 from ...systems.base import LosslessSystem, in_normal_form
 from ...systems.canonical_forms import ObservableHamiltonian
@@ -359,8 +360,8 @@ def _lossless_columns(system: LosslessSystem, samples: int, hold: Hold) -> Array
 def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Hold) -> Motions:
     """Motions of a linear system: of one in discrete time as it is, by the rule of `hold` otherwise."""
     try:
-        system = ct.ss(model, name=model.name, remove_useless_states=False)
-    except ValueError as error:
+        system = state_space(model)
+    except StructureError as error:
         raise StructureError(f"model {label!r} has no state-space form, so it cannot be simulated: {error}") from None
     A, B, C, D = (np.asarray(matrix, float) for matrix in (system.A, system.B, system.C, system.D))
     for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
