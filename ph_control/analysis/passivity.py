@@ -191,7 +191,7 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
 def _judged(A: Array, B: Array, C: Array, D: Array, kind: str) -> PassivityReport:
     split = split_axis(A, B, C)
     scattering = kind == "scattering"
-    whole = Passivity(*split.rest, D, scattering=scattering, condition=split.condition)
+    whole = Passivity(*split.rest, D, scattering=scattering, given=(A, B, C, D))
     tested = None if len(split.unstable) else whole
     found = violations(split, tested, scattering=scattering)
     margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf

@@ -22,7 +22,14 @@ from scipy.optimize import brentq, minimize_scalar
 from .._checks import EPS
 from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
-from ..numerics.invariant_subspaces import clusters, eigenvalues_of, equilibrated, invariant_block
+from ..numerics.invariant_subspaces import (
+    Elimination,
+    Resolvent,
+    clusters,
+    eigenvalues_of,
+    equilibrated,
+    invariant_block,
+)
 from .general_form import from_matrices
 
 Matrices = tuple[Array, Array, Array, Array]
@@ -30,6 +37,12 @@ Matrices = tuple[Array, Array, Array, Array]
 _SLACK = 64 * EPS  # of the sum of magnitudes of all terms: what rounding leaves of a value 0
 _GIVEN = 64  # roundings of each matrix that is given
 _NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative between the points looked at
+_LOOKS = 5  # points spread over a piece, beside the most negative ones
+_SOLVER = 8  # backward errors of a Schur form
+_DECADES = (8.0, 4.0)  # of poles, on which one shift serves: of several ports in `s`, of one in its square
+_BESIDE = np.array([1.0, 1.3, 0.77, 1.7, 0.59, 2.2, 0.45])  # of the middle of them: points to choose the shift from
+_REGULAR = 1e-8  # least over largest singular value of `Phi` at a shift, below which there is no inverse
+_DIGITS = 1e4  # roundings of the terms that the least one must exceed there
 _PIECES = 8  # of the way between two of these: for the worst frequency of a band, which has several minima
 _FINE = 1e-7  # of it: to what the least value is sought
 _LEVELS = 20  # steps down to it, at most; three are usual
@@ -71,8 +84,12 @@ def well_conditioned(task: str) -> Iterator[None]:
 class Passivity:
     """The smallest eigenvalue of `Phi` of a stable system, and the bands in which it is negative."""
 
-    def __init__(self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool, condition: float = 1.0) -> None:
-        self.matrices, self.scattering, self.condition = (A, B, C, D), scattering, condition
+    def __init__(
+        self, A: Array, B: Array, C: Array, D: Array, *, scattering: bool, given: Matrices | None = None
+    ) -> None:
+        self.matrices, self.scattering = (A, B, C, D), scattering
+        # those that were given, with what was split off: their rounding decides
+        self.given = self.matrices if given is None else given
         self.modes = from_matrices(A, B, C, D.copy())
 
     def smallest(self, omega: Any) -> tuple[Array, Array]:
@@ -103,6 +120,60 @@ class Passivity:
         Of two points that lie on the axis close together rounding may make a pair beside it, whose projection lies
         between the two.
         """
+        if not len(self.modes.poles):
+            return np.zeros(0)
+        one_port = self.matrices[1].shape[1] == 1 and not self.scattering
+        singular = self._one_port_points if one_port else self._points
+        with np.errstate(all="ignore"):
+            found = np.concatenate([np.abs(singular(*shift, level).imag) for shift in self._shifts(level, one_port)])
+        return np.asarray(found[np.isfinite(found)], float)
+
+    def _shifts(self, level: float, one_port: bool) -> list[tuple[float, bool]]:
+        """Points of the real axis, each amid the poles of some decades, and whether `Phi` is far from singular there.
+
+        The eigenvalues of an inverse are right beside the point that was taken from the matrix.
+        """
+        size = np.abs(self.modes.poles)
+        size = size[size > 0] if size.any() else np.ones(1)
+        low, high = float(np.log10(size.min())), float(np.log10(size.max()))
+        count = int(np.ceil((high - low) / _DECADES[one_port])) or 1
+        found = []
+        for middle in low + (np.arange(count) + 0.5) * (high - low) / count:
+            points = 10**middle * _BESIDE
+            away = np.min(np.abs(points[:, None] - size) / (points[:, None] + size), axis=1)
+            points = points[away > 0]
+            away = away[away > 0]
+            k = np.linalg.svd(self._on_real_axis(points) - level * np.eye(self.matrices[1].shape[1]), compute_uv=False)
+            terms = sum(self.modes.magnitude(sign * points + 0j) for sign in (1.0, -1.0))
+            regular = (k[:, -1] > _REGULAR * k[:, 0]) & (k[:, -1] > _DIGITS * EPS * terms)
+            score = away * k[:, -1] / np.where(k[:, 0] > 0, terms if one_port else k[:, 0], 1.0)
+            best = int(np.argmax(np.where(np.isfinite(score), score, -1.0)))
+            found.append((float(points[best]), bool(regular[best])))
+        return found
+
+    def _on_real_axis(self, points: Array) -> Array:
+        """Continuation of `Phi` to the real axis, shape (N, m, m)."""
+        G, mirrored = (np.moveaxis(self.modes.evaluate(sign * points), 2, 0).real for sign in (1.0, -1.0))
+        mirrored = mirrored.transpose(0, 2, 1)
+        return np.asarray(np.eye(G.shape[2]) - mirrored @ G if self.scattering else G + mirrored, float)
+
+    @cached_property
+    def _modal(self) -> Matrices:
+        """Real matrices of the modes."""
+        modes = self.modes.state_space()
+        return modes.A, modes.B, modes.C, modes.D
+
+    def _one_port_points(self, shift: float, _: bool, level: float) -> ComplexArray:
+        """Zeros of `Phi(s) = R + 2 C A (s^2 - A^2)^-1 B`: eigenvalues of order n in `s^2`."""
+        A, B, C, D = self._modal
+        inverse = np.linalg.inv(A @ A - shift**2 * np.eye(len(A)))
+        column, row = inverse @ B, 2 * C @ A @ inverse
+        value = 2 * D - level - 2 * C @ A @ column
+        squares = shift**2 + 1 / np.linalg.eigvals(inverse + column @ row / value)
+        return np.asarray(np.sqrt(squares.astype(complex)), complex)
+
+    def _points(self, shift: float, regular: bool, level: float) -> ComplexArray:
+        """Eigenvalues of the pencil of `Phi`: by an inverse, or, where that has no digits, of both matrices."""
         A, B, C, D = self.matrices
         n, m = B.shape
         R = D + D.T - level * np.eye(m)
@@ -117,10 +188,10 @@ class Passivity:
         else:
             M[n : 2 * n, 2 * n :], M[2 * n :, n : 2 * n], M[2 * n :, 2 * n :] = C.T, C, R
         E[:n, n : 2 * n], E[n : 2 * n, :n] = np.eye(n), -np.eye(n)
-        with np.errstate(all="ignore"):
-            alpha, beta = eigvals(M, E, homogeneous_eigvals=True)
-            found = np.abs((alpha / beta).imag)
-        return np.asarray(found[np.isfinite(found)], float)
+        if regular:
+            return np.asarray(shift + 1 / np.linalg.eigvals(np.linalg.solve(M - shift * E, E[:, : 2 * n])[: 2 * n]))
+        alpha, beta = eigvals(M, E, homogeneous_eigvals=True)
+        return np.asarray(alpha / beta, complex)
 
     def in_units(self, smallest: float) -> float:
         """Smallest eigenvalue of `(G + G^H) / 2`, or 1 less the largest singular value, from that of `Phi`."""
@@ -151,22 +222,49 @@ class Passivity:
         grid, values, slack = self._looked_at
         negative = values < -slack
         edges = np.flatnonzero(np.diff(np.concatenate([[False], negative, [False]]).astype(int)))
-        pieces = list(zip(edges[::2], edges[1::2], strict=True))
-        return [self._band(grid, values, first, last) for first, last in pieces if self._stands_out(grid[first:last])]
+        pieces = [
+            (first, last)
+            for first, last in zip(edges[::2], edges[1::2], strict=True)
+            if self._stands_out(grid[first:last], values[first:last], slack[first:last])
+        ]
+        return [self._band(grid, values, first, last) for first, last in pieces]
 
-    def _stands_out(self, omega: Array) -> bool:
-        """Whether `Phi` is negative somewhere by more than rounding of the matrices makes of it."""
-        A, B, C, D = self.matrices
-        values, slack = self.smallest(omega)
-        # by what is most negative; the bound of all points would cost more than the bands themselves
-        for k in np.unique([np.argmin(values), np.argmin(values / slack), len(omega) // 2]):
-            M = 1j * omega[k] * np.eye(len(A)) - A
-            x, y = np.linalg.norm(np.linalg.solve(M, B)), np.linalg.norm(np.linalg.solve(M.T, C.T))
-            size = np.linalg.norm(A) * x * y + np.linalg.norm(B) * y + self.condition * np.linalg.norm(C) * x
-            size *= 1 + np.linalg.norm(D) if self.scattering else 1
-            if -values[k] > slack[k] + _GIVEN * EPS * size:
-                return True
-        return False
+    def _stands_out(self, omega: Array, values: Array, slack: Array) -> bool:
+        """Whether `Phi` is negative somewhere by more than rounding of the given matrices makes of it."""
+        even = np.linspace(0, len(omega) - 1, _LOOKS).astype(int)
+        likely = [np.argmin(values), np.argmin(values / slack)]
+        return any(self._is_negative(float(omega[k])) for k in dict.fromkeys([*likely, *even]))
+
+    def _is_negative(self, omega: float) -> bool:
+        value, entries, whole = self._perturbed(omega, self._resolvent)
+        if np.isfinite(whole) and abs(-value - entries) <= whole:  # the Schur form is not that of each entry
+            value, entries, _ = self._perturbed(omega, Elimination(self.given[0]))
+        return bool(-value > entries)
+
+    @cached_property
+    def _resolvent(self) -> Resolvent:
+        return Resolvent(self.given[0])
+
+    def _perturbed(self, omega: float, resolvent: Any) -> tuple[float, float, float]:
+        """Smallest eigenvalue of `Phi`, what it changes by with roundings of each entry, and with those of the solver.
+
+        To first order the quadratic form of its eigenvector `u` changes by `2 Re y^H (dA x + dB u) + ..`, with
+        `x = (jw - A)^-1 B u` and `y` that of the adjoint.
+        """
+        A, B, C, D = self.given
+        X = resolvent.columns(1j * omega, B)
+        G = C @ X + D
+        Phi = np.eye(len(G.T)) - G.conj().T @ G if self.scattering else G + G.conj().T
+        if not np.isfinite(Phi).all():
+            return 0.0, np.inf, np.inf  # a pole on the axis is judged by its residue
+        k, U = np.linalg.eigh(Phi)
+        u = U[:, 0]
+        h = G @ u if self.scattering else u
+        x, y = np.abs(X @ u), np.abs(resolvent.rows(1j * omega, (h.conj() @ C)[None]))[0]
+        u, h = np.abs(u), np.abs(h)
+        entries = float(y @ (np.abs(A) @ x + np.abs(B) @ u) + h @ (np.abs(C) @ x + np.abs(D) @ u))
+        whole = 2 * _SOLVER * resolvent.rounding * float(np.linalg.norm(x) * np.linalg.norm(y))
+        return float(k[0]), 2 * _GIVEN * EPS * entries, whole
 
     def margin(self) -> float:
         """Infimum over all frequencies of a system without bands, in units of `excess`; 0 where rounding hides it."""
@@ -180,15 +278,16 @@ class Passivity:
     @cached_property
     def _looked_at(self) -> tuple[Array, Array, Array]:
         """Frequencies that show every change of sign, the smallest eigenvalue of `Phi` there, and its rounding."""
-        grid = self._with_minima(self._grid())
-        return grid, *self.smallest(grid)
-
-    def _with_minima(self, grid: Array) -> Array:
-        """The grid and, where the smallest eigenvalue is small between three of its points, its minimum there."""
+        grid = self._grid()
         values, slack = self.smallest(grid)
+        # where it is small between three points, its minimum there
         low = [k for k in lowest_places(values) if values[k] < _NEAR / _SLACK * slack[k]]
-        minima = [minimum(self._value, grid[k - 1], grid[k + 1]) for k in low]
-        return np.unique(np.concatenate([grid, minima]))
+        minima = np.array([minimum(self._value, grid[k - 1], grid[k + 1]) for k in low])
+        there = self.smallest(minima)
+        _, order = np.unique(np.concatenate([grid, minima]), return_index=True)
+        parts = zip((grid, values, slack), (minima, *there), strict=True)
+        grid, values, slack = (np.concatenate(part)[order] for part in parts)
+        return grid, values, slack
 
     def _value(self, omega: float) -> float:
         return float(self._smallest(np.array([omega]))[0])
@@ -260,14 +359,12 @@ def balanced(A: Array, B: Array, C: Array, D: Array) -> Matrices:
 class Split:
     """Frequencies and residues on the imaginary axis, matrices of the rest of the system, and the poles to the right.
 
-    Residues are not finite where a pole is not simple.  `condition` is what may have become of a rounding in the
-    outputs of the rest when it was parted from the axis.
+    Residues are not finite where a pole is not simple.
     """
 
     axis: list[tuple[float, ComplexArray]]
     rest: tuple[Array, Array, Array]
     unstable: ComplexArray
-    condition: float = 1.0
 
 
 def split_axis(A: Array, B: Array, C: Array) -> Split:
@@ -283,43 +380,51 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     size = float(np.linalg.norm(A, 2))
     rounding = _AXIS * len(A) * EPS * size
     unseen = _HIDDEN * len(A) * EPS * max(given, float(np.linalg.norm(B) * np.linalg.norm(C)))
+    whole = len(A)
     A, B, C = _staircase(A, B, C)
     n = len(A)
     if not n:
         return Split([], (A, B, C), np.zeros(0, complex))
+    # of matrices as they were given, each entry is known to its own rounding
+    noise = np.abs(A) * (_AXIS * EPS) if n == whole else np.full((n, n), rounding / n)
     T, Z = schur(A, output="real")
     U, Y = rsf2csf(T, Z)
     found = eigenvalues_of(U)
+    right, left = Y @ found.right, Y @ found.left
+    values = np.sum(left.conj() * (A @ right), axis=0) / found.overlap
+    values = np.where(np.abs(values - found.values) <= rounding / found.separation, values, found.values)
+    error = np.sum(np.abs(left) * (noise @ np.abs(right)), axis=0) / found.separation
     axis: list[tuple[float, ComplexArray]] = []
     off = np.ones(n, bool)
     # the bound of first order is too large for double poles, which rounding moves by its root
-    radius = np.minimum(rounding / found.separation, _DOUBLE * np.sqrt(rounding * size))
-    for group in clusters(found.values, radius):
-        real = found.values.real[group]
+    radius = np.minimum(error, _DOUBLE * np.sqrt(rounding * size))
+    for group in clusters(values, radius):
+        real = values.real[group]
         if (np.abs(real) > _CLEAR * radius[group]).all() and len(np.unique(np.sign(real))) == 1:
             continue
         block = invariant_block(U, group)
-        center, error = complex(np.mean(np.diag(block.T))), rounding / block.separation
-        if abs(center.real) > error:
+        columns, rows = Y @ block.columns, block.rows @ Y.conj().T
+        center = complex(np.trace(rows @ A @ columns)) / len(group)
+        known = float(np.sum(np.abs(rows.T) * (noise @ np.abs(columns)))) / len(group)
+        if abs(center.real) > known:
             continue
         off[group] = False
-        if center.imag < -error:
+        if center.imag < -known:
             continue
-        c, b = C @ Y @ block.columns, block.rows @ Y.conj().T @ B
+        c, b = C @ columns, rows @ B
         K = _residue(block.T - center * np.eye(len(group)), b, c, float(np.linalg.norm(A)))
         if not np.linalg.norm(K) <= unseen:
-            still = center.imag <= error
+            still = center.imag <= known
             axis.append((0.0, np.asarray(K.real, complex)) if still else (center.imag, K))
-    unstable = found.values[off & (found.values.real > radius)]
+    unstable = values[off & (values.real > radius)]
     count = n - int(off.sum())
     if not count:
         return Split([], (A, B, C), unstable)
-    T, Z, _, _, count, _, apart, _ = dtrsen(~off, T, Z, lwork=max(n, 2 * count * (n - count)), liwork=n * n)
+    T, Z, _, _, count, _, _, _ = dtrsen(~off, T, Z, lwork=max(n, 2 * count * (n - count)), liwork=n * n)
     B, C = Z.T @ B, C @ Z
     X = solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
     rest = T[count:, count:], B[count:], C[:, count:] + C[:, :count] @ X
-    condition = float(np.linalg.norm(T)) / apart if len(rest[0]) else 1.0
-    return Split(sorted(axis, key=lambda one: one[0]), rest, unstable, max(condition, 1.0))
+    return Split(sorted(axis, key=lambda one: one[0]), rest, unstable)
 
 
 def _staircase(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:

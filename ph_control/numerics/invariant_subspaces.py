@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eig, schur
-from scipy.linalg.lapack import dgebal, ztrsen, ztrsyl
+from scipy.linalg.lapack import dgebal, zgetrf, zgetrs, ztrsen, ztrsyl, ztrtrs
 
 from .._checks import EPS
 from .._types import Array, ComplexArray, Indices
@@ -22,6 +22,60 @@ def equilibrated(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
         return A, B, C
     A, _, _, scale, _ = dgebal(A, scale=1)
     return A, B / scale[:, None], C * scale
+
+
+class Resolvent:
+    """`(s - A)^-1 B` and `C (s - A)^-1` at many points by one Schur form, O(n^2) a point; NaN at a pole."""
+
+    def __init__(self, A: Array) -> None:
+        self.T, self.Z = schur_form(A)
+        self.diagonal = np.diag(self.T).copy()
+        # the backward error of the Schur form
+        self.rounding = len(A) * EPS * float(np.linalg.norm(A))
+
+    def columns(self, s: complex, B: ComplexArray | Array) -> ComplexArray:
+        """`(s - A)^-1 B`."""
+        return self.Z @ self._solved(s, self.Z.conj().T @ B, 0)
+
+    def rows(self, s: complex, C: ComplexArray | Array) -> ComplexArray:
+        """`C (s - A)^-1`."""
+        return self._solved(s, (C @ self.Z).T, 1).T @ self.Z.conj().T
+
+    def _solved(self, s: complex, right: ComplexArray, transposed: int) -> ComplexArray:
+        if not right.size:
+            return right
+        shifted = -self.T
+        np.fill_diagonal(shifted, s - self.diagonal)
+        # by columns, as LAPACK has them, the matrix is the transpose of the array
+        solved, info = ztrtrs(shifted.T, right, lower=1, trans=1 - transposed)
+        return solved if not info else np.full_like(right, np.nan)
+
+
+class Elimination:
+    """What `Resolvent` is, by elimination and a step of refinement: its error is that of roundings of each entry."""
+
+    rounding = 0.0
+
+    def __init__(self, A: Array) -> None:
+        self.A = A
+
+    def columns(self, s: complex, B: Any) -> ComplexArray:
+        """`(s - A)^-1 B`."""
+        return _eliminated(s * np.eye(len(self.A)) - self.A, B + 0j)
+
+    def rows(self, s: complex, C: Any) -> ComplexArray:
+        """`C (s - A)^-1`."""
+        return _eliminated((s * np.eye(len(self.A)) - self.A).T, C.T + 0j).T
+
+
+def _eliminated(M: Any, right: Any) -> Any:
+    if not right.size:
+        return right
+    factors, pivots, info = zgetrf(M)
+    if info:
+        return np.full_like(right, np.nan)
+    solved, _ = zgetrs(factors, pivots, right)
+    return solved + zgetrs(factors, pivots, right - M @ solved)[0]
 
 
 class Eigenvalues(NamedTuple):

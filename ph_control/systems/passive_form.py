@@ -29,7 +29,7 @@ from .._types import Array, ComplexArray
 from ..exceptions import ConditioningWarning, NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
-from ..modal.positive_real import Passivity, Split, is_positive, split_axis, violations, well_conditioned
+from ..modal.positive_real import Matrices, Passivity, Split, is_positive, split_axis, violations, well_conditioned
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
 from ..numerics.invariant_subspaces import equilibrated
 
@@ -126,7 +126,7 @@ def _passive_parts(
     m = given.ports
     split, D = split_axis(given.A, given.B, given.C), given.D
     omega = _band(split)
-    _refuse_active(split, D, m, refusal)
+    _refuse_active(split, given, refusal)
     if minimal:
         split = replace(split, axis=_met_by_ports(split.axis, given), rest=minimal_part(*split.rest, m))
     parts, energy = None, storage
@@ -160,30 +160,34 @@ def _passive_parts(
 # --- is it passive? -----------------------------------------------------------------------------------------------
 
 
-def _refuse_active(split: Split, D: Array, m: int, refusal: NotLosslessError | None) -> None:
+def _refuse_active(split: Split, given: PortRows, refusal: NotLosslessError | None) -> None:
     """Refuse a system whose ports give energy."""
-    A, B, C = split.rest
-    ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable, split.condition)
-    tested = None if len(split.unstable) else Passivity(A, B, C[:m], D[:m], scattering=False, condition=split.condition)
+    m, (A, B, C) = given.ports, split.rest
+    D = given.D[:m]
+    ports = Split([(w, K[:m]) for w, K in split.axis], (A, B, C[:m]), split.unstable)
+    matrices = given.A, given.B, given.C[:m], D
+    tested = None if len(split.unstable) else Passivity(*ports.rest, D, scattering=False, given=matrices)
     found = violations(ports, tested, scattering=False)
     if not found and tested is not None:
         return
     sentences = refusal.violations if refusal is not None and not len(A) and not D.any() else ()
     raise NotPassiveError(
         [(band.low, band.high) for band in found], [band.excess for band in found], [band.worst for band in found],
-        [complex(p) for p in split.unstable], signs=_signs(ports, D[:m]), reasons=sentences,
+        [complex(p) for p in split.unstable], signs=_signs(ports, matrices), reasons=sentences,
     )  # fmt: skip
 
 
-def _signs(split: Split, D: Array) -> tuple[int, ...]:
+def _signs(split: Split, given: Matrices) -> tuple[int, ...]:
     """Signs of the outputs with which the system is passive, if all others or one other than given make it so."""
+    D = given[3]
     m = len(D)
     if len(split.unstable):
         return ()
     for signs in [-np.ones(m), *(np.ones(m) - 2 * row for row in np.eye(m) if m > 1)]:
         A, B, C = split.rest
         turned = Split([(w, signs[:, None] * K) for w, K in split.axis], split.rest, split.unstable)
-        tested = Passivity(A, B, signs[:, None] * C, signs[:, None] * D, scattering=False, condition=split.condition)
+        matrices = *given[:2], signs[:, None] * given[2], signs[:, None] * D
+        tested = Passivity(A, B, signs[:, None] * C, matrices[3], scattering=False, given=matrices)
         if not violations(turned, tested, scattering=False):
             return tuple(int(sign) for sign in signs)
     return ()
