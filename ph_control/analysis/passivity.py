@@ -16,6 +16,7 @@ from ..exceptions import StructureError
 from ..modal.positive_real import Passivity, split_axis, violations, well_conditioned
 from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
+from ..systems.port_hamiltonian import PortHamiltonian
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -166,8 +167,9 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
     -----
     No grid of frequencies: `G + G^H` is singular at eigenvalues of a pencil of order `2n + m` on the axis, which part
     it into pieces of one sign; O((2n + m)^3).  What ports do not reach or do not see is left out, and poles on the
-    imaginary axis are judged by their residues.  Rounding of all terms is allowed for, so that a bound that is touched
-    is not crossed.
+    imaginary axis are judged by their residues.  A `PortHamiltonian` is passive by its energy and its losses.  Of any
+    other system a roundings of each entry of the matrices is allowed for, by its effect to first order, so that a bound
+    that is touched is not crossed.
 
     Examples
     --------
@@ -185,13 +187,17 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
     plain = _state_space(sys)
     A, B, C, D = (np.array(getattr(plain, name), float) for name in "ABCD")
     with well_conditioned("judge"):
-        return _judged(A, B, C, D, kind)
+        # by its energy and its losses
+        return _judged(A, B, C, D, kind, isinstance(sys, PortHamiltonian) and kind == "immittance")
 
 
-def _judged(A: Array, B: Array, C: Array, D: Array, kind: str) -> PassivityReport:
+def _judged(A: Array, B: Array, C: Array, D: Array, kind: str, certain: bool) -> PassivityReport:
     split = split_axis(A, B, C)
     scattering = kind == "scattering"
     whole = Passivity(*split.rest, D, scattering=scattering, given=(A, B, C, D))
+    if certain:
+        least = max(whole.margin(), 0.0)
+        return PassivityReport(kind, [], np.zeros(0), np.zeros(0), least, np.zeros(0, complex), whole)
     tested = None if len(split.unstable) else whole
     found = violations(split, tested, scattering=scattering)
     margin = -max((band.excess for band in found), default=0.0) if tested is not None else -np.inf

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import rsf2csf
+from scipy.linalg.lapack import ztrtrs
 
 from .. import _checks
 from .._display import ShownModes
@@ -57,6 +58,11 @@ class Cluster:
         """States `(s - T)^{-1} B` of `triangular` at points, shape (k, m, N), by substitution; not finite at a pole."""
         T, B, _ = self.triangular
         x = np.empty((len(T), B.shape[1], len(s)), complex)
+        if len(s) < len(T):  # a few points one by one
+            for j, point in enumerate(s):
+                x[:, :, j], pole = ztrtrs(point * np.eye(len(T)) - T, B)
+                x[:, :, j] = np.inf if pole else x[:, :, j]
+            return x
         for k in range(len(T) - 1, -1, -1):
             x[k] = (B[k, :, None] + np.tensordot(T[k, k + 1 :], x[k + 1 :], axes=1)) / (s - T[k, k])
         return x

@@ -40,6 +40,7 @@ _NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative betwe
 _LOOKS = 5  # points spread over a piece, beside the most negative ones
 _SOLVER = 8  # backward errors of a Schur form
 _DECADES = (8.0, 4.0)  # of poles, on which one shift serves: of several ports in `s`, of one in its square
+_OVERLAP = 3.0  # times its ends, what a shift serves as well
 _BESIDE = np.array([1.0, 1.3, 0.77, 1.7, 0.59, 2.2, 0.45])  # of the middle of them: points to choose the shift from
 _REGULAR = 1e-8  # least over largest singular value of `Phi` at a shift, below which there is no inverse
 _DIGITS = 1e4  # roundings of the terms that the least one must exceed there
@@ -114,8 +115,8 @@ class Passivity:
         Phi = np.eye(D.shape[1]) - D.T @ D if self.scattering else D + D.T
         return float(np.linalg.eigvalsh(Phi)[0])
 
-    def singular_frequencies(self, level: float = 0.0) -> Array:
-        """Imaginary parts of all points of the plane at which `Phi` has the eigenvalue `level`.
+    def singular_frequencies(self, level: float = 0.0, low: float = 0.0, high: float = np.inf) -> Array:
+        """Imaginary parts of all points of the plane at which `Phi` has the eigenvalue `level`; some beyond two bounds.
 
         Of two points that lie on the axis close together rounding may make a pair beside it, whose projection lies
         between the two.
@@ -125,21 +126,26 @@ class Passivity:
         one_port = self.matrices[1].shape[1] == 1 and not self.scattering
         singular = self._one_port_points if one_port else self._points
         with np.errstate(all="ignore"):
-            found = np.concatenate([np.abs(singular(*shift, level).imag) for shift in self._shifts(level, one_port)])
+            shifts = self._shifts(level, low, high)
+            found = np.concatenate([np.abs(singular(*shift, level).imag) for shift in shifts])
         return np.asarray(found[np.isfinite(found)], float)
 
-    def _shifts(self, level: float, one_port: bool) -> list[tuple[float, bool]]:
+    def _shifts(self, level: float, lowest: float, highest: float) -> list[tuple[float, bool]]:
         """Points of the real axis, each amid the poles of some decades, and whether `Phi` is far from singular there.
 
         The eigenvalues of an inverse are right beside the point that was taken from the matrix.
         """
         size = np.abs(self.modes.poles)
         size = size[size > 0] if size.any() else np.ones(1)
+        one_port = self.matrices[1].shape[1] == 1 and not self.scattering
         low, high = float(np.log10(size.min())), float(np.log10(size.max()))
-        count = int(np.ceil((high - low) / _DECADES[one_port])) or 1
+        ends = np.linspace(low, high, max(1, int(np.ceil((high - low) / _DECADES[one_port]))) + 1)
+        middles = 10 ** (0.5 * (ends[1:] + ends[:-1]))
+        # the first serves all that is slower, the last all that is faster
+        ends = 10.0 ** np.concatenate([[-np.inf], ends[1:-1], [np.inf]])
         found = []
-        for middle in low + (np.arange(count) + 0.5) * (high - low) / count:
-            points = 10**middle * _BESIDE
+        for middle in middles[(ends[1:] * _OVERLAP >= lowest) & (ends[:-1] <= highest * _OVERLAP)]:
+            points = middle * _BESIDE
             away = np.min(np.abs(points[:, None] - size) / (points[:, None] + size), axis=1)
             points = points[away > 0]
             away = away[away > 0]
@@ -219,15 +225,29 @@ class Passivity:
 
     def bands(self) -> list[Band]:
         """Bands in which the smallest eigenvalue of `Phi` is negative by more than rounding, ascending."""
+        grid, values, _ = self._looked_at
+        return [self._band(grid, values, first, last) for first, last in self._pieces()]
+
+    def is_passive(self) -> bool:
+        """Whether there is no band."""
+        omega = np.unique(np.abs([self.modes.poles, self.modes.poles.imag]))
+        if len(omega):  # the place of a pole often tells, at a fraction of the cost
+            values, slack = self.smallest(omega)
+            k = int(np.argmin(values / slack))
+            if values[k] < -slack[k] and self._is_negative(float(omega[k])):
+                return False
+        return not self._pieces()
+
+    def _pieces(self) -> list[tuple[Any, Any]]:
+        """First and last but one of the points of each piece of the axis on which `Phi` is negative beyond rounding."""
         grid, values, slack = self._looked_at
         negative = values < -slack
         edges = np.flatnonzero(np.diff(np.concatenate([[False], negative, [False]]).astype(int)))
-        pieces = [
+        return [
             (first, last)
             for first, last in zip(edges[::2], edges[1::2], strict=True)
             if self._stands_out(grid[first:last], values[first:last], slack[first:last])
         ]
-        return [self._band(grid, values, first, last) for first, last in pieces]
 
     def _stands_out(self, omega: Array, values: Array, slack: Array) -> bool:
         """Whether `Phi` is negative somewhere by more than rounding of the given matrices makes of it."""
@@ -309,7 +329,7 @@ class Passivity:
         worst, least = float(grid[k]), float(values[k])
         for _ in range(_LEVELS):
             level = least - _FINE * abs(least)
-            points = self.singular_frequencies(level)
+            points = self.singular_frequencies(level, low, high)
             points = np.unique(np.concatenate([points[(points > low) & (points < high)], [low, worst], grid[-1:]]))
             middles = np.unique(np.append(0.5 * (points[1:] + points[:-1]), worst))
             k = int(np.argmin(self.smallest(middles)[0]))

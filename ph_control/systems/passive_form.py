@@ -31,7 +31,7 @@ from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
 from ..modal.positive_real import Matrices, Passivity, Split, is_positive, split_axis, violations, well_conditioned
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
-from ..numerics.invariant_subspaces import equilibrated
+from ..numerics.invariant_subspaces import Elimination, Resolvent, equilibrated
 
 Parts = dict[str, Array]
 
@@ -39,9 +39,13 @@ _UNSEEN = 1e-13  # of the largest Hankel singular value: a state that ports do n
 _AGREES, _LOST = 1e-10, 1e-4  # of the largest response: a difference that is worth a warning, and one that is an error
 _GIVEN = 4.0  # roundings of each entry that is given
 _EXACT = 1e-11  # of it: what a form that was recognised may differ by
+_CERTAIN = 1e4  # roundings, times the number of states: losses beyond doubt
+_BESIDE = np.array([0.31, 0.93, 2.9])  # of the median of the poles: where they are looked for
+_SURE = 16.0  # roundings, times the size of matrices: what is missed by rounding alone
 _FITS = 1e-11  # of its terms: what matrices may miss of the form
 _NEW = 1e-7  # of its length: what a direction has outside the known ones, to be a new one
 _CONDITION = 1e8  # of the modes: beyond, poles are not parted
+_FEW = 60  # states up to which each point is solved by elimination
 _SAME = 1e-8  # of the largest: poles that are one
 _RESIDUE = 1e-9  # of its size: what a residue may miss of the form, before the response decides
 _NONE = 1e-13  # of the largest: an eigenvalue of a residue that is 0
@@ -123,25 +127,29 @@ def passive_parts(
 def _passive_parts(
     given: PortRows, storage: str, refusal: NotLosslessError | None, minimal: bool
 ) -> tuple[Parts, Conversion]:
-    m = given.ports
-    split, D = split_axis(given.A, given.B, given.C), given.D
-    omega = _band(split)
+    physical = physical_parts(given) if storage == "auto" and not minimal else None
+    if physical is not None:
+        parts, passive = physical
+        error = _Response(given, np.linalg.eigvals(given.A)).difference(parts, same_states=True)
+        if error <= _EXACT:
+            if not passive:
+                _refuse_active(split_axis(given.A, given.B, given.C), given, refusal)
+            return parts, Conversion("given", 0, error)
+    m, D = given.ports, given.D
+    split = split_axis(given.A, given.B, given.C)
     _refuse_active(split, given, refusal)
+    response = _Response(given, np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]]))
     if minimal:
         split = replace(split, axis=_met_by_ports(split.axis, given), rest=minimal_part(*split.rest, m))
-    parts, energy = None, storage
-    if storage == "auto":
-        parts, energy = None if minimal else physical_parts(given.A, given.B, given.C, given.D), "given"
-        if parts is None and len(D) == m:
-            parts, energy = classical_parts(*split.rest, D, split.axis), "modal"
-        if parts is not None and not _difference(parts, given, omega) <= _EXACT:
-            parts = None
-    if parts is None:
+    modal = classical_parts(*split.rest, D, split.axis) if storage == "auto" and len(D) == m else None
+    if modal is not None and (error := response.difference(modal)) <= _EXACT:
+        parts, energy = modal, "modal"
+    else:
         energy = "mean" if storage == "auto" else storage
         parts = joined([stored_parts(PortRows(*split.rest, D), energy), *lossless_parts(split.axis, m)], D[m:])
+        error = response.difference(parts)
     if minimal:
-        _refuse_lost_sensors(parts, given, omega)
-    error = _difference(parts, given, omega)
+        response.refuse_lost_sensors(parts)
     if not error <= _LOST:
         raise StructureError(
             f"the system is too ill-conditioned to convert: its port-Hamiltonian form differs from it by {error:.2g} "
@@ -155,6 +163,29 @@ def _passive_parts(
             stacklevel=5,
         )
     return parts, Conversion(energy, len(given.A) - len(parts["Q"]), error)
+
+
+# --- is it lossless? ----------------------------------------------------------------------------------------------
+
+
+def loses_energy(sys: ct.StateSpace) -> bool:
+    """Whether `G + G^H` is surely not 0 at some frequency, so that the system is not lossless: O(n^3), with no doubt.
+
+    False where it is not sure.
+    """
+    A, B, C, D = (np.asarray(getattr(sys, name), float) for name in "ABCD")
+    if not len(A) or len(D) != len(D.T) or not all(np.isfinite(M).all() for M in (A, B, C, D)):
+        return False
+    rate = float(np.median(np.abs(np.linalg.eigvals(A))))
+    solver = Elimination(A)
+    with np.errstate(all="ignore"):
+        for point in 1j * rate * _BESIDE:
+            x, y = solver.columns(point, B), solver.rows(point, C)
+            G, (x, y) = C @ x + D, (np.abs(x), np.abs(y))
+            rounding = EPS * (y @ (np.abs(A) @ x + np.abs(B)) + np.abs(C) @ x + np.abs(D))
+            if np.any(np.abs(G + G.conj().T) > _CERTAIN * len(A) * (rounding + rounding.T)):
+                return True
+    return False
 
 
 # --- is it passive? -----------------------------------------------------------------------------------------------
@@ -188,7 +219,7 @@ def _signs(split: Split, given: Matrices) -> tuple[int, ...]:
         turned = Split([(w, signs[:, None] * K) for w, K in split.axis], split.rest, split.unstable)
         matrices = *given[:2], signs[:, None] * given[2], signs[:, None] * D
         tested = Passivity(A, B, signs[:, None] * C, matrices[3], scattering=False, given=matrices)
-        if not violations(turned, tested, scattering=False):
+        if all(is_positive(K) for _, K in turned.axis) and tested.is_passive():
             return tuple(int(sign) for sign in signs)
     return ()
 
@@ -278,44 +309,65 @@ def joined(found: Sequence[Parts], through: Array) -> Parts:
 # --- held against what was given ----------------------------------------------------------------------------------
 
 
-def _refuse_lost_sensors(parts: Parts, given: PortRows, omega: Array) -> None:
-    """Refuse to leave out states that a sensor sees."""
-    m = given.ports
-    for k, (off, size) in enumerate(zip(*_differences(parts, given, omega), strict=True)):
-        if k >= m and not _ratio(off, size) <= _LOST:
-            raise StructureError(
-                f"sensor {k - m} (output {k}) sees states that ports do not reach or do not see: without them its "
-                f"response differs by {_ratio(off, size):.2g} of its largest value, allowed {_LOST:.0e}; leave the "
-                "sensor out, or keep all states"
-            )
+class _Response:
+    """Response of the given system in its band, with what roundings of the given entries make of it."""
+
+    def __init__(self, given: PortRows, poles: Any) -> None:
+        self.given, self.points = given, 1j * _band(np.asarray(poles, complex))
+        resolvent = _resolvent(given.A)
+        A, B, C = given.A, given.B, given.C
+        self.into, self.out = (
+            np.array([solve(s, M) for s in self.points]) for solve, M in ((resolvent.columns, B), (resolvent.rows, C))
+        )
+        self.values = C @ self.into + given.D
+        x, y = np.abs(self.into), np.abs(self.out)
+        moved = y @ (np.abs(A) @ x) + y @ np.abs(B) + np.abs(C) @ x
+        lost = np.linalg.norm(x, axis=1, keepdims=True) * np.linalg.norm(y, axis=2, keepdims=True) * resolvent.rounding
+        self.rounding = _GIVEN * EPS * moved + lost
+
+    def difference(self, parts: Parts, *, same_states: bool = False) -> float:
+        """Largest difference of a form beyond these roundings, over the largest response."""
+        off, size = self._differences(parts, same_states)
+        return _ratio(off.max(initial=0.0), size.max(initial=0.0))
+
+    def refuse_lost_sensors(self, parts: Parts) -> None:
+        """Refuse to leave out states that a sensor sees."""
+        m = self.given.ports
+        for k, (off, size) in enumerate(zip(*self._differences(parts), strict=True)):
+            if k >= m and not _ratio(off, size) <= _LOST:
+                raise StructureError(
+                    f"sensor {k - m} (output {k}) sees states that ports do not reach or do not see: without them its "
+                    f"response differs by {_ratio(off, size):.2g} of its largest value, allowed {_LOST:.0e}; leave the "
+                    "sensor out, or keep all states"
+                )
+
+    def _differences(self, parts: Parts, same_states: bool = False) -> tuple[Array, Array]:
+        """Largest difference of each output beyond the roundings, and its largest response."""
+        K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
+        A, B, C = K @ parts["Q"], G - P, np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
+        D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
+        given = self.given
+        with np.errstate(invalid="ignore", over="ignore"):
+            if same_states:  # the difference of matrices that nearly agree, to first order
+                change = self.out @ ((A - given.A) @ self.into + B - given.B) + (C - given.C) @ self.into + D - given.D
+            else:
+                resolvent = _resolvent(A)
+                change = np.array([C @ resolvent.columns(s, B) for s in self.points]) + D - self.values
+            off = np.max(np.abs(change) - self.rounding, axis=2, initial=0.0)
+        clear = np.isfinite(off).all(axis=1)  # not at a pole
+        return off[clear].max(axis=0, initial=0.0), np.abs(self.values[clear]).max(axis=(0, 2), initial=0.0)
 
 
-def _difference(parts: Parts, given: PortRows, omega: Array) -> float:
-    """Largest difference of the responses beyond the rounding of the given matrices, over the largest response."""
-    off, size = _differences(parts, given, omega)
-    return _ratio(off.max(initial=0.0), size.max(initial=0.0))
-
-
-def _differences(parts: Parts, given: PortRows, omega: Array) -> tuple[Array, Array]:
-    """Largest difference of each output beyond the rounding of the given matrices, and its largest response."""
-    K, G, P = parts["J"] - parts["R"], parts["G"], parts["P"]
-    C = np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]])
-    D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
-    with np.errstate(invalid="ignore", over="ignore"):
-        wanted, moved = _response(given.A, given.B, given.C, given.D, omega)
-        got, _ = _response(K @ parts["Q"], G - P, C, D, omega)
-        off = np.abs(got - wanted).max(axis=2, initial=0.0) - _GIVEN * EPS * moved
-    clear = np.isfinite(off).all(axis=1)  # not at a pole
-    return off[clear].max(axis=0, initial=0.0), np.abs(wanted[clear]).max(axis=(0, 2), initial=0.0)
+def _resolvent(A: Array) -> Any:
+    return Elimination(A) if len(A) <= _FEW else Resolvent(A)
 
 
 def _ratio(off: float, size: float) -> float:
     return float(off / size if size else off)
 
 
-def _band(split: Split) -> Array:
+def _band(poles: ComplexArray) -> Array:
     """Frequencies between and beside poles, and at those that are damped by more than rounding."""
-    poles = np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]])
     size = np.abs(poles)
     size = size[size > np.sqrt(EPS) * size.max(initial=0.0)] if size.any() else np.ones(1)
     damped = poles[np.abs(poles.real) > 1e-6 * np.abs(poles)]
@@ -325,29 +377,15 @@ def _band(split: Split) -> Array:
     return np.unique(np.concatenate([even, near]))
 
 
-def _response(A: Array, B: Array, C: Array, D: Array, omega: Array) -> tuple[ComplexArray, Array]:
-    """Responses, and what a relative change of 1 of the entries of the matrices may move them by; NaN at a pole."""
-    values, moved = np.full((len(omega), *D.shape), np.nan + 0j), np.zeros((len(omega), len(D)))
-    for k, w in enumerate(omega):
-        M = 1j * w * np.eye(len(A)) - A
-        try:
-            x, y = np.linalg.solve(M, B.astype(complex)), np.linalg.solve(M.T, C.T.astype(complex))
-        except LinAlgError:
-            continue
-        values[k] = C @ x + D
-        x, y = np.abs(x), np.abs(y).T
-        moved[k] = np.max(y @ np.abs(A) @ x + y @ np.abs(B) + np.abs(C) @ x, axis=1, initial=0.0)
-    return values, moved
-
-
 # --- mass and stiffness ----------------------------------------------------------------------------------------
 
 
-def physical_parts(A: Array, B: Array, C: Array, D: Array) -> dict[str, Array] | None:
+def physical_parts(given: PortRows) -> tuple[Parts, bool] | None:
     """Parts of a `DissipativePortHamiltonian` in the given coordinates, or None where they show no mass.
 
-    The first outputs, as many as there are inputs, are those of the ports.
+    And whether the given matrices are passive but for rounding, so that nothing else need be asked of them.
     """
+    A, B, C, D = given.A, given.B, given.C, given.D
     n, m = B.shape
     if n % 2 or not n or not B.any():
         return None
@@ -359,15 +397,25 @@ def physical_parts(A: Array, B: Array, C: Array, D: Array) -> dict[str, Array] |
         found = _energy(a[:k, k:], a[k:, :k], a[k:, k:], b[k:], c[:m, k:])
         if found is not None:
             back = np.argsort(order)
-            parts = _of_second_order(*found, a[:k, k:], a[k:, k:], b[k:], D[:m])
+            parts = _of_second_order(found.K, found.M, a[:k, k:], a[k:, k:], b[k:], D[:m])
             square = {name: parts[name][np.ix_(back, back)] for name in ("Q", "J", "R")}
+            through = eigh(D[:m] + D[:m].T, eigvals_only=True)
+            passive = found.missed <= _SURE * k * EPS and through[0] >= -_SURE * m * EPS * np.abs(through).max()
             return parts | square | {
                 "G": parts["G"][back], "P": parts["P"][back], "sensor_rows": C[m:].copy(), "sensor_feedthrough": D[m:]
-            }  # fmt: skip
+            }, bool(passive)  # fmt: skip
     return None
 
 
-def _energy(E: Array, F: Array, damping: Array, b: Array, c: Array) -> tuple[Array, Array] | None:
+class _SecondOrder(NamedTuple):
+    """Stiffness and mass matrices, and what the given ones miss of symmetry and of signs, over their sizes."""
+
+    K: Array
+    M: Array
+    missed: float
+
+
+def _energy(E: Array, F: Array, damping: Array, b: Array, c: Array) -> _SecondOrder | None:
     """Stiffness `K` and mass `M` of `q' = E v`, `v' = F q + damping v + b u`, `y = c v`."""
     if not np.linalg.cond(E) < 1 / np.sqrt(EPS):
         return None
@@ -379,13 +427,14 @@ def _energy(E: Array, F: Array, damping: Array, b: Array, c: Array) -> tuple[Arr
         size = np.linalg.norm(M, 2) * np.linalg.norm(damping, 2)
         least = eigh(loss, eigvals_only=True)[0]
         stiff = eigh(0.5 * (K + K.T), eigvals_only=True)
-        if (
-            np.linalg.norm(K - K.T) <= _FITS * np.linalg.norm(K)
-            and stiff[0] >= -_FITS * max(stiff[-1], 0.0)
-            and least >= -_FITS * size
-            and np.linalg.norm(M @ b - c.T) <= _FITS * np.linalg.norm(c)
-        ):
-            return 0.5 * (K + K.T), M
+        missed = max(
+            _ratio(float(off), float(whole)) for off, whole in (
+                (np.linalg.norm(K - K.T), np.linalg.norm(K)), (max(-stiff[0], 0.0), max(stiff[-1], 0.0)),
+                (max(-least, 0.0), size), (np.linalg.norm(M @ b - c.T), np.linalg.norm(c)),
+            )
+        )  # fmt: skip
+        if missed <= _FITS:
+            return _SecondOrder(0.5 * (K + K.T), M, missed)
     return None
 
 

@@ -30,7 +30,7 @@ from ..symplectic.forms_and_williamson import (
     williamson,
 )
 from .base import LosslessSystem, View, inherited_names, refuse_losses, restored
-from .passive_form import Conversion, in_port_order, parts_of_resonators
+from .passive_form import Conversion, in_port_order, loses_energy, parts_of_resonators
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
@@ -700,14 +700,15 @@ def _of_system(
     if plain and not sensors_last and (found := foster_test.hamiltonian_form(tested)):
         return PortHamiltonian._from_matrices(*found, **with_states)
     refusal: NotLosslessError | None = None
-    try:
-        judged = foster_test.lossless_modes_with_errors(tested, method, intersample)
-        if not sensors_last:
-            return PortHamiltonian._from_modes(judged.modes, **kept)
-    except NotLosslessError as refused:
-        if lossless or isinstance(source, scipy.signal.dlti):
-            raise
-        refusal = refused
+    if lossless or not plain or not loses_energy(tested):
+        try:
+            judged = foster_test.lossless_modes_with_errors(tested, method, intersample)
+            if not sensors_last:
+                return PortHamiltonian._from_modes(judged.modes, **kept)
+        except NotLosslessError as refused:
+            if lossless or isinstance(source, scipy.signal.dlti):
+                raise
+            refusal = refused
     from .dissipative import of_passive
 
     if sampled:
