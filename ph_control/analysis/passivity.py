@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -13,8 +13,8 @@ from .. import _checks
 from .._display import Report
 from .._frozen import Frozen
 from ..exceptions import StructureError
-from ..modal.positive_real import Passivity, split_axis, violations, well_conditioned
-from ..numerics.rational import state_space
+from ..modal.positive_real import Matrices, Passivity, split_axis, violations, well_conditioned
+from ..numerics.rational import split_infinity, state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import PortHamiltonian
 
@@ -34,7 +34,8 @@ class PassivityReport(Frozen, Report):
         What was asked: `G + G^H >= 0`, or `S^H S <= I`.
     bands : list of (float, float)
         Frequencies between which the system is active, `(low, high)` in rad per unit time, ascending; `high` may be
-        infinite, and both are the same at a pole on the imaginary axis whose residue is not positive semidefinite.
+        infinite, and both are the same at a pole on the imaginary axis whose residue is not positive semidefinite; both
+        are infinite for a pole at infinity, as of `R + s L` with a negative `L`, or of `s^2`.
     frequencies : ndarray, shape (number of bands,)
         Worst frequency of each band.
     sizes : ndarray, shape (number of bands,)
@@ -167,9 +168,11 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
     -----
     No grid of frequencies: `G + G^H` is singular at eigenvalues of a pencil of order `2n + m` on the axis, which part
     it into pieces of one sign; O((2n + m)^3).  What ports do not reach or do not see is left out, and poles on the
-    imaginary axis are judged by their residues.  A `PortHamiltonian` is passive by its energy and its losses.  Of any
-    other system a roundings of each entry of the matrices is allowed for, by its effect to first order, so that a bound
-    that is touched is not crossed.
+    imaginary axis, and at infinity, are judged by their residues.
+
+    A `PortHamiltonian` is passive by its energy and its losses.  Of any other system a rounding of each entry of the
+    matrices is allowed for, by its effect to first order, so that a bound that is touched is not crossed.  The units of
+    time and gain make no difference.
 
     Examples
     --------
@@ -184,17 +187,23 @@ def passivity(sys: Any, kind: str = "immittance") -> PassivityReport:
         m, none = sys.ninputs, np.zeros
         beside = Passivity(none((0, 0)), none((0, m)), none((m, 0)), none((m, m)), scattering=False)
         return PassivityReport(kind, [], none(0), none(0), 0.0, none(0, complex), beside)
-    plain = _state_space(sys)
+    improper = isinstance(sys, ct.TransferFunction) and sys.isctime()
+    plain, L = split_infinity(sys) if improper else (sys, np.zeros((0, 0)))
+    plain = _state_space(plain)
     A, B, C, D = (np.array(getattr(plain, name), float) for name in "ABCD")
     with well_conditioned("judge"):
         # by its energy and its losses
-        return _judged(A, B, C, D, kind, isinstance(sys, PortHamiltonian) and kind == "immittance")
+        return _judged((A, B, C, D), L, kind, isinstance(sys, PortHamiltonian) and kind == "immittance")
 
 
-def _judged(A: Array, B: Array, C: Array, D: Array, kind: str, certain: bool) -> PassivityReport:
+def _judged(matrices: Matrices, L: Array, kind: str, certain: bool) -> PassivityReport:
+    """Report of a proper system with the residue `L` at infinity; of a passive one only its margin is asked."""
+    A, B, C, D = matrices
     split = split_axis(A, B, C)
     scattering = kind == "scattering"
-    whole = Passivity(*split.rest, D, scattering=scattering, given=(A, B, C, D))
+    if L.any():
+        split = replace(split, axis=[*split.axis, (np.inf, np.asarray(L, complex))])
+    whole = Passivity(*split.rest, D, scattering=scattering, given=matrices)
     if certain:
         least = max(whole.margin(), 0.0)
         return PassivityReport(kind, [], np.zeros(0), np.zeros(0), least, np.zeros(0, complex), whole)

@@ -313,7 +313,9 @@ class Passivity:
         return float(self._smallest(np.array([omega]))[0])
 
     def _band(self, grid: Array, values: Array, first: int, last: int) -> Band:
-        low = self._crossing(grid[first - 1], grid[first]) if first else 0.0
+        # where it is 0 down to frequency 0, the signs of its rounding are no crossings
+        hidden = (np.abs(values[:first]) <= self._looked_at[2][:first]).all()
+        low = 0.0 if hidden else self._crossing(grid[first - 1], grid[first])
         high = self._crossing(grid[last - 1], grid[last]) if last < len(grid) else np.inf
         worst, least = self._infimum(grid[first:last], values[first:last], low, high)
         if high == np.inf and self.at_infinity() < least:

@@ -44,11 +44,42 @@ def state_space(sys: Any) -> ct.StateSpace:
     """
     if isinstance(sys, ct.StateSpace):
         return sys
+    num, den = _tables(sys)
+    for b, a in (pair for rows in zip(num, den, strict=True) for pair in zip(*rows, strict=True)):
+        if len(b) > len(a):
+            raise StructureError(
+                f"the transfer function is improper: numerator of degree {len(b) - 1} over degree {len(a) - 1}; it has "
+                "no state space"
+            )
+    return _realized(sys, num, den)
+
+
+def split_infinity(sys: ct.TransferFunction) -> tuple[ct.StateSpace, Array]:
+    """State space of `G(s) - s L`, and `L`: 0 of a proper `G`, not finite where the pole at infinity is not simple."""
+    num, den = _tables(sys)
+    L = np.zeros((len(num), len(num[0])))
+    for i, rows in enumerate(zip(num, den, strict=True)):
+        for j, (b, a) in enumerate(zip(*rows, strict=True)):
+            if len(b) <= len(a):
+                continue
+            L[i, j] = b[0] / a[0] if len(b) == len(a) + 1 else np.nan
+            carried = L[i, j] * np.append(a[1:], 0.0)
+            rest = b[1:] - carried
+            lost = np.abs(rest) <= _SAME * _checks.EPS * (np.abs(b[1:]) + np.abs(carried))
+            num[i][j] = np.where(lost, 0.0, rest) if np.isfinite(L[i, j]) else np.zeros(1)
+    return _realized(sys, num, den), L
+
+
+def _tables(sys: ct.TransferFunction) -> tuple[Table, Table]:
+    """Numerators and denominators."""
     num, den = (
         [[_checks.real_array(name, polynomial, 1) for polynomial in row] for row in table]
         for name, table in (("the numerator", sys.num_list), ("the denominator", sys.den_list))
     )
-    refuse_improper(num, den)
+    return num, den
+
+
+def _realized(sys: ct.TransferFunction, num: Table, den: Table) -> ct.StateSpace:
     unit = _binary_rate(num, den)
     by_columns = _blocks(num, den, unit)
     by_rows = _blocks(_transposed(num), _transposed(den), unit)
@@ -65,17 +96,6 @@ def state_space(sys: Any) -> ct.StateSpace:
     if not sys._generic_name_check():
         found.name = sys.name
     return found
-
-
-def refuse_improper(num: Table, den: Table) -> None:
-    """Refuse numerators of a higher degree than their denominators."""
-    for numerators, denominators in zip(num, den, strict=True):
-        for b, a in zip(numerators, denominators, strict=True):
-            if len(b) > len(a):
-                raise StructureError(
-                    f"the transfer function is improper: numerator of degree {len(b) - 1} over degree {len(a) - 1}; it "
-                    "has no state space"
-                )
 
 
 def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:

@@ -748,9 +748,32 @@ def _state_space(source: Any, refusal: NotLosslessError | None) -> ct.StateSpace
                 warnings.simplefilter("error")
                 plain = source.to_tf()
                 source = ct.tf(plain.num, plain.den)
+        _refuse_improper(source)
         return state_space(source)
+    except StructureError:
+        raise
     except (ValueError, ArithmeticError, Warning) as error:  # improper, or out of range
         raise refusal or StructureError(f"the transfer function has no state space: {error}") from None
+
+
+def _refuse_improper(source: ct.TransferFunction) -> None:
+    """Refuse a transfer function that grows with frequency, and say what to convert in its place."""
+    pairs = (pair for rows in zip(source.num_list, source.den_list, strict=True) for pair in zip(*rows, strict=True))
+    above, below = max(((len(b) - 1, len(a) - 1) for b, a in pairs), key=lambda degrees: degrees[0] - degrees[1])
+    if above <= below:
+        return
+    advice = (
+        "its inverse has the same energy, with the two port variables exchanged, as the admittance of an impedance "
+        "R + s L: convert ph(1 / G)"
+        if source.issiso()
+        else "exchange the two variables of the ports that carry it, as from impedance to admittance"
+    )
+    if above > below + 1:
+        advice = "no passive system grows faster than s, so neither it nor its inverse has a port-Hamiltonian form"
+    raise StructureError(
+        f"the transfer function is improper: numerator of degree {above} over degree {below}; a port-Hamiltonian "
+        f"system has a finite response at infinity; {advice}"
+    )
 
 
 def modes(
