@@ -458,6 +458,47 @@ def construction(n: int) -> Task:
     return Task("building a system", f"n = {n}", runs, None, {}, n)
 
 
+def plain_chain(masses: int) -> ct.StateSpace:
+    """Spring chain with proportional damping as a plain state space, driven at its end."""
+    n = masses
+    K = 250.0 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    C, F, none = 1e-3 * K + 0.02 * np.eye(n), np.eye(n)[:, -1:], np.zeros((n, 1))
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]])
+    return ct.ss(A, np.vstack([none, F]), np.vstack([none, F]).T, 0)
+
+
+def rotated_resonators(n: int, stray: float) -> ct.StateSpace:
+    """Damped resonators in random orthogonal states; a stray part of the outputs makes them active."""
+    rng = np.random.default_rng(n)
+    d = np.linspace(1.0, 40.0, n)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(d**2), -np.diag(0.03 * d)]])
+    b = rng.standard_normal(n)
+    T, none = np.linalg.qr(rng.standard_normal((2 * n, 2 * n)))[0], 0 * b
+    c = b + stray * rng.standard_normal(n)
+    return ct.ss(T @ A @ T.T, (T @ np.r_[none, b])[:, None], (np.r_[none, c] @ T.T)[None], 0)
+
+
+def _eigenproblem(order: int) -> dict[str, Callable[[], Any]]:
+    matrix = np.random.default_rng(0).standard_normal((order, order))
+    return {"eigenvalues of twice the states (numpy)": lambda: np.linalg.eigvals(matrix)}
+
+
+def conversion(masses: int) -> Task:
+    """`ph` of matrices that show mass and stiffness; the eigenproblem is that of as many states twice."""
+    system = plain_chain(masses)
+    runs = {OURS: lambda: phc.ph(system)} | _eigenproblem(4 * masses)
+    return Task("ph of a spring chain", f"{2 * masses} states", runs, limits={"seconds": 2.0}, growth=masses)
+
+
+def passivity_test(n: int, stray: float) -> Task:
+    """`passivity` of resonators, two states each; three eigenproblems of twice the states are allowed."""
+    system = rotated_resonators(n, stray)
+    runs = {OURS: lambda: phc.passivity(system)} | _eigenproblem(4 * n)
+    needed = {name: 1 / 3 for name in runs if name != OURS}
+    kind = "active" if stray else "passive"
+    return Task(f"passivity, {kind}", f"{2 * n} states", runs, needed=needed, growth=n)
+
+
 def package_import() -> Task:
     """The first import in a process of its own: what the package adds to python-control, and what a name adds then."""
     runs = {
@@ -544,6 +585,10 @@ FAMILIES: dict[str, Family] = {
     "minimal": Family(minimal, [(n, True) for n in (5, 20, 50, 100, 200)], "Minimal realisation from a dense Q"),
     "uncoupled": Family(minimal, _each(5, 20, 50, 100, 200), "Minimal realisation from a mechanical Q"),
     "kalman": Family(kalman, _each(5, 20, 50, 100, 200), "Kalman decomposition from a dense Q"),
+    "conversion": Family(
+        conversion, _each(50, 75, 100, 150), "Port-Hamiltonian form of a plain spring chain", "masses"
+    ),
+    "passivity": Family(passivity_test, [(n, stray) for stray in (0.0, 0.3) for n in (50, 100, 150)]),
     "construction": Family(construction, _each(1, 10, 100, 200, 500), "Building and copying a system"),
     "step": Family(projection_step, [(50, 1_000_000)]),
 }

@@ -253,3 +253,23 @@ def test_an_impedance_with_an_inductance_is_converted_as_admittance():
     assert form(2j) == pytest.approx(1 / (6j + 2)) and form.hamiltonian(np.ones(1)) > 0
     with pytest.raises(phc.StructureError, match="no passive system grows faster"):
         phc.ph(ct.tf([1.0, 0.0, 2.0], [1.0]))
+
+
+# --- polynomials of state spaces ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time", UNITS)
+@pytest.mark.parametrize("gain", UNITS)
+def test_a_state_space_keeps_its_poles_and_margins_in_any_units(time, gain):
+    A = np.array([[0.0, 1.3, 0.0], [-2.0, -0.3, 0.4], [0.0, -0.7, -0.5]])
+    B, C = np.array([[1.0], [0.4], [0.3]]), np.array([[0.2, 1.0, 0.4]])
+    system = ct.ss(A / time, B * gain / time, C, 0.0)
+    s = 1j * np.linspace(0.1, 5.0, 30)
+    wanted = np.array([(C @ np.linalg.solve(x * np.eye(3) - A, B)).item() for x in s])
+    G = phc.tf(system)
+    assert np.abs(G(s / time) / gain - wanted).max() <= 1e-12 * np.abs(wanted).max()
+    # with a gain of 1 the margins are those of the unit of time 1
+    loop = ct.ss(A / time, B / time, C, 0.0)
+    plain = ct.stability_margins(ct.ss(A, B, C, 0.0))
+    found = np.array(phc.stability_margins(loop)) * [1, 1, 1, time, time, time]
+    np.testing.assert_allclose(found, plain, rtol=1e-6)

@@ -23,8 +23,8 @@ from .._checks import EPS
 from .._types import Array, ComplexArray, Indices
 from ..exceptions import StructureError
 from ..numerics.invariant_subspaces import (
-    Elimination,
-    Resolvent,
+    EliminationResolvent,
+    SchurResolvent,
     clusters,
     eigenvalues_of,
     equilibrated,
@@ -258,12 +258,12 @@ class Passivity:
     def _is_negative(self, omega: float) -> bool:
         value, entries, whole = self._perturbed(omega, self._resolvent)
         if np.isfinite(whole) and abs(-value - entries) <= whole:  # the Schur form is not that of each entry
-            value, entries, _ = self._perturbed(omega, Elimination(self.given[0]))
+            value, entries, _ = self._perturbed(omega, EliminationResolvent(self.given[0]))
         return bool(-value > entries)
 
     @cached_property
-    def _resolvent(self) -> Resolvent:
-        return Resolvent(self.given[0])
+    def _resolvent(self) -> SchurResolvent:
+        return SchurResolvent(self.given[0])
 
     def _perturbed(self, omega: float, resolvent: Any) -> tuple[float, float, float]:
         """Smallest eigenvalue of `Phi`, what it changes by with roundings of each entry, and with those of the solver.

@@ -24,7 +24,7 @@ def equilibrated(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     return A, B / scale[:, None], C * scale
 
 
-class Resolvent:
+class SchurResolvent:
     """`(s - A)^-1 B` and `C (s - A)^-1` at many points by one Schur form, O(n^2) a point; NaN at a pole."""
 
     def __init__(self, A: Array) -> None:
@@ -51,8 +51,8 @@ class Resolvent:
         return solved if not info else np.full_like(right, np.nan)
 
 
-class Elimination:
-    """What `Resolvent` is, by elimination and a step of refinement: its error is that of roundings of each entry."""
+class EliminationResolvent:
+    """As `SchurResolvent`, by elimination and a step of refinement: its error is that of a rounding of each entry."""
 
     rounding = 0.0
 

@@ -106,7 +106,7 @@ def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:
     sys : control.StateSpace
         Any.
     **names
-        `name`, `inputs`, `outputs` of the transfer function.
+        `name`, `inputs`, `outputs` of the transfer function; those of signals are kept.
 
     Raises
     ------
@@ -131,6 +131,9 @@ def transfer_function(sys: ct.StateSpace, **names: Any) -> ct.TransferFunction:
         )
     coefficients = (p for table in (num, den) for row in table for p in row)
     _checks.representable("the coefficients of the transfer function", *coefficients)
+    for kind, labels in (("inputs", sys.input_labels), ("outputs", sys.output_labels)):
+        if names.get(kind) is None and names.get(kind[:-1]) is None:
+            names[kind] = labels
     return ct.TransferFunction(num, den, sys.dt, **names)
 
 

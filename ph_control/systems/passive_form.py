@@ -31,7 +31,7 @@ from ..modal.general_form import GeneralModalForm
 from ..modal.modal_form import Cluster
 from ..modal.positive_real import Matrices, Passivity, Split, is_positive, split_axis, violations, well_conditioned
 from ..modal.storage import KnownDirections, dissipation, semidefinite, storage_coordinates
-from ..numerics.invariant_subspaces import Elimination, Resolvent, equilibrated
+from ..numerics.invariant_subspaces import EliminationResolvent, SchurResolvent, equilibrated
 
 Parts = dict[str, Array]
 
@@ -130,7 +130,7 @@ def _passive_parts(
     physical = physical_parts(given) if storage == "auto" and not minimal else None
     if physical is not None:
         parts, passive = physical
-        error = _Response(given, np.linalg.eigvals(given.A)).difference(parts, same_states=True)
+        error = _GivenResponse(given, np.linalg.eigvals(given.A)).difference(parts, same_states=True)
         if error <= _EXACT:
             if not passive:
                 _refuse_active(split_axis(given.A, given.B, given.C), given, refusal)
@@ -138,7 +138,9 @@ def _passive_parts(
     m, D = given.ports, given.D
     split = split_axis(given.A, given.B, given.C)
     _refuse_active(split, given, refusal)
-    response = _Response(given, np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]]))
+    response = _GivenResponse(
+        given, np.concatenate([np.linalg.eigvals(split.rest[0]), [1j * w for w, _ in split.axis]])
+    )
     if minimal:
         split = replace(split, axis=_met_by_ports(split.axis, given), rest=minimal_part(*split.rest, m))
     modal = classical_parts(*split.rest, D, split.axis) if storage == "auto" and len(D) == m else None
@@ -177,7 +179,7 @@ def loses_energy(sys: ct.StateSpace) -> bool:
     if not len(A) or len(D) != len(D.T) or not all(np.isfinite(M).all() for M in (A, B, C, D)):
         return False
     rate = float(np.median(np.abs(np.linalg.eigvals(A))))
-    solver = Elimination(A)
+    solver = EliminationResolvent(A)
     with np.errstate(all="ignore"):
         for point in 1j * rate * _BESIDE:
             x, y = solver.columns(point, B), solver.rows(point, C)
@@ -309,7 +311,7 @@ def joined(found: Sequence[Parts], through: Array) -> Parts:
 # --- held against what was given ----------------------------------------------------------------------------------
 
 
-class _Response:
+class _GivenResponse:
     """Response of the given system in its band, with what roundings of the given entries make of it."""
 
     def __init__(self, given: PortRows, poles: Any) -> None:
@@ -359,7 +361,7 @@ class _Response:
 
 
 def _resolvent(A: Array) -> Any:
-    return Elimination(A) if len(A) <= _FEW else Resolvent(A)
+    return EliminationResolvent(A) if len(A) <= _FEW else SchurResolvent(A)
 
 
 def _ratio(off: float, size: float) -> float:
