@@ -35,6 +35,7 @@ Mode = tuple[complex, NDArray[Any], NDArray[Any]]  # pole, shape and participati
 _CONDITION = 100.0  # of the transformations that part poles: what they may cost of the digits
 _BLOCK = 1 << 14  # terms of responses that are computed together: what a cache holds
 _REFINED = 500  # states of a system whose modes are corrected
+_TOGETHER = 64  # entries of a Sylvester equation that is solved as one system
 _SLIGHT = 1e-6  # corrections of eigenvectors that are small enough for their first order
 
 
@@ -443,8 +444,21 @@ def _turn(rest: ComplexArray, poles: ComplexArray, blocks: list[tuple[slice, Arr
         turn[:n, part] = -np.linalg.solve(away.transpose(0, 2, 1), rest[:n, part][:, :, None])[:, :, 0]
         for other, T2 in blocks:
             if other != part:
-                turn[part, other] = solve_sylvester(-T, T2, rest[part, other])
-    return np.where(np.abs(turn) < _SLIGHT, turn, 0.0)
+                turn[part, other] = _sylvester(-T, T2, rest[part, other])
+    # a block moves as a whole, or not at all
+    starts = np.concatenate([np.arange(n), [part.start for part, _ in blocks]]).astype(int)
+    largest = np.maximum.reduceat(np.maximum.reduceat(np.abs(turn), starts, axis=0), starts, axis=1)
+    sizes = np.diff([*starts, len(turn)])
+    kept = np.repeat(np.repeat(largest < _SLIGHT, sizes, axis=0), sizes, axis=1)
+    return np.where(kept, turn, 0.0)
+
+
+def _sylvester(A: Array, B: Array, C: ComplexArray) -> ComplexArray:
+    """Solution of `A Z + Z B = C`: of small blocks as one system, since LAPACK's is wrong for nearly defective ones."""
+    if C.size > _TOGETHER:
+        return np.asarray(solve_sylvester(A, B, C))
+    together = np.kron(A, np.eye(len(B))) + np.kron(np.eye(len(A)), B.T)
+    return np.asarray(np.linalg.solve(together, C.ravel()).reshape(C.shape), complex)
 
 
 def _complex(pair: Pair, less: ComplexArray) -> ComplexArray:
