@@ -198,8 +198,11 @@ class GeneralModalForm(ModalForm):
 
     @cached_property
     def zeros(self) -> ComplexArray:
-        """Invariant zeros, those of `state_space`."""
-        return np.sort_complex(np.asarray(self.state_space().zeros(), complex))
+        """Invariant zeros, those of `state_space`; complex ones in exact pairs."""
+        z = np.asarray(self.state_space().zeros(), complex)
+        # quotients of a real pencil: the two of a pair are rounded apart
+        upper, real = z[z.imag > 0], z[z.imag == 0]
+        return np.sort_complex(np.concatenate([upper.conj(), real, upper]))
 
     def evaluate(self, s: ArrayLike) -> ComplexArray:
         """Transfer function at complex points, shape (p, m, N); `inf` at a pole, `D` at infinity, never NaN."""

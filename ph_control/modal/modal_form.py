@@ -51,8 +51,8 @@ class Cluster:
 
     @property
     def poles(self) -> ComplexArray:
-        """Eigenvalues, as far as they are known."""
-        return np.diag(self.triangular[0]).copy()
+        """Eigenvalues, as far as they are known; complex ones in exact pairs, as of any real matrix."""
+        return np.linalg.eigvals(self.A).astype(complex)
 
     def states(self, s: ComplexArray) -> ComplexArray:
         """States `(s - T)^{-1} B` of `triangular` at points, shape (k, m, N), by substitution; not finite at a pole."""
