@@ -169,3 +169,32 @@ def long_double_recursion(d, r, h, u, x0):
         if k + 1 < u.size:
             x = lam * x + b0 * u[k] + b1 * u[k + 1]
     return y
+
+
+def exact_steps(A, B, h):
+    """`F`, `G`, `S` of `x_{k+1} = F x_k + G u_k + S (u_{k+1} - u_k)` of these very doubles, as matrices of mpmath."""
+    (n, m), h = B.shape, mp.mpf(float(h))
+    # long steps leave little of large terms of either sign
+    with mp.workdps(3 * DIGITS):
+        M = mp.zeros(n + 2 * m)
+        M[:n, :n], M[:n, n : n + m] = h * mp.matrix(A.tolist()), h * mp.matrix(B.tolist())
+        M[n : n + m, n + m :] = mp.eye(m)
+        E = mp.expm(M)
+    return E[:n, :n], E[:n, n : n + m], E[:n, n + m :]
+
+
+def exact_motion(steps, u, z0, hold):
+    """States at every sample for an input held or interpolated, as columns of mpmath."""
+    F, G, S = steps
+    z = [mp.matrix(np.reshape(z0, (-1, 1)).tolist())]
+    with mp.workdps(DIGITS):
+        for now, then in pairwise(mp.matrix(column.tolist()) for column in u.T):
+            z.append(F * z[-1] + G * now + (S * (then - now) if hold == "foh" else 0 * G * now))
+    return z
+
+
+def share_of_largest(values, truths):
+    """Largest error of any of these numbers, of the largest of them."""
+    with mp.workdps(DIGITS):
+        pairs = list(zip(np.ravel(values).tolist(), truths, strict=True))
+        return float(max(abs(mp.mpf(value) - truth) for value, truth in pairs) / max(abs(truth) for truth in truths))

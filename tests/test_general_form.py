@@ -39,12 +39,12 @@ def response(sys, s):
 
 def recursion(sys, hold, u):
     """Outputs sample by sample, in long doubles."""
-    F, now, then = (M.astype(np.longdouble) for M in hold.step_of_matrices(sys.A, sys.B))
+    F, rest, held, risen = (M.astype(np.longdouble) for M in hold.step_of_matrices(sys.A, sys.B))
     x, y = np.zeros(sys.nstates, np.longdouble), []
     for k in range(u.shape[1]):
         y.append(sys.C @ x + sys.D @ u[:, k])
         if k + 1 < u.shape[1]:
-            x = F @ x + now @ u[:, k] + then @ u[:, k + 1]
+            x = F @ x + rest @ x + held @ u[:, k] + risen @ (u[:, k + 1] - u[:, k])
     return np.array(y, float).T
 
 

@@ -14,8 +14,9 @@ from ..exceptions import ResolutionWarning, StructureError
 from ..modal.discretization import INTERSAMPLE, Hold, check_method
 from ..systems.base import LosslessSystem, inherited_names
 from ..systems.canonical_forms import ControllableHamiltonian, ObservableHamiltonian, warn_of_lost_digits
-from .time_grid import listed
-from .trajectories import check_finite, companion_step, trajectory
+from ..systems.dissipative import DissipativePortHamiltonian
+from .time_grid import listed, swing
+from .trajectories import check_finite, companion_step, modes_cancel, trajectory
 
 Array = NDArray[np.float64]
 
@@ -86,7 +87,7 @@ def sample(sys: Any, h: float, method: str = "exact", *, intersample: str = "zoh
         _checks.choice("intersample", intersample, INTERSAMPLE),
     )
     if rule.method == "exact":
-        _warn_of_aliases(sys.modes.natural_frequencies, rule.h)
+        _warn_of_aliases(np.sort(swing(sys.modes.mode_poles)), rule.h)
     _checks.signal_names(names, inputs=sys.ninputs, outputs=sys.noutputs, states=sys.nstates)
     matrices = _companion if isinstance(sys, ControllableHamiltonian | ObservableHamiltonian) else _matrices
     with np.errstate(over="ignore", invalid="ignore"):
@@ -105,6 +106,9 @@ def _companion(sys: Any, rule: Hold) -> tuple[Array, Array, Array]:
 
 def _matrices(sys: LosslessSystem, rule: Hold) -> tuple[Array, Array, Array]:
     """`F`, `G` and `D` of any other system."""
+    if isinstance(sys, DissipativePortHamiltonian) and modes_cancel(sys, rule, 1):
+        F, _, held, risen = rule.step_of_matrices(sys.A, sys.B)
+        return F, held + (F @ risen - risen), sys.C @ risen + sys.D
     size, ports = sys.nstates, sys.ninputs
     F = np.array([_one_step(sys, np.zeros((ports, 2)), z, rule) for z in np.eye(size)]).T.reshape(size, size)
     pulses = np.einsum("ij,kl->kijl", np.eye(ports), np.eye(2))  # by instant and port
@@ -113,6 +117,7 @@ def _matrices(sys: LosslessSystem, rule: Hold) -> tuple[Array, Array, Array]:
 
 
 def _warn_of_aliases(d: Array, h: float) -> None:
+    """Warn of the frequencies of free motions that samples are too far apart for."""
     beyond = d[d * h >= np.pi * (1 - 4 * _checks.EPS)]
     if len(beyond):
         warnings.warn(

@@ -8,18 +8,23 @@ import numpy as np
 
 from .. import _checks
 from .._display import counted
-from .._types import Array
+from .._types import Array, ComplexArray
 from .._units import rate
 from ..exceptions import ResolutionWarning
 
 _PER_PERIOD = 20  # samples in the shortest period of a default time vector
 _PERIODS = 3  # of the slowest mode in it
 _LONGEST = 20_000  # samples of a default time vector
+_OVERDAMPED = 1e-3  # imaginary part of a pole, of its size, up to which it decays by e^-6000 in a period
 _COARSEST = 8  # samples in the shortest period before a mode is given up
 
 
-def default_time_vector(d: Array, tfinal: float | None = None, samples: int | None = None) -> Array:
-    """Instants that resolve the fastest of the modes `d` and show the slowest, or a warning about those they do not."""
+def default_time_vector(poles: ComplexArray, tfinal: float | None = None, samples: int | None = None) -> Array:
+    """Instants that resolve the fastest of the modes and show the slowest, or a warning about those they do not.
+
+    A mode that does not oscillate has no period, and no warning.
+    """
+    d = np.abs(poles)
     if d.size == 0:
         return np.linspace(0.0, 10.0 if tfinal is None else tfinal, samples or 101)
     shortest, longest = 2 * np.pi / float(d.max()), 2 * np.pi / float(d.min())
@@ -29,10 +34,20 @@ def default_time_vector(d: Array, tfinal: float | None = None, samples: int | No
     count = samples or int(np.clip(np.ceil(end / shortest * _PER_PERIOD) + 1, 101, _LONGEST))
     t = np.linspace(0.0, end, count)
     # what the caller chose is no surprise to the caller
-    fast = d[d * (t[1] - t[0]) > 2 * np.pi / 3] if samples is None else d[:0]
-    slow = d[d * end < 2 * np.pi * (1 - 1e-9)] if tfinal is None else d[:0]
+    turning = swing(poles)
+    fast = d[turning * (t[1] - t[0]) > 2 * np.pi / 3] if samples is None else d[:0]
+    slow = d[(turning > 0) & (d * end < 2 * np.pi * (1 - 1e-9))] if tfinal is None else d[:0]
     _warn_unresolved(t, fast, slow)
     return t
+
+
+def swing(poles: ComplexArray) -> Array:
+    """Frequencies at which modes oscillate, rad per unit time; 0 of those that have decayed long before they turn once.
+
+    Their poles are real, or were before rounding parted several of them.
+    """
+    turning = np.abs(poles.imag)
+    return np.where(turning > _OVERDAMPED * np.abs(poles), turning, 0.0)
 
 
 def _warn_unresolved(t: Array, fast: Array, slow: Array) -> None:

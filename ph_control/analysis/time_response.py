@@ -13,9 +13,10 @@ from control.timeresp import TimeResponseList
 from numpy.typing import ArrayLike
 
 from .. import _checks
-from .._types import Array
+from .._types import Array, ComplexArray
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
+from ..modal.modal_form import imaginary
 from ..systems.base import LosslessSystem, in_normal_form
 from .time_grid import default_time_vector
 from .trajectories import check_finite, trajectory
@@ -328,11 +329,12 @@ def _each(
     return TimeResponseList([run(sys, t.copy()) for sys in systems]) if several else run(sys, t)
 
 
-def _visible(sys: LosslessSystem) -> Array:
-    """Frequencies that show in a response."""
+def _visible(sys: LosslessSystem) -> ComplexArray:
+    """Poles that show in a response, one of each pair."""
     if in_normal_form(sys):
-        return sys.modes.d[sys.modes.nu.any(axis=1)]
-    return sys.natural_frequencies[sys.natural_frequencies > 0]
+        return imaginary(sys.modes.d[sys.modes.nu.any(axis=1)])
+    poles = sys.modes.mode_poles
+    return poles[poles != 0]
 
 
 def _instants(systems: list[LosslessSystem], timepts: Any, samples: int | None) -> Array:

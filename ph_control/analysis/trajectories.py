@@ -28,6 +28,9 @@ from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
 from .companion_step import CompanionStep
 
+_DENSE = 64  # states of systems that are stepped by their matrices
+_WORK = 1e8  # multiplications that this may take
+_SETTLED = 3.0  # logarithm of what a step leaves of a mode that is at rest after a few
 _DIGITS = 10.0  # of the largest value of a state that modes must leave, so that they give those of a canonical form
 
 
@@ -52,23 +55,39 @@ def trajectory(sys: LosslessSystem, u: Array, z0: Array, rule: Hold, *, states: 
 def _dissipative(
     sys: DissipativePortHamiltonian, u: Array, z0: Array, rule: Hold, states: bool
 ) -> tuple[Array, Array | None]:
-    """Outputs and states by the modes; poles that are not parted are stepped as matrices."""
+    """Outputs and states by the modes, or by the matrices where modes cancel; poles not parted by those of their block.
+
+    In both the matrices are exact for states as they are given, of which a first and a second difference is a response.
+    """
+    if modes_cancel(sys, rule, u.shape[1]):
+        z = step_through(rule.step_of_matrices(sys.A, sys.B), u, z0)
+        return sys.C @ z + sys.D @ u, z if states else None
     form, m, p = sys._split, sys.ninputs, sys.noutputs
     rows = slice(None) if states else slice(p)
     poles, b, c = form.equations
     y = simulate(rule.step(poles, b[:, :m], c[rows]), u, b[:, m:] @ z0)[0]
     for block in form.clusters:
-        F, now, then = rule.step_of_matrices(block.A, block.B[:, :m])
-        x = step_through(F, now, then, u)
-        free = (block.B[:, m:] @ z0)[:, None]
-        while free.shape[1] < u.shape[1]:
-            free = np.hstack([free, np.linalg.matrix_power(F, free.shape[1]) @ free])
-        y += block.C[rows] @ (x + free[:, : u.shape[1]])
+        step = rule.step_of_matrices(block.A, block.B[:, :m])
+        y += block.C[rows] @ step_through(step, u, block.B[:, m:] @ z0)
     if not states:
         return y + sys.D @ u, None
     z = y[p:].copy()
     z[:, 0] = z0
     return sys.C @ z + sys.D @ u, z
+
+
+def modes_cancel(sys: DissipativePortHamiltonian, rule: Hold, samples: int) -> bool:
+    """Whether the response is much smaller than the motions of the modes that add up to it.
+
+    It is where some mode hardly moves while the record lasts, or hardly anything is left of one after a step: a mode
+    has a part in each state, and together they make a state of rest or of balance.  Coincident poles are alike.
+    """
+    size = sys.nstates
+    if rule.method != "exact" or size > _DENSE or size * size * samples > _WORK:
+        return False
+    z = rule.h * sys.modes.poles
+    still = (z != 0) & (np.abs(z) * samples < 1.0)
+    return bool(still.any() or (z.real < -_SETTLED).any() or sys.modes.clusters)
 
 
 # --- port-Hamiltonian --------------------------------------------------------------------------------------------

@@ -11,15 +11,15 @@ no digits.  What is here is the only home of these numbers, and of those of the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from .. import _checks
 from .._types import Array, ComplexArray, Mask
 from ..exceptions import NotLosslessError, StructureError
 from ..numerics import double_double as tf
+from ..numerics.exponential import one_step
 from ..numerics.pole_residue import SAFETY, PoleResidueForm
 
 METHODS = ("exact", "midpoint", "euler")
@@ -66,6 +66,18 @@ class DiscreteModes(Multipliers):
     b0: ComplexArray
     b1: ComplexArray
     c: ComplexArray
+
+
+class MatrixStep(NamedTuple):
+    """One time step of a block of states, `x_{k+1} = (F + rest) x_k + held u_k + risen (u_{k+1} - u_k)`.
+
+    `rest` is what the rounding of `F` leaves: without it the errors of many short steps add up.
+    """
+
+    F: Array
+    rest: Array
+    held: Array
+    risen: Array
 
 
 @dataclass(frozen=True)
@@ -187,13 +199,13 @@ class Hold:
             return float(np.arccos(np.exp(-np.log(_LARGEST_GROWTH) / samples)))
         return float(np.pi)
 
-    def step_of_matrices(self, A: Array, B: Array) -> tuple[Array, Array, Array]:
-        """`F`, `G_0` and `G_1` of `x_{k+1} = F x_k + G_0 u_k + G_1 u_{k+1}` for `x' = A x + B u`, defective or not."""
-        (n, m), h = B.shape, self.h
+    def step_of_matrices(self, A: Array, B: Array) -> MatrixStep:
+        """One step of `x' = A x + B u`, whose eigenvalues may coincide."""
+        n, h = len(B), self.h
         zero = np.zeros_like(B)
         if self.method == "euler":
             self._check_interpolation()
-            return np.eye(n) + h * A, h * B, zero
+            return MatrixStep(np.eye(n) + h * A, np.zeros_like(A), h * B, zero)
         if self.method == "midpoint":
             try:
                 both = np.linalg.solve(
@@ -201,14 +213,11 @@ class Hold:
                 )
             except np.linalg.LinAlgError:
                 raise self._no_step() from None
-            now = both[:, n:]
-            return (both[:, :n], now, zero) if self.intersample == "zoh" else (both[:, :n], 0.5 * now, 0.5 * now)
-        M = np.zeros((n + 2 * m, n + 2 * m))
-        M[:n, :n], M[:n, n : n + m], M[n : n + m, n + m :] = h * A, h * B, np.eye(m)
+            held = both[:, n:]
+            return MatrixStep(both[:, :n], np.zeros_like(A), held, zero if self.intersample == "zoh" else 0.5 * held)
         with np.errstate(over="ignore", invalid="ignore"):
-            E = expm(M)[:n]
-        now, then = E[:, n : n + m], E[:, n + m :]
-        return (E[:, :n], now, zero) if self.intersample == "zoh" else (E[:, :n], now - then, then)
+            (F, rest), (held, _), (risen, _) = one_step(A, B, h)
+        return MatrixStep(F, rest, held, zero if self.intersample == "zoh" else risen)
 
     def _turn(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """`h p` with twice the digits."""

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.linalg import toeplitz
 
 from .._types import Array, ComplexArray
-from .discretization import DiscreteModes, Hold
+from ..numerics.double_double import Pair, product
+from .discretization import DiscreteModes, Hold, MatrixStep
 from .modal_form import ModalForm
 
 _SHORT = 32  # samples of a block of states
@@ -38,31 +39,38 @@ def outputs(modes: ModalForm, hold: Hold, u: Array, x0: ComplexArray | None = No
     y = simulate(step, u, np.zeros(len(step.growth), complex) if x0 is None else x0)[0]
     y += modes.feedthrough @ u
     for block in modes.clusters:
-        y += block.C @ step_through(*hold.step_of_matrices(block.A, block.B), u)
+        y += block.C @ step_through(hold.step_of_matrices(block.A, block.B), u)
     return y
 
 
-def step_through(F: Array, now: Array, then: Array, u: Array) -> Array:
-    """States (k, T) of `x_{k+1} = F x_k + now u_k + then u_{k+1}` from rest at the first sample.
+def step_through(step: MatrixStep, u: Array, start: Array | None = None) -> Array:
+    """States (k, T) of a block at every sample, from a state at the first one; from rest without it.
 
     About `sqrt(T)` blocks of samples are stepped side by side, first from rest, then from where the one before ends.
     """
-    samples = u.shape[1]
+    samples, (F, rest) = u.shape[1], step[:2]
     size = int(np.ceil(np.sqrt(samples)))
-    drive = now @ u
-    drive[:, :-1] += then @ u[:, 1:]
+    drive = step.held @ u[:, :-1]
+    if step.risen.any():
+        drive += step.risen @ np.diff(u)
     blocks = np.zeros((len(F), size * size))
-    blocks[:, 1:samples] = drive[:, : samples - 1]
+    blocks[:, 1:samples] = drive
+    if start is not None:
+        blocks[:, 0] = start
     # by place in the block, state and block
     x = blocks.reshape(len(F), size, size).transpose(2, 0, 1).copy()
     for k in range(1, size):
-        x[k] += F @ x[k - 1]
-    powers = np.stack(list(accumulate(repeat(F, size), np.matmul)))
-    ends = x[-1].T.copy()
+        x[k] += F @ x[k - 1] + rest @ x[k - 1]
+    powers = list(accumulate(repeat((F, rest), size), product if rest.any() else _product_of_doubles))
+    last, ends = powers[-1], x[-1].T.copy()
     for block in range(1, size):
-        ends[block] += powers[-1] @ ends[block - 1]
-    x[:, :, 1:] += powers @ ends[:-1].T
+        ends[block] += last[0] @ ends[block - 1] + last[1] @ ends[block - 1]
+    x[:, :, 1:] += np.stack([high for high, _ in powers]) @ ends[:-1].T
     return x.transpose(1, 2, 0).reshape(blocks.shape)[:, :samples]
+
+
+def _product_of_doubles(left: Pair, right: Pair) -> Pair:
+    return left[0] @ right[0], left[1]
 
 
 def transfer_function(modes: ModalForm, points: ComplexArray, hold: Hold | None) -> ComplexArray:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ... import _checks
 from ..._types import Array, ComplexArray, Indices
 from ...exceptions import StructureError
-from ...modal.discretization import INTERSAMPLE, METHODS, Hold
+from ...modal.discretization import INTERSAMPLE, METHODS, Hold, MatrixStep
 from ...modal.modal_form import ModalForm, imaginary
 from ...modal.propagation import step_through
 from ...numerics.invariant_subspaces import equilibrated
@@ -367,13 +367,13 @@ def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Ho
     for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
         _checks.finite(f"{name} of model {label!r}", matrix)
     A, B, C = equilibrated(A, B, C)
-    now, then = B, 0 * B
+    step = MatrixStep(A, 0 * A, B, 0 * B)
     if system.isctime():
         try:
-            A, now, then = hold.step_of_matrices(A, B)
+            step = hold.step_of_matrices(A, B)
         except StructureError as error:
             raise StructureError(f"model {label!r} cannot be simulated: {error}") from None
-        if not (np.isfinite(A).all() and np.isfinite(now).all()):
+        if not (np.isfinite(step.F).all() and np.isfinite(step.held).all()):
             raise StructureError(
                 f"model {label!r} is unstable: within one step of {hold.h:.6g} its state leaves the range of doubles; "
                 "check its unit of time"
@@ -383,7 +383,7 @@ def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Ho
             f"model {label!r} is discrete-time with dt = {system.dt:g}, the record has the step {hold.h:.6g}; resample "
             "one of them, or pass the continuous-time model"
         )
-    growth = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    growth = float(np.max(np.abs(np.linalg.eigvals(step.F)), initial=0.0))
     several = isinstance(record, Recording)
     u = np.atleast_2d(record.u)
     if several:
@@ -391,10 +391,10 @@ def _linear_motions(model: Any, label: str, record: Record | Recording, hold: Ho
         u, C, D = np.zeros((len(columns), record.samples)), C[rows], D[rows]
         u[columns] = record.u if len(record.u) else 0.0
     with np.errstate(over="ignore", invalid="ignore"):
-        forced = C @ step_through(A, now, then, u) + D @ u
+        forced = C @ step_through(step, u) + D @ u
     if several:
-        return Motions(forced, lambda: _free_motions(A, C, record.samples), growth)
-    return Motions(forced[0], lambda: _free_motions(A, C, record.samples)[0], growth)
+        return Motions(forced, lambda: _free_motions(step.F, C, record.samples), growth)
+    return Motions(forced[0], lambda: _free_motions(step.F, C, record.samples)[0], growth)
 
 
 @np.errstate(over="ignore", invalid="ignore")
