@@ -7,8 +7,6 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from scipy.linalg import expm
-from scipy.linalg.lapack import dgebal
 
 from .. import _checks
 from .._display import Report
@@ -16,8 +14,11 @@ from .._types import Array
 from .._units import common_unit
 from ..exceptions import StructureError
 from ..modal.discretization import INTERSAMPLE, METHODS, Hold
+from ..numerics.exponential import integral_of_form, with_inputs
 from ..systems.dissipative import DissipativePortHamiltonian
 from ..systems.port_hamiltonian import PortHamiltonian
+
+_ROUNDING = 1e3  # roundings for each state and sample: what transformations to modes and sums over samples cost
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,7 +114,9 @@ def energy_balance(
     ------
     StructureError
         If the response is not a `TimeResponseData`, has no states, several traces, sizes that do not fit the system or
-        one another, numbers that are not real and finite, or energies beyond the range of doubles.
+        one another, numbers that are not real and finite, or energies beyond the range of doubles.  If the balance is
+        not kept to rounding, apart from Euler's rule: the response is not one of the system, not by the rule given, or
+        was computed with few digits.
 
     Notes
     -----
@@ -147,7 +150,23 @@ def energy_balance(
         supplied, dissipated = (np.concatenate([[0.0], np.cumsum(step)]) for step in steps)
         defect = stored - stored[0] + dissipated - supplied
     _checks.representable("the energies supplied", supplied, dissipated, defect)
+    if method != "euler":
+        # what rounding of the states makes of the stored energy, and sums of the flows
+        extent = np.abs(z).max(axis=1)
+        size = 0.5 * float(extent @ np.abs(sys.Q) @ extent) + sum(float(np.abs(step).sum()) for step in steps)
+        _refuse_imbalance(defect, size, _ROUNDING * _checks.EPS * (len(z) + len(t)), f"{method!r} and {intersample!r}")
     return EnergyBalance(t.copy(), stored, supplied, defect, dissipated, common_unit(response))
+
+
+def _refuse_imbalance(defect: Array, size: float, share: float, rule: str) -> None:
+    """Refuse what is no motion of the system: rounding explains such a share of the energies, and no more."""
+    worst = float(np.abs(defect).max())
+    if worst > share * size:
+        raise StructureError(
+            f"stored, dissipated and supplied energy differ by {worst:.3g}, and rounding of energies of {size:.3g} "
+            f"explains {share * size:.2g}: these are not states of the system that respond to these inputs by the rule "
+            f"{rule}; pass the method and intersample of the response, or compute it with forced_response"
+        )
 
 
 def _flows(sys: PortHamiltonian, z: Array, u: Array, h: float, method: str, intersample: str) -> list[Array]:
@@ -160,33 +179,17 @@ def _flows(sys: PortHamiltonian, z: Array, u: Array, h: float, method: str, inte
         forms.append(to_efforts.T @ np.block([[sys.R, sys.P], [sys.P.T, sys.S]]) @ to_efforts)
     now, then = u[:, :-1], u[:, 1:]
     if method == "exact":
-        slope = (then - now) / h if intersample == "foh" else 0.0 * now
-        points = np.concatenate([z[:, :-1], now, slope])
-        M = np.zeros((n + 2 * m, n + 2 * m))
-        M[:n, :n], M[:n, n : n + m], M[n : n + m, n + m :] = sys.A, sys.B, np.eye(m)
-        forms = [_integral_along(M, np.pad(form, (0, m)), h) for form in forms]
+        rise = then - now if intersample == "foh" else 0.0 * now
+        points = np.concatenate([z[:, :-1], now, rise])
+        M, units = with_inputs(sys.A, sys.B, h)
+        padded = [np.pad(form, (0, m)) * units * units[:, None] for form in forms]
+        forms = [h * integral_of_form(M, form) / units / units[:, None] for form in padded]
     else:
         held = now if intersample == "zoh" or method == "euler" else 0.5 * (now + then)
         points = np.concatenate([z[:, :-1] if method == "euler" else 0.5 * (z[:, :-1] + z[:, 1:]), held])
         forms = [h * form for form in forms]
     flows = [np.sum(points * (form @ points), axis=0) for form in forms]
     return flows if len(flows) > 1 else [*flows, 0.0 * flows[0]]
-
-
-def _integral_along(M: Array, form: Array, h: float) -> Array:
-    """`integral_0^h exp(M^T t) form exp(M t) dt`, of a short step by Van Loan's block exponential, then doubled."""
-    # in units of one size, by powers of 2: the norm is then that of the fastest mode
-    M, _, _, scale, _ = dgebal(M, scale=1)
-    form = form * scale * scale[:, None]
-    doublings = max(0, int(np.ceil(np.log2(max(2.0 * h * float(np.linalg.norm(M, 1)), 1.0)))))
-    k, step = len(M), h / 2**doublings
-    E = expm(step * np.block([[-M.T, form], [np.zeros((k, k)), M]]))
-    F = E[k:, k:]
-    total = F.T @ E[:k, k:]
-    for _ in range(doublings):
-        total = total + F.T @ total @ F
-        F = F @ F
-    return 0.5 * (total + total.T) / scale / scale[:, None]
 
 
 def _inputs(response: ct.TimeResponseData, sys: PortHamiltonian, samples: int) -> Array:

@@ -15,6 +15,7 @@ from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
+from ..numerics.definiteness import unit_diagonal
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import symplectic_form
 from .base import View, inherited_names, refuse_losses
@@ -218,8 +219,10 @@ class DissipativePortHamiltonian(PortHamiltonian):
 
     @View
     def _squares(self) -> tuple[Array, ...]:
-        k, U = eigh(self.Q)
-        return (np.sqrt(np.maximum(k, 0.0))[:, None] * U.T,)
+        # in units of the states, where no energy is below the rounding of others; that of free motions is
+        scaled, scale = unit_diagonal(self.Q)
+        k, U = eigh(scaled)
+        return (np.sqrt(np.where(k > 8 * len(k) * EPS, k, 0.0))[:, None] * U.T * scale,)
 
     d = property(_lossless_only("d", "the frequencies d and weights r are"))
     r = property(_lossless_only("r", "the frequencies d and weights r are"))
