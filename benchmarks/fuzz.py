@@ -45,7 +45,7 @@ from matplotlib import font_manager
 
 import ph_control as phc
 
-from .fuzz_oracles import ORACLES
+from . import fuzz_oracles, fuzz_scales
 from .fuzz_values import Draw, hostile, pick, pool, written
 
 SECONDS = 10  # of processor time, that one call may take
@@ -147,7 +147,8 @@ def targets() -> tuple[Target, ...]:
             found.append(Target(name, "", value, "function", share))
         elif not issubclass(value, BaseException):
             found += _of_class(name, value)
-    found += [Target(f"exact {name}", "", check, "oracle", 0.02) for name, check in ORACLES.items()]
+    for share, oracles in ((0.02, fuzz_oracles.ORACLES), (0.1, fuzz_scales.ORACLES)):
+        found += [Target(f"exact {name}", "", check, "oracle", share) for name, check in oracles.items()]
     found += [Target(f"ph-control {name}", "", _command, "command", COMMAND) for name in COMMANDS]
     return tuple(found)
 

@@ -381,6 +381,16 @@ def _lossy(seed: int) -> phc.DissipativePortHamiltonian:
     return phc.ph(np.eye(n), rng.standard_normal((n, m)), **parts, sensors=sensors)
 
 
+def _scaled() -> list[phc.DissipativePortHamiltonian]:
+    """Critical damping, overdamping in nanoseconds and in millions of years, and a mass that hangs on nothing."""
+    return [
+        phc.ph(np.diag([4.0, 1.0]), [0.0, 1.0], R=np.diag([0.0, 4.0])),
+        phc.ph(np.diag([1e18, 1.0]), [0.0, 1.0], R=np.diag([0.0, 1e12])),
+        phc.spring_chain([1.0, 2.0], 3e-28, ground=[1e-28, 0.0], c=1e-14),
+        phc.spring_chain([1.0, 2.0, 1.0], [3.0, 0.0], c=0.1),
+    ]
+
+
 def _as_data(t: Any, u: Any, y: Any) -> Any:
     return ct.TimeResponseData(t, y, inputs=u, issiso=True, input_labels=["force [N]"], output_labels=["v [m/s]"])
 
@@ -486,7 +496,7 @@ _POOLS |= {
     "CasimirSplit": lambda: [phc.split_casimirs(np.eye(3), np.ones(3), [[0, 1, 0], [-1, 0, 0], [0, 0, 0]])],
     "ScaledCoefficients": lambda: [*phc.modes([1.0, 3.0], [0.5, 0.25]).scaled_coefficients(),
                                    *phc.modes(np.arange(1.0, 200), np.ones(199)).scaled_coefficients()],
-    "DissipativePortHamiltonian": lambda: [_lossy(k) for k in range(4)],
+    "DissipativePortHamiltonian": lambda: [*(_lossy(k) for k in range(4)), *_scaled()],
     "PassivityReport": lambda: [phc.passivity(one) for one in (*pool("DissipativePortHamiltonian")[:2], _systems()[0])],
     "EnergyBalance": lambda: [phc.energy_balance(pool("response")[3], _systems()[0])],
     "PortHamiltonianGroupoid": lambda: [phc.PortHamiltonianGroupoid.identity(_systems()[0])],

@@ -12,7 +12,7 @@ import ph_control as phc
 
 sys.path.insert(0, str(ROOT))  # the benchmarks are not installed with the package
 
-from benchmarks import fuzz, fuzz_oracles, fuzz_values
+from benchmarks import fuzz, fuzz_oracles, fuzz_scales, fuzz_values
 
 
 @pytest.fixture
@@ -86,6 +86,20 @@ def test_a_call_that_takes_too_long_is_ended(monkeypatch):
 def test_answers_agree_with_those_of_50_digits(name):
     for seed in range(2):
         fuzz_oracles.ORACLES[name](np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", fuzz_scales.ORACLES)
+def test_answers_do_not_depend_on_units_and_keep_their_digits_at_critical_damping(name):
+    for seed in range(3):
+        fuzz_scales.ORACLES[name](np.random.default_rng(seed))
+
+
+def test_an_answer_that_depends_on_the_unit_of_time_is_found(monkeypatch):
+    right = phc.PortHamiltonian.hamiltonian
+    monkeypatch.setattr(phc.PortHamiltonian, "hamiltonian", lambda *given: right(*given) * (1 + 1e-10))
+    monkeypatch.setattr("ph_control.analysis.energy._ROUNDING", 1e9)
+    with pytest.raises(fuzz_scales.Wrong):
+        fuzz_scales.energy_of_a_push(np.random.default_rng(0))
 
 
 def test_an_answer_that_is_wrong_in_the_eighth_digit_is_found(monkeypatch):
