@@ -175,6 +175,7 @@ def test_a_data_frame_has_the_fields_as_columns(files):
     [
         (pair(0), {"dt": STEP}, "recordings is"),
         (3, {}, "recordings is"),
+        (ct.ss(-1.0, 1.0, 1.0, 0.0), {}, "recordings is"),
         (ct.TimeResponseData(np.arange(3.0), np.zeros(3), issiso=True), {}, "recordings is"),
         ([], {"workers": 0}, "workers is"),
         ([], {"rng": np.random.default_rng(0)}, "rng is"),

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from control import FrequencyResponseData, TimeResponseData
+from control import InputOutputSystem, TimeResponseData
 
 from ... import _checks
 from ..._threads import on_one_thread
@@ -169,7 +169,8 @@ def _listed(recordings: Any) -> tuple[Any, int | None]:
     """Recordings one by one, and how many there are where that is known."""
     if isinstance(recordings, str | os.PathLike):
         recordings = [recordings]
-    single = isinstance(recordings, TimeResponseData | FrequencyResponseData | np.ndarray) or is_data_frame(recordings)
+    # systems of python-control have entries, too
+    single = isinstance(recordings, TimeResponseData | InputOutputSystem | np.ndarray) or is_data_frame(recordings)
     pair = isinstance(recordings, tuple) and any(isinstance(one, np.ndarray) for one in recordings)
     if single or pair or not np.iterable(recordings):
         raise StructureError(
