@@ -267,6 +267,9 @@ def test_a_result_of_a_stepping_rule_holds_at_its_step_only():
     assert compare(slower, fits["exact"]).fit_percent.shape == (1,)
     with pytest.raises(StructureError, match=r"method='midpoint' at the step 0\.1, and holds at that step only"):
         compare(slower, fits["midpoint"])
+    for wrong in ("method", "intersample"):
+        with pytest.raises(StructureError, match=f"{wrong} is"):
+            compare(slower, fits["exact"], **{wrong: np.zeros(2)})
 
 
 def test_nothing_given_is_modified_and_no_result_can_be():

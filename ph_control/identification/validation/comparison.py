@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -337,10 +337,12 @@ def compare(
       model             fit  RMS error
       plant         88.88 %     0.6437
     """
-    if intersample == "auto":
-        fits = (one for one in models if isinstance(one, PEMResult) and getattr(one, "method", "exact") == method)
-        intersample = next((one.intersample for one in fits), "zoh")
-    rules = Rules(method, intersample, initial_state, offset)
+    automatic = isinstance(intersample, str) and intersample == "auto"
+    rules = Rules(method, "zoh" if automatic else intersample, initial_state, offset)
+    if automatic:
+        fits = (model for model in models if isinstance(model, PEMResult))
+        holds = (fit.intersample for fit in fits if getattr(fit, "method", "exact") == method)
+        rules = replace(rules, intersample=next(holds, "zoh"))
     if not models:
         raise StructureError("no model given; pass at least one after the data")
     records = experiments_to_hold_against(data, dt, models, weights)
