@@ -1,34 +1,52 @@
-"""The passive model closest to another of the same poles: linear constraints at the worst frequencies.
+"""The passive model closest to another of the same poles: least squares over the cone of positive-real functions.
 
     G(s) = C (s - A)^-1 B + D,    A and B as they are,    (theta - theta_0)^T W^-1 (theta - theta_0) least,
 
-`theta` the entries of `C` and `D`.  Passive models are a convex set of them: at a frequency where a model is active
-the worst direction gives a half-space in which all passive models lie, `v^H (G + G^H) v >= 0`, or `Re u^H S v <= 1` of
-a scattering matrix.  The closest model in all half-spaces known so far is active elsewhere, and less; the exact test
-of passivity says when there is nothing left.
+`theta` the entries of `C` and `D`.  `G` is passive if and only if there are `X` and `S >= 0` with
+
+    S = [[-(A^T X + X A),  C^T - X B],
+         [  C - B^T X   ,  D + D^T  ]],
+
+so that passive models are a linear image of the positive semidefinite matrices: `A^T X + X A` gives `X`, and `X` and
+the other blocks give `C` and `D`.  Ports that feed nothing through have no row in `S`.  The multipliers `(Y, U)` of
+`C` and `D` are those with
+
+    Z = [[P, Y^T], [Y, U]] >= 0,    A P + P A^T + B Y + Y^T B^T = 0,
+
+and `theta = theta_0 + W (Y, U)`, `Z S = 0` at the closest model.  A primal-dual interior-point method solves this with
+the scaling of Nesterov and Todd.  It ends inside the cone, so that rounding does not make the model active; light
+damping, where the cone is so thin that half-spaces about it do not help, only scales it.
+
+A scattering matrix is passive if `[[1, G], [G^H, 1]]` is positive semidefinite: the immittance
+`[[1/2, G], [0, 1/2]]` is passive, in which nothing but `G` moves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, schur, solve_triangular, svd
+from scipy.linalg.lapack import dtrsyl
 
-from .._types import Array, ComplexArray
+from .._types import Array, ComplexArray, Mask
 from ..exceptions import StructureError
 from ..modal.general_form import from_matrices
 from ..modal.positive_real import Passivity
-from ..numerics.least_distance import least_distance
-from .worst_frequencies import minima
+from ..systems.passive_form import gramian_root
 
-_INSIDE = (1e-7, 1e-5, 1e-3, 1e-1)  # of the distance: by which constraints are kept, so that rounding breaks none
-_ROUNDS = 60  # of new worst frequencies
-_FLAT = 24  # rounds of half-spaces as they are; the later ones, where the set is strongly curved, cut deeper
-_DEEPER = 0.2  # each by so much more of the violation, at most by as much again
-_ROUNDING = 1e-13  # of the largest eigenvalue
+_LEAST = 1e-8  # of the squared distance: by which it may exceed the least one; what is left is room for rounding
+_MOST = 1e-3  # the same where rounding leaves no better model passive
+_FREE = 1e-10  # of the largest: variance of what may move
+_ITERATIONS = 100  # of the interior-point method; 10 to 20 are usual
+_SHORT = 0.98  # of the way to the boundary: a step
+_FAR = 1e12  # of the size of the model: beyond, there is no passive one
 _SINGULAR = 1e-12  # of the size of the model: an eigenvalue of a feedthrough that is 0
+_WELL_PARTED = 1e4  # condition of modes up to which products are summed by modes
+_REFINED = 1  # steps of iterative refinement
+_REACHED = 1e-10  # of its size: part of a state that inputs reach
 
 
 @dataclass(frozen=True)
@@ -53,10 +71,6 @@ class FixedPoles:
     scattering: bool
 
     @cached_property
-    def _poles(self) -> ComplexArray:
-        return np.asarray(np.linalg.eigvals(self.A), complex)
-
-    @cached_property
     def _modes(self) -> Any:
         n, m = self.B.shape
         return from_matrices(self.A, self.B, np.eye(n), np.zeros((n, m)))
@@ -65,163 +79,302 @@ class FixedPoles:
         """Response of the states, shape (K, n, m)."""
         return np.moveaxis(self._modes.evaluate(1j * omega), 2, 0)
 
-    def activity(self, G: ComplexArray) -> tuple[Array, ComplexArray, ComplexArray]:
-        """Values that must not be negative, and their directions `u` and `v`, for responses (K, m, m)."""
-        if self.scattering:
-            U, s, V = np.linalg.svd(G)
-            return 1 - s, U, V.conj().transpose(0, 2, 1)
-        values, U = np.linalg.eigh(G + G.conj().transpose(0, 2, 1))
-        return np.asarray(values, float), U, U
-
-    def worst(self, C: Array, D: Array) -> list[float]:
-        """Frequencies at which a model may be active: from a grid while that shows any, then by the exact test."""
-
-        def least(omega: Array) -> Array:
-            return np.asarray(self.activity(C @ self.states(omega) + D)[0].min(axis=1), float)
-
-        found = [0.0, *minima(least, self._poles)]
-        G = C @ self.states(np.array(found)) + D
-        if np.any(self.activity(G)[0].min(axis=1) < -_ROUNDING * self._sizes(G)):
-            return found
-        bands = Passivity(self.A, self.B, C, D, scattering=self.scattering).bands()
-        ends = [one for band in bands for one in (band.low, band.high) if one == 0.0]
-        return sorted({*(band.worst for band in bands if np.isfinite(band.worst)), *ends})
-
-    def _sizes(self, G: ComplexArray) -> Array:
-        return np.asarray(np.linalg.norm(G, axis=(1, 2)) + float(self.scattering), float)
+    def is_passive(self, C: Array, D: Array) -> bool:
+        """Whether a model is passive by the exact test."""
+        return not Passivity(self.A, self.B, C, D, scattering=self.scattering).bands()
 
 
-@dataclass(frozen=True)
-class _Plane:
-    """`offset + gradient . theta >= 0`."""
+def closest_passive(family: FixedPoles, C: Array, D: Array, covariance: Array | None = None) -> Closest:
+    """The passive model closest to `(C, D)` in the metric of a covariance, which may be singular, or of the H2 norm.
 
-    offset: float
-    gradient: Array
-
-
-@dataclass(frozen=True)
-class _Cuts:
-    """Constraints on the models of some poles; `free` says whether the feedthrough may move."""
-
-    family: FixedPoles
-    through: Array
-    free: bool
-
-    def at(self, w: float, C: Array, D: Array) -> list[_Plane]:
-        """Constraints that a model breaks at a finite frequency."""
-        K = self.family.states(np.array([w]))
-        G = C @ K + D
-        values, U, V = (part[0] for part in self.family.activity(G))
-        rounding = _ROUNDING * self.family._sizes(G)[0]
-        found = []
-        for value, u, v in zip(values, U.T, V.T, strict=True):
-            if value < -rounding:
-                sign, offset = (-1.0, 1.0) if self.family.scattering else (2.0, 0.0)
-                found.append(self._plane(offset, sign * np.outer(u.conj(), K[0] @ v), sign * np.outer(u.conj(), v)))
-        return found
-
-    def at_infinity(self, C: Array, D: Array) -> list[_Plane]:
-        """Constraints that a model breaks at infinite frequency, where the feedthrough is singular at higher order."""
-        none = np.zeros_like(C)
-        found = []
-        if self.free or self.family.scattering:
-            values, U, V = (part[0] for part in self.family.activity(np.asarray(D[None], complex)))
-            for value, u, v in zip(values, U.T, V.T, strict=True):
-                if value < 0 and self.free:
-                    sign, offset = (-1.0, 1.0) if self.family.scattering else (2.0, 0.0)
-                    found.append(self._plane(offset, none, sign * np.outer(u.conj(), v)))
-            return found
-        A, B = self.family.A, self.family.B
-        full, empty = self._kernel
-        b1, b0 = B @ full, B @ empty
-        S = full.T @ (D + D.T) @ full
-        X = (full.T @ C @ b0 - b1.T @ C.T @ empty) / 1j
-        K2 = -(empty.T @ C @ A @ b0 + (empty.T @ C @ A @ b0).T)
-        values, W = np.linalg.eigh(np.block([[S, X], [X.conj().T, K2]]))
-        for value, w in zip(values, W.T, strict=True):
-            if value < -_ROUNDING * np.abs(values).max():
-                u1, u0 = full @ w[: full.shape[1]], empty @ w[full.shape[1] :]
-                gradient = 2 * np.outer(u1.conj(), B @ u0) / 1j - 2 * np.outer(u0, (B @ u1).conj()) / 1j
-                gradient = gradient - 2 * np.outer(u0.conj(), A @ B @ u0)
-                found.append(self._plane(float(np.real(u1.conj() @ (D + D.T) @ u1)), gradient, np.zeros_like(D)))
-        return found
-
-    def symmetric(self) -> list[_Plane]:
-        """Equations where the feedthrough is singular: the first order at infinity is symmetric.
-
-        Outputs of ports that drive nothing are 0.
-        """
-        if self.free or self.family.scattering:
-            return []
-        _, U = self._kernel
-        _, s, V = np.linalg.svd(self.family.B @ U)
-        unmoved = np.append(s, np.zeros(len(V) - len(s))) <= _SINGULAR * max(s.max(initial=0.0), np.finfo(float).tiny)
-        U = U @ V.T
-        b, n = self.family.B @ U, len(self.family.B)
-        idle, moving = np.flatnonzero(unmoved), np.flatnonzero(~unmoved)
-        found = [np.outer(U[:, k], row) for k in idle for row in np.eye(n)]
-        found += [np.outer(U[:, k], b[:, j]) - np.outer(U[:, j], b[:, k]) for k in moving for j in moving if j < k]
-        return [self._plane(0.0, one, np.zeros_like(self.through)) for one in found]
-
-    @cached_property
-    def _kernel(self) -> tuple[Array, Array]:
-        """Directions of ports in which the fixed feedthrough takes in energy, and the others."""
-        values, U = np.linalg.eigh(self.through + self.through.T)
-        full = values > _SINGULAR * max(np.abs(values).max(initial=0.0), np.finfo(float).tiny)
-        return U[:, full], U[:, ~full]
-
-    def _plane(self, offset: float, by_C: Any, by_D: Any) -> _Plane:
-        return _Plane(offset, np.concatenate([np.real(by_C).ravel(), np.real(by_D).ravel()]))
-
-
-def closest_passive(family: FixedPoles, C: Array, D: Array, covariance: Array) -> Closest:
-    """The passive model closest to `(C, D)` in the metric of a covariance, which may be singular.
-
-    Entries of `D` without variance are fixed, and then `D` must be passive by itself.
+    Entries of `D` without variance are fixed, all of them in the H2 norm, and then `D` must be passive by itself.
 
     Raises
     ------
     StructureError
         If what may move does not reach a passive model.
     """
-    for inside in _INSIDE:
-        found = _closest(family, C, D, covariance, inside)
-        if found is not None:
-            return found
+    if not len(family.A) or family.is_passive(C, D):
+        return Closest(C, D, 0.0, np.zeros(C.size + D.size))
+    program = _Program.of(family, C, D, covariance)
+    for force in program.forces_of_models():
+        moved = program.moved(force)
+        closest = Closest(C + moved[: C.size].reshape(C.shape), D + moved[C.size :].reshape(D.shape),
+                          float(force @ moved), force)  # fmt: skip
+        if family.is_passive(closest.C, closest.D):
+            return closest
     raise StructureError(
         "no passive model was found by moving residues alone: let the feedthrough move too (weight=(omega, weights)), "
         "or give the system in better scaled states"
     )
 
 
-def _closest(family: FixedPoles, C: Array, D: Array, covariance: Array, inside: float) -> Closest | None:
-    cuts = _Cuts(family, D, bool(np.any(np.diag(covariance)[C.size :] > 0)))
-    centre = np.concatenate([C.ravel(), D.ravel()])
-    equal, planes = cuts.symmetric(), list[_Plane]()
-    theta, force, distance = centre, np.zeros_like(centre), 0.0
-    reach = 0.0
-    for round_ in range(_ROUNDS):
-        c, d = theta[: C.size].reshape(C.shape), theta[C.size :].reshape(D.shape)
-        new = cuts.at_infinity(c, d) + [plane for w in family.worst(c, d) for plane in cuts.at(w, c, d)]
-        deeper = min(1.0, _DEEPER * max(0, round_ - _FLAT))
-        new = [replace(one, offset=one.offset + deeper * (one.offset + one.gradient @ theta)) for one in new]
-        settled = all(abs(one.gradient @ theta) <= _ROUNDING * np.abs(one.gradient) @ np.abs(theta) for one in equal)
-        if not new and (settled or planes or distance):
-            return Closest(c, d, distance, force)
-        rows = [*equal, *planes, *new]
-        A = np.array([one.gradient for one in rows])
-        size = np.sqrt(np.maximum(np.einsum("ij,ij->i", A @ covariance, A), 0.0))
-        if not np.all(size > 0):
+# --- the cone -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Cone:
+    """Passive immittances of a stable pair `(A, B)`, as images of positive semidefinite matrices `S`.
+
+    Columns of `fed` are the directions of ports with a feedthrough that takes in energy, `unfed` those without, in
+    which `D + D^T` is 0 for all models.  Multipliers are `Y`, row by row, and coordinates of symmetric matrices `U`.
+    """
+
+    A: Array
+    B: Array
+    fed: Array
+    unfed: Array
+
+    @property
+    def size(self) -> int:
+        """Rows of `S` and `Z`."""
+        return len(self.A) + self.fed.shape[1]
+
+    @cached_property
+    def through(self) -> Array:
+        """Basis (K, m, m) of the symmetric `U`: of ports that are fed, then of these with the others."""
+        q = self.fed.shape[1]
+        i, j = np.tril_indices(q)
+        first = np.hstack([self.fed[:, i], np.repeat(self.fed, self.unfed.shape[1], axis=1)])
+        second = np.hstack([self.fed[:, j], np.tile(self.unfed, q)])
+        return 0.5 * (np.einsum("ak,bk->kab", first, second) + np.einsum("ak,bk->kab", second, first))
+
+    @cached_property
+    def _schur(self) -> tuple[Array, Array]:
+        T, V = schur(self.A, output="real")
+        return np.asfortranarray(T), V
+
+    def _lyapunov(self, M: Array, side: str) -> Array:
+        """`P` with `A P + P A^T + M = 0`, or with the transposes of `A` exchanged."""
+        T, V = self._schur
+        other = {"N": "T", "T": "N"}[side]
+        X, scale, _ = dtrsyl(T, T, np.asfortranarray(-V.T @ M @ V), trana=side, tranb=other)
+        P = V @ (X / scale) @ V.T
+        return np.asarray(0.5 * (P + P.T), float)
+
+    def matrix(self, y: Array) -> Array:
+        """`Z` of multipliers."""
+        n, m = self.B.shape
+        q = self.fed.shape[1]
+        Y = y[: m * n].reshape(m, n)
+        P = self._lyapunov(self.B @ Y + (self.B @ Y).T, "N")
+        U = np.zeros((q, q))
+        U[np.tril_indices(q)] = 0.5 * y[m * n : m * n + q * (q + 1) // 2]
+        return np.block([[P, Y.T @ self.fed], [self.fed.T @ Y, U + U.T]])
+
+    def model(self, S: Array) -> Array:
+        """`C`, row by row, and the products of `D` with the basis of `U`: adjoint of the above."""
+        n, q = len(self.A), self.fed.shape[1]
+        X = self._lyapunov(S[:n, :n], "T")
+        C = 2 * (self.B.T @ X + self.fed @ S[n:, :n])
+        rest = np.zeros(q * self.unfed.shape[1])
+        return np.concatenate([C.ravel(), S[n:, n:][np.tril_indices(q)], rest])
+
+    @cached_property
+    def _modes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
+        """Poles, modes and their inverse, if they are well parted."""
+        poles, V = np.linalg.eig(self.A)
+        if not np.linalg.cond(V) <= _WELL_PARTED:
             return None
-        A = A / size[:, None]
-        short = -(np.array([one.offset for one in rows]) / size + A @ centre)
-        reach = max(reach, float(short[len(equal) :].max(initial=0.0)))
-        short[len(equal) :] += inside * reach
-        solved = least_distance(A @ covariance @ A.T, short, len(equal))
-        if solved is None:
-            return None
-        force = A.T @ solved
-        moved = covariance @ force
-        theta, distance = centre + moved, float(force @ moved)
-        planes = [one for one, weight in zip(rows[len(equal) :], solved[len(equal) :], strict=True) if weight > 0]
-    return None
+        return poles.astype(complex), V.astype(complex), np.linalg.inv(V).astype(complex)
+
+    @cached_property
+    def _images(self) -> Array:
+        """`Z` of unit multipliers."""
+        count = self.B.size + len(self.through)
+        return np.array([self.matrix(row) for row in np.eye(count)])
+
+    def gram(self, R: Array) -> Array:
+        """Inner products of `R^T Z R` for unit multipliers."""
+        if self._modes is None:
+            moved = (R.T @ self._images @ R).reshape(len(self._images), -1)
+            return np.asarray(moved @ moved.T, float)
+        return self._gram_by_modes(R, *self._modes)
+
+    def _gram_by_modes(self, R: Array, poles: ComplexArray, V: ComplexArray, W: ComplexArray) -> Array:
+        """The same by matrices of rank two: `Z = sum_k y_k w_k e_k^H` and its adjoint, `e` a mode or a port."""
+        (n, m), q = self.B.shape, self.fed.shape[1]
+        by_mode, by_port = R[:n].T @ V, R[n:].T
+        kernel = -1.0 / (poles[:, None] + poles.conj())
+        first = [by_mode @ ((W @ self.B[:, [a]]) * kernel) + (by_port @ self.fed[a])[:, None] for a in range(m)]
+        i, j = np.tril_indices(q)
+        w = np.hstack([*first, by_port[:, i] * 0.5])
+        e = np.hstack([np.tile(by_mode, m), by_port[:, j]])
+        ew = e.conj().T @ w
+        near, far = (w.conj().T @ w) * (e.conj().T @ e).T, ew * ew.T
+
+        def turned(M: ComplexArray, W: ComplexArray) -> ComplexArray:
+            """Columns of modes to columns of states."""
+            modes = M[:, : m * n].reshape(-1, m, n) @ W
+            return np.hstack([modes.reshape(len(M), m * n), M[:, m * n :]])
+
+        found = 2 * np.real(turned(turned(near, W.conj()).T, W).T + turned(turned(far, W.conj()).T, W.conj()).T)
+        full = np.zeros((self.B.size + len(self.through),) * 2)
+        full[: len(found), : len(found)] = found
+        return full
+
+    def corrected(self, W: Array, inverse: Array, centre: Array, y: Array, S: Array) -> Array:
+        """Multipliers whose model is that of `S`, as far as it may move, with the feedthrough that does not."""
+        n, q, k = len(self.A), self.fed.shape[1], self.B.size
+        for _ in range(2):
+            y = y + inverse @ (self.model(S) - W @ y - centre)
+            through = np.zeros((q, q))
+            through[np.tril_indices(q)] = (W @ y + centre)[k : k + q * (q + 1) // 2]
+            through = through + np.tril(through, -1).T
+            # a congruence keeps S positive semidefinite
+            root = cholesky(S[n:, n:], lower=True)
+            ratio = cholesky(through, lower=True) @ solve_triangular(root, np.eye(q), lower=True)
+            S = np.block([[S[:n, :n], S[:n, n:] @ ratio.T], [ratio @ S[n:, :n], through]])
+        return y
+
+    def inside(self) -> Array:
+        """Multipliers in the interior: the Gramian is the unit matrix."""
+        q = self.fed.shape[1]
+        U = (1 + np.linalg.norm(self.B) ** 2) * np.eye(q)[np.tril_indices(q)]
+        return np.concatenate([0.5 * self.B.T.ravel(), U, np.zeros(len(self.through) - len(U))])
+
+
+# --- the program --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Program:
+    """Least `y^T W y / 2 + centre^T y` over the multipliers of a cone; `forces` are those of multipliers on a model."""
+
+    cone: _Cone
+    forces: Array
+    metric: _Metric
+    centre: Array
+
+    @classmethod
+    def of(cls, family: FixedPoles, C: Array, D: Array, covariance: Array | None) -> _Program:
+        """The program of a model; a scattering matrix is a part of an immittance."""
+        m = len(D)
+        T, back = _unit_gramian(family.A, family.B)
+        rate = float(np.linalg.norm(family.A))
+        A, B, T1 = back @ family.A @ T / rate, back @ family.B / np.sqrt(rate), T / np.sqrt(rate)
+        through = D
+        held = np.ones(m, bool) if covariance is None else np.diag(covariance)[C.size :: m + 1] <= 0
+        if family.scattering:
+            through = np.block([[0.5 * np.eye(m), D], [np.zeros((m, m)), 0.5 * np.eye(m)]])
+            B, held = np.hstack([np.zeros_like(B), B]), np.full(2 * m, held.all())
+        cone = _Cone(A, B, *_fed(through, held))
+        k, U = B.size, cone.through
+        forces = np.zeros((C.size + D.size, k + len(U)))
+        forces[: C.size, : m * len(A)] = np.kron(np.eye(m), T1)
+        forces[C.size :, k:] = (U[:, :m, m:] if family.scattering else U).reshape(len(U), m * m).T
+        rows = np.zeros(k)
+        rows[: m * len(A)] = (C @ T1).ravel()
+        centre = np.concatenate([rows, np.einsum("kab,ab->k", U, through)])
+        return cls(cone, forces, _Metric(back, C.shape, covariance), centre)
+
+    def moved(self, forces: Array) -> Array:
+        """What forces move."""
+        return self.metric.moved(forces)
+
+    def forces_of_models(self) -> list[Array]:
+        """Forces of models inside the cone that come closer and closer to the closest one, the closest first."""
+        W = np.asarray(self.forces.T @ self.moved(self.forces), float)
+        size, reach = float(np.linalg.norm(self.centre)), float(np.linalg.norm(W, 2))
+        if not (size > 0 and reach > 0):
+            return []
+        W, centre = W / reach, self.centre / size
+        values, U = np.linalg.eigh(W)
+        free = values > _FREE
+        inverse = U[:, free] / values[free] @ U[:, free].T
+        points = _interior_points(self.cone, W, centre)
+        return [
+            size / reach * (self.forces @ self.cone.corrected(W, inverse, centre, *point)) for point in points[::-1]
+        ]
+
+
+@dataclass(frozen=True)
+class _Metric:
+    """Covariance of the entries of `C` and `D`, that of the H2 norm by the states of unit Gramian."""
+
+    back: Array
+    shape: tuple[int, ...]
+    covariance: Array | None
+
+    def moved(self, forces: Array) -> Array:
+        """The covariance times forces, (K,) or (K, L)."""
+        if self.covariance is not None:
+            return np.asarray(self.covariance @ forces, float)
+        m, n = self.shape
+        rows = forces[: m * n].reshape(m, n, -1)
+        moved = np.zeros_like(forces)
+        moved[: m * n] = (self.back.T @ (self.back @ rows)).reshape(m * n, *forces.shape[1:])
+        return moved
+
+
+def _fed(through: Array, held: Mask) -> tuple[Array, Array]:
+    """Directions of ports in which a feedthrough takes in energy or may move, and the others."""
+    ports = np.eye(len(through))
+    values, U = np.linalg.eigh((through + through.T)[np.ix_(held, held)])
+    fed = values > _SINGULAR * max(float(np.linalg.norm(through, 2)), np.finfo(float).tiny)
+    basis = ports[:, held] @ U
+    return np.hstack([ports[:, ~held], basis[:, fed]]), basis[:, ~fed]
+
+
+def _unit_gramian(A: Array, B: Array) -> tuple[Array, Array]:
+    """`T`, `back` with `back T = 1`: states `x = T z` that inputs reach, of the unit matrix as Gramian."""
+    root = gramian_root(A.T, B.T).T
+    size = np.linalg.norm(root, axis=1)
+    size = np.where(size > 0, size, 1.0)[:, None]
+    U, s, _ = svd(root / size, full_matrices=False)
+    kept = s > _REACHED * s[0]
+    return size * U[:, kept] * s[kept], U[:, kept].T / s[kept][:, None] / size.T
+
+
+def _interior_points(cone: _Cone, W: Array, centre: Array) -> list[tuple[Array, Array]]:
+    """Multipliers `y` and matrices `S`, with `W y + centre = model(S)` and `Z S` less and less."""
+    y, S = cone.inside(), np.eye(cone.size)
+    y /= float(np.linalg.norm(y))
+    points = list[tuple[Array, Array]]()
+    for _ in range(_ITERATIONS):
+        Z, short = cone.matrix(y), cone.model(S) - W @ y - centre
+        moved, gap = float(y @ W @ y), float(np.sum(S * Z))
+        if gap <= _MOST * moved:
+            points.append((y, S))
+        if gap <= _LEAST * moved or not moved < _FAR:
+            break
+        try:
+            y, S = _stepped(cone, W, short, (y, S, Z))
+        except LinAlgError:
+            break
+    return points
+
+
+def _stepped(cone: _Cone, W: Array, short: Array, point: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """The next `y` and `S`: a step of the predictor and corrector of Mehrotra, in the scaling of Nesterov and Todd.
+
+    `R^-1 S R^-T` and `R^T Z R` are one diagonal matrix.
+    """
+    y, S, Z = point
+    root = cholesky(S, lower=True)
+    _, scaled, V = svd(cholesky(Z, lower=True).T @ root)
+    R = root @ V.T / np.sqrt(scaled)
+    factor = cho_factor(W + cone.gram(R))
+
+    def direction(wanted: Array) -> tuple[Array, Array, Array]:
+        """Steps of `y` and of the scaled `S` and `Z`, whose sum is given."""
+        right = short + cone.model(R @ wanted @ R.T)
+        dy = cho_solve(factor, right)
+        for _ in range(_REFINED):
+            dy = dy + cho_solve(factor, right - W @ dy - cone.model(R @ (R.T @ cone.matrix(dy) @ R) @ R.T))
+        dZ = R.T @ cone.matrix(dy) @ R
+        return dy, wanted - dZ, dZ
+
+    def reach(step: Array) -> float:
+        """Part of a step to the boundary."""
+        least = float(np.linalg.eigvalsh(step / np.sqrt(np.outer(scaled, scaled)))[0])
+        return np.inf if least >= 0 else -1 / least
+
+    means = scaled[:, None] + scaled
+    _, dS, dZ = direction(-np.diag(scaled))
+    affine = min(1.0, reach(dS), reach(dZ))
+    target = (1 - affine) ** 3 * float(np.mean(scaled**2)) * np.eye(len(S))
+    dy, dS, dZ = direction((2 * target - dS @ dZ - dZ @ dS) / means - np.diag(scaled))
+    length = min(1.0, _SHORT * min(reach(dS), reach(dZ)))
+    S = S + length * (R @ dS @ R.T)
+    return y + length * dy, 0.5 * (S + S.T)

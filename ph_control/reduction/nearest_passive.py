@@ -184,12 +184,12 @@ def _with_axis(
     )
 
 
-def _covariance(family: FixedPoles, C: Array, D: Array, weight: Any) -> Array:
-    """Inverse of the metric of the entries of `C` and `D`; 0 of a feedthrough that does not move."""
+def _covariance(family: FixedPoles, C: Array, D: Array, weight: Any) -> Array | None:
+    """Inverse of the metric of the entries of `C` and `D`; None of the H2 norm, in which `D` does not move."""
     m, n = C.shape
     if isinstance(weight, str):
         _refuse_active_feedthrough(D, family.scattering)
-        return h2_covariance(family, m)
+        return None
     omega, values = weight
     seen = values[:, None, None] * np.concatenate(
         [family.states(omega), np.broadcast_to(np.eye(m), (len(omega), m, m))], axis=1
@@ -199,7 +199,7 @@ def _covariance(family: FixedPoles, C: Array, D: Array, weight: Any) -> Array:
     return _blocks(inverse[:n, :n], inverse[n:, n:], m, inverse[:n, n:])
 
 
-def h2_covariance(family: FixedPoles, m: int) -> Array:
+def _h2_covariance(family: FixedPoles, m: int) -> Array:
     """Inverse of the metric of the H2 norm, in which a feedthrough does not move."""
     return _blocks(_inverse(ct.lyap(family.A, family.B @ family.B.T)), np.zeros((m, m)), m)
 
@@ -280,7 +280,8 @@ def _moved(result: Any, weight: Any, kind: str, steady: float) -> tuple[Any, flo
     theta = _parameters(start)
     C, D = ports.split(theta)
     if weight != "covariance":
-        moved = _inverse(_covariance(ports.family, C, D, weight))
+        found = _covariance(ports.family, C, D, weight)
+        moved = _inverse(_h2_covariance(ports.family, len(D)) if found is None else found)
         covariance = np.linalg.pinv(ports.map.T @ moved @ ports.map, rcond=_RIDGE, hermitian=True)
     closest = closest_passive(ports.family, C, D, ports.map @ covariance @ ports.map.T)
     theta = theta + covariance @ (ports.map.T @ closest.force)

@@ -21,7 +21,6 @@ from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_par
 from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import FixedPoles, closest_passive
 from .modal_truncation import Parts, Wanted, lossless_truncated, matrices_of, projected, truncated, with_unit_energy
-from .nearest_passive import h2_covariance
 from .optimal import Full, Matrices, best_passive, stationary_models
 
 METHODS = ("modal", "balanced", "h2")
@@ -241,7 +240,7 @@ def _passive(model: Matrices, D: Array, m: int) -> Parts:
     """Port-Hamiltonian form of the passive model closest to one."""
     A, B, C = model
     family = FixedPoles(A, B, scattering=False)
-    moved = closest_passive(family, C[:m], D[:m], h2_covariance(family, m))
+    moved = closest_passive(family, C[:m], D[:m])
     return stored_parts(PortRows(A, B, np.vstack([moved.C, C[m:]]), D), "mean")
 
 

@@ -266,7 +266,7 @@ def minimal_part(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Ar
     rate = float(np.linalg.norm(A)) or 1.0
     unit = np.sqrt(rate)
     A, B, C = A / rate, B / unit, C / unit
-    seen, reached = _gramian_root(A, C[:m]), _gramian_root(A.T, B.T).T
+    seen, reached = gramian_root(A, C[:m]), gramian_root(A.T, B.T).T
     U, s, V = svd(seen @ reached)
     kept = s > _UNSEEN * max(s[0], np.finfo(float).tiny)
     root = np.sqrt(s[kept])
@@ -274,7 +274,7 @@ def minimal_part(A: Array, B: Array, C: Array, m: int) -> tuple[Array, Array, Ar
     return rate * (left @ A @ right), unit * (left @ B), unit * (C @ right)
 
 
-def _gramian_root(A: Array, C: Array) -> Array:
+def gramian_root(A: Array, C: Array) -> Array:
     """Upper triangular `U` with the observability Gramian `U^T U`."""
     n = len(A)
     if len(C) > n:
