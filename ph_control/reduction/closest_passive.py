@@ -23,6 +23,7 @@ A scattering matrix is passive if `[[1, G], [G^H, 1]]` is positive semidefinite:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -45,6 +46,8 @@ _SHORT = 0.98  # of the way to the boundary: a step
 _FAR = 1e12  # of the size of the model: beyond, there is no passive one
 _SINGULAR = 1e-12  # of the size of the model: an eigenvalue of a feedthrough that is 0
 _WELL_PARTED = 1e4  # condition of modes up to which products are summed by modes
+_CENTRINGS = 6  # steps at most to the middle of the cone
+_CLOSER = 0.5  # of the residual before: what is left after such a step
 _REFINED = 1  # steps of iterative refinement
 _REACHED = 1e-10  # of its size: part of a state that inputs reach
 
@@ -272,20 +275,19 @@ class _Program:
         """What forces move."""
         return self.metric.moved(forces)
 
-    def forces_of_models(self) -> list[Array]:
-        """Forces of models inside the cone that come closer and closer to the closest one, the closest first."""
+    def forces_of_models(self) -> Iterator[Array]:
+        """Forces of models inside the cone next to the closest one, the closest first."""
         W = np.asarray(self.forces.T @ self.moved(self.forces), float)
         size, reach = float(np.linalg.norm(self.centre)), float(np.linalg.norm(W, 2))
         if not (size > 0 and reach > 0):
-            return []
+            return
         W, centre = W / reach, self.centre / size
         values, U = np.linalg.eigh(W)
         free = values > _FREE
         inverse = U[:, free] / values[free] @ U[:, free].T
-        points = _interior_points(self.cone, W, centre)
-        return [
-            size / reach * (self.forces @ self.cone.corrected(W, inverse, centre, *point)) for point in points[::-1]
-        ]
+        for point in _interior_points(self.cone, W, centre)[::-1]:
+            y, S = _centred(self.cone, W, centre, *point)
+            yield size / reach * (self.forces @ self.cone.corrected(W, inverse, centre, y, S))
 
 
 @dataclass(frozen=True)
@@ -345,7 +347,25 @@ def _interior_points(cone: _Cone, W: Array, centre: Array) -> list[tuple[Array, 
     return points
 
 
-def _stepped(cone: _Cone, W: Array, short: Array, point: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+def _centred(cone: _Cone, W: Array, centre: Array, y: Array, S: Array) -> tuple[Array, Array]:
+    """A point of the same gap with `W y + centre = model(S)`, in the middle of the cone."""
+    before = np.inf
+    for _ in range(_CENTRINGS):
+        short = cone.model(S) - W @ y - centre
+        size = float(np.linalg.norm(short))
+        if not size < _CLOSER * before:
+            break
+        before = size
+        try:
+            y, S = _stepped(cone, W, short, (y, S, cone.matrix(y)), centring=True)
+        except LinAlgError:
+            break
+    return y, S
+
+
+def _stepped(
+    cone: _Cone, W: Array, short: Array, point: tuple[Array, Array, Array], *, centring: bool = False
+) -> tuple[Array, Array]:
     """The next `y` and `S`: a step of the predictor and corrector of Mehrotra, in the scaling of Nesterov and Todd.
 
     `R^-1 S R^-T` and `R^T Z R` are one diagonal matrix.
@@ -354,7 +374,8 @@ def _stepped(cone: _Cone, W: Array, short: Array, point: tuple[Array, Array, Arr
     root = cholesky(S, lower=True)
     _, scaled, V = svd(cholesky(Z, lower=True).T @ root)
     R = root @ V.T / np.sqrt(scaled)
-    factor = cho_factor(W + cone.gram(R))
+    H = W + cone.gram(R)
+    factor = cho_factor(H + np.diag(np.diag(H) == 0))  # multipliers of what neither moves nor is bounded
 
     def direction(wanted: Array) -> tuple[Array, Array, Array]:
         """Steps of `y` and of the scaled `S` and `Z`, whose sum is given."""
@@ -371,10 +392,13 @@ def _stepped(cone: _Cone, W: Array, short: Array, point: tuple[Array, Array, Arr
         return np.inf if least >= 0 else -1 / least
 
     means = scaled[:, None] + scaled
-    _, dS, dZ = direction(-np.diag(scaled))
-    affine = min(1.0, reach(dS), reach(dZ))
-    target = (1 - affine) ** 3 * float(np.mean(scaled**2)) * np.eye(len(S))
-    dy, dS, dZ = direction((2 * target - dS @ dZ - dZ @ dS) / means - np.diag(scaled))
+    if centring:
+        target, second = 1.0, np.zeros_like(S)
+    else:
+        _, dS, dZ = direction(-np.diag(scaled))
+        target, second = (1 - min(1.0, reach(dS), reach(dZ))) ** 3, dS @ dZ + dZ @ dS
+    gap = target * float(np.mean(scaled**2)) * np.eye(len(S))
+    dy, dS, dZ = direction((2 * gap - second) / means - np.diag(scaled))
     length = min(1.0, _SHORT * min(reach(dS), reach(dZ)))
     S = S + length * (R @ dS @ R.T)
     return y + length * dy, 0.5 * (S + S.T)
