@@ -23,13 +23,13 @@ A scattering matrix is passive if `[[1, G], [G^H, 1]]` is positive semidefinite:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, schur, solve_triangular, svd
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, qr, schur, solve_triangular, svd
 from scipy.linalg.lapack import dtrsyl
 
 from .._types import Array, ComplexArray, Mask
@@ -45,11 +45,15 @@ _ITERATIONS = 100  # of the interior-point method; 10 to 20 are usual
 _SHORT = 0.98  # of the way to the boundary: a step
 _FAR = 1e12  # of the size of the model: beyond, there is no passive one
 _SINGULAR = 1e-12  # of the size of the model: an eigenvalue of a feedthrough that is 0
+_LARGE = 2_000_000  # entries of the images of all multipliers: beyond, products are summed by modes if they can be
+_RIDGE = 1e-14  # of each: what rounding of a sum of products may take of it
 _WELL_PARTED = 1e4  # condition of modes up to which products are summed by modes
 _CENTRINGS = 6  # steps at most to the middle of the cone
 _CLOSER = 0.5  # of the residual before: what is left after such a step
 _REFINED = 1  # steps of iterative refinement
 _REACHED = 1e-10  # of its size: part of a state that inputs reach
+
+Direction = Callable[[Array], tuple[Array, Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -133,6 +137,11 @@ class _Cone:
         """Rows of `S` and `Z`."""
         return len(self.A) + self.fed.shape[1]
 
+    @property
+    def coupled(self) -> int:
+        """Number of the last multipliers, of ports that are fed with the others."""
+        return self.fed.shape[1] * self.unfed.shape[1]
+
     @cached_property
     def through(self) -> Array:
         """Basis (K, m, m) of the symmetric `U`: of ports that are fed, then of these with the others."""
@@ -170,15 +179,13 @@ class _Cone:
         n, q = len(self.A), self.fed.shape[1]
         X = self._lyapunov(S[:n, :n], "T")
         C = 2 * (self.B.T @ X + self.fed @ S[n:, :n])
-        rest = np.zeros(q * self.unfed.shape[1])
+        rest = np.zeros(self.coupled)
         return np.concatenate([C.ravel(), S[n:, n:][np.tril_indices(q)], rest])
 
     @cached_property
-    def _modes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
-        """Poles, modes and their inverse, if they are well parted."""
+    def _modes(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """Poles, modes and their inverse."""
         poles, V = np.linalg.eig(self.A)
-        if not np.linalg.cond(V) <= _WELL_PARTED:
-            return None
         return poles.astype(complex), V.astype(complex), np.linalg.inv(V).astype(complex)
 
     @cached_property
@@ -187,15 +194,38 @@ class _Cone:
         count = self.B.size + len(self.through)
         return np.array([self.matrix(row) for row in np.eye(count)])
 
-    def gram(self, R: Array) -> Array:
-        """Inner products of `R^T Z R` for unit multipliers."""
-        if self._modes is None:
-            moved = (R.T @ self._images @ R).reshape(len(self._images), -1)
-            return np.asarray(moved @ moved.T, float)
-        return self._gram_by_modes(R, *self._modes)
+    @cached_property
+    def is_large(self) -> bool:
+        """Whether products are summed by modes: there are many, and modes are well parted."""
+        return self.B.size * self.size**2 > _LARGE and bool(np.linalg.cond(self._modes[1]) <= _WELL_PARTED)
 
-    def _gram_by_modes(self, R: Array, poles: ComplexArray, V: ComplexArray, W: ComplexArray) -> Array:
-        """The same by matrices of rank two: `Z = sum_k y_k w_k e_k^H` and its adjoint, `e` a mode or a port."""
+    def rows(self, R: Array) -> Array:
+        """Columns of the entries of `R^T Z R` for unit multipliers, of the same inner products."""
+        moved = R.T @ self._images @ R
+        return np.asarray((moved[:, self.upper[0], self.upper[1]] * self.weights).T)
+
+    @cached_property
+    def upper(self) -> Any:
+        """Places of the upper triangle of `Z`."""
+        return np.triu_indices(self.size)
+
+    @cached_property
+    def weights(self) -> Array:
+        """Weights of these places, of which those off the diagonal stand for two."""
+        return np.where(self.upper[0] == self.upper[1], 1.0, np.sqrt(2.0))
+
+    def symmetric(self, entries: Array) -> Array:
+        """The matrix of weighted entries of the upper triangle."""
+        M = np.zeros((self.size, self.size))
+        M[self.upper] = entries / self.weights
+        return np.asarray(M + np.triu(M, 1).T)
+
+    def gram_by_modes(self, R: Array) -> Array:
+        """Inner products of `R^T Z R` for unit multipliers.
+
+        By matrices of rank two: `Z` is the sum of all `y w e^H` and its adjoint, `e` a mode or a port.
+        """
+        poles, V, W = self._modes
         (n, m), q = self.B.shape, self.fed.shape[1]
         by_mode, by_port = R[:n].T @ V, R[n:].T
         kernel = -1.0 / (poles[:, None] + poles.conj())
@@ -215,20 +245,6 @@ class _Cone:
         full = np.zeros((self.B.size + len(self.through),) * 2)
         full[: len(found), : len(found)] = found
         return full
-
-    def corrected(self, W: Array, inverse: Array, centre: Array, y: Array, S: Array) -> Array:
-        """Multipliers whose model is that of `S`, as far as it may move, with the feedthrough that does not."""
-        n, q, k = len(self.A), self.fed.shape[1], self.B.size
-        for _ in range(2):
-            y = y + inverse @ (self.model(S) - W @ y - centre)
-            through = np.zeros((q, q))
-            through[np.tril_indices(q)] = (W @ y + centre)[k : k + q * (q + 1) // 2]
-            through = through + np.tril(through, -1).T
-            # a congruence keeps S positive semidefinite
-            root = cholesky(S[n:, n:], lower=True)
-            ratio = cholesky(through, lower=True) @ solve_triangular(root, np.eye(q), lower=True)
-            S = np.block([[S[:n, :n], S[:n, n:] @ ratio.T], [ratio @ S[n:, :n], through]])
-        return y
 
     def inside(self) -> Array:
         """Multipliers in the interior: the Gramian is the unit matrix."""
@@ -278,16 +294,16 @@ class _Program:
     def forces_of_models(self) -> Iterator[Array]:
         """Forces of models inside the cone next to the closest one, the closest first."""
         W = np.asarray(self.forces.T @ self.moved(self.forces), float)
-        size, reach = float(np.linalg.norm(self.centre)), float(np.linalg.norm(W, 2))
+        # a coupling of ports that are fed with others, where neither moves, is 0
+        idle = (np.arange(len(W)) >= len(W) - self.cone.coupled) & (np.diag(W) == 0)
+        W[idle, idle] = np.diag(W).max()
+        centre = np.where(idle, 0.0, self.centre)
+        size, reach = float(np.linalg.norm(centre)), float(np.linalg.norm(W, 2))
         if not (size > 0 and reach > 0):
             return
-        W, centre = W / reach, self.centre / size
-        values, U = np.linalg.eigh(W)
-        free = values > _FREE
-        inverse = U[:, free] / values[free] @ U[:, free].T
-        for point in _interior_points(self.cone, W, centre)[::-1]:
-            y, S = _centred(self.cone, W, centre, *point)
-            yield size / reach * (self.forces @ self.cone.corrected(W, inverse, centre, y, S))
+        scaled = _InteriorPoint(self.cone, W / reach, centre / size)
+        for y, S in scaled.points()[::-1]:
+            yield size / reach * (self.forces @ scaled.corrected(*scaled.centred(y, S)))
 
 
 @dataclass(frozen=True)
@@ -328,77 +344,133 @@ def _unit_gramian(A: Array, B: Array) -> tuple[Array, Array]:
     return size * U[:, kept] * s[kept], U[:, kept].T / s[kept][:, None] / size.T
 
 
-def _interior_points(cone: _Cone, W: Array, centre: Array) -> list[tuple[Array, Array]]:
-    """Multipliers `y` and matrices `S`, with `W y + centre = model(S)` and `Z S` less and less."""
-    y, S = cone.inside(), np.eye(cone.size)
-    y /= float(np.linalg.norm(y))
-    points = list[tuple[Array, Array]]()
-    for _ in range(_ITERATIONS):
-        Z, short = cone.matrix(y), cone.model(S) - W @ y - centre
-        moved, gap = float(y @ W @ y), float(np.sum(S * Z))
-        if gap <= _MOST * moved:
-            points.append((y, S))
-        if gap <= _LEAST * moved or not moved < _FAR:
-            break
-        try:
-            y, S = _stepped(cone, W, short, (y, S, Z))
-        except LinAlgError:
-            break
-    return points
+@dataclass(frozen=True)
+class _InteriorPoint:
+    """Primal-dual interior-point method for least `y^T W y / 2 + centre^T y`, `W` and `centre` of size 1."""
 
+    cone: _Cone
+    W: Array
+    centre: Array
 
-def _centred(cone: _Cone, W: Array, centre: Array, y: Array, S: Array) -> tuple[Array, Array]:
-    """A point of the same gap with `W y + centre = model(S)`, in the middle of the cone."""
-    before = np.inf
-    for _ in range(_CENTRINGS):
-        short = cone.model(S) - W @ y - centre
-        size = float(np.linalg.norm(short))
-        if not size < _CLOSER * before:
-            break
-        before = size
-        try:
-            y, S = _stepped(cone, W, short, (y, S, cone.matrix(y)), centring=True)
-        except LinAlgError:
-            break
-    return y, S
+    @cached_property
+    def _variances(self) -> tuple[Array, Array]:
+        values, U = np.linalg.eigh(self.W)
+        return np.maximum(values, 0.0), U
 
+    @cached_property
+    def _root(self) -> Array:
+        values, U = self._variances
+        return np.asarray(np.sqrt(values)[:, None] * U.T)
 
-def _stepped(
-    cone: _Cone, W: Array, short: Array, point: tuple[Array, Array, Array], *, centring: bool = False
-) -> tuple[Array, Array]:
-    """The next `y` and `S`: a step of the predictor and corrector of Mehrotra, in the scaling of Nesterov and Todd.
+    @cached_property
+    def _inverse(self) -> Array:
+        """Inverse of `W` in directions that may move."""
+        values, U = self._variances
+        free = values > _FREE
+        return np.asarray(U[:, free] / values[free] @ U[:, free].T)
 
-    `R^-1 S R^-T` and `R^T Z R` are one diagonal matrix.
-    """
-    y, S, Z = point
-    root = cholesky(S, lower=True)
-    _, scaled, V = svd(cholesky(Z, lower=True).T @ root)
-    R = root @ V.T / np.sqrt(scaled)
-    H = W + cone.gram(R)
-    factor = cho_factor(H + np.diag(np.diag(H) == 0))  # multipliers of what neither moves nor is bounded
+    def _short(self, y: Array, S: Array) -> Array:
+        return self.cone.model(S) - self.W @ y - self.centre
 
-    def direction(wanted: Array) -> tuple[Array, Array, Array]:
-        """Steps of `y` and of the scaled `S` and `Z`, whose sum is given."""
-        right = short + cone.model(R @ wanted @ R.T)
-        dy = cho_solve(factor, right)
-        for _ in range(_REFINED):
-            dy = dy + cho_solve(factor, right - W @ dy - cone.model(R @ (R.T @ cone.matrix(dy) @ R) @ R.T))
-        dZ = R.T @ cone.matrix(dy) @ R
-        return dy, wanted - dZ, dZ
+    def points(self) -> list[tuple[Array, Array]]:
+        """Multipliers `y` and matrices `S` on the way to the least value, from where it is nearly reached."""
+        y, S = self.cone.inside(), np.eye(self.cone.size)
+        y /= float(np.linalg.norm(y))
+        points = list[tuple[Array, Array]]()
+        for _ in range(_ITERATIONS):
+            moved, gap = float(y @ self.W @ y), float(np.sum(S * self.cone.matrix(y)))
+            if gap <= _MOST * moved:
+                points.append((y, S))
+            if gap <= _LEAST * moved or not moved < _FAR:
+                break
+            try:
+                y, S = self._stepped(y, S)
+            except LinAlgError:
+                break
+        return points
 
-    def reach(step: Array) -> float:
-        """Part of a step to the boundary."""
-        least = float(np.linalg.eigvalsh(step / np.sqrt(np.outer(scaled, scaled)))[0])
-        return np.inf if least >= 0 else -1 / least
+    def centred(self, y: Array, S: Array) -> tuple[Array, Array]:
+        """A point of the same gap with `W y + centre = model(S)`, in the middle of the cone."""
+        before = np.inf
+        for _ in range(_CENTRINGS):
+            size = float(np.linalg.norm(self._short(y, S)))
+            if not size < _CLOSER * before:
+                break
+            before = size
+            try:
+                y, S = self._stepped(y, S, centring=True)
+            except LinAlgError:
+                break
+        return y, S
 
-    means = scaled[:, None] + scaled
-    if centring:
+    def corrected(self, y: Array, S: Array) -> Array:
+        """Multipliers whose model is that of `S`, as far as it may move, with the feedthrough that does not."""
+        n, q, k = len(self.cone.A), self.cone.fed.shape[1], self.cone.B.size
+        for _ in range(2):
+            y = y + self._inverse @ self._short(y, S)
+            through = np.zeros((q, q))
+            through[np.tril_indices(q)] = (self.W @ y + self.centre)[k : k + q * (q + 1) // 2]
+            through = through + np.tril(through, -1).T
+            # a congruence keeps S positive semidefinite
+            root = cholesky(S[n:, n:], lower=True)
+            ratio = cholesky(through, lower=True) @ solve_triangular(root, np.eye(q), lower=True)
+            S = np.block([[S[:n, :n], S[:n, n:] @ ratio.T], [ratio @ S[n:, :n], through]])
+        return y
+
+    def _stepped(self, y: Array, S: Array, *, centring: bool = False) -> tuple[Array, Array]:
+        """The next `y` and `S`: a predictor and corrector of Mehrotra in the scaling of Nesterov and Todd, or centring.
+
+        `R^-1 S R^-T` and `R^T Z R` are one diagonal matrix.
+        """
+        cone, short = self.cone, self._short(y, S)
+        root = cholesky(S, lower=True)
+        _, scaled, V = svd(cholesky(cone.matrix(y), lower=True).T @ root)
+        R = root @ V.T / np.sqrt(scaled)
+        direction = self._by_modes(R, short) if cone.is_large else self._by_images(R, short)
+
+        def reach(step: Array) -> float:
+            """Part of a step to the boundary."""
+            least = float(np.linalg.eigvalsh(step / np.sqrt(np.outer(scaled, scaled)))[0])
+            return np.inf if least >= 0 else -1 / least
+
         target, second = 1.0, np.zeros_like(S)
-    else:
-        _, dS, dZ = direction(-np.diag(scaled))
-        target, second = (1 - min(1.0, reach(dS), reach(dZ))) ** 3, dS @ dZ + dZ @ dS
-    gap = target * float(np.mean(scaled**2)) * np.eye(len(S))
-    dy, dS, dZ = direction((2 * gap - second) / means - np.diag(scaled))
-    length = min(1.0, _SHORT * min(reach(dS), reach(dZ)))
-    S = S + length * (R @ dS @ R.T)
-    return y + length * dy, 0.5 * (S + S.T)
+        if not centring:
+            _, dS, dZ = direction(-np.diag(scaled))
+            target, second = (1 - min(1.0, reach(dS), reach(dZ))) ** 3, dS @ dZ + dZ @ dS
+        gap = target * float(np.mean(scaled**2)) * np.eye(len(S))
+        dy, dS, dZ = direction((2 * gap - second) / (scaled[:, None] + scaled) - np.diag(scaled))
+        length = min(1.0, _SHORT * min(reach(dS), reach(dZ)))
+        S = S + length * (R @ dS @ R.T)
+        return y + length * dy, 0.5 * (S + S.T)
+
+    def _by_images(self, R: Array, short: Array) -> Direction:
+        """Steps of `y` and of the scaled `S` and `Z`, whose sum is given, by least squares."""
+        cone, n = self.cone, len(self.cone.upper[0])
+        Q, T = qr(np.vstack([cone.rows(R), self._root]), mode="economic")
+        # what may not move takes another part than what may, of which the products would have half the digits
+        moving = self._root @ (self._inverse @ short)
+        fixed = solve_triangular(T, short - self.W @ (self._inverse @ short), trans="T")
+
+        def direction(wanted: Array) -> tuple[Array, Array, Array]:
+            along = Q.T @ np.concatenate([wanted[cone.upper] * cone.weights, moving]) + fixed
+            dZ = cone.symmetric(Q[:n] @ along)
+            return solve_triangular(T, along), wanted - dZ, dZ
+
+        return direction
+
+    def _by_modes(self, R: Array, short: Array) -> Direction:
+        """The same by the normal equations."""
+        cone = self.cone
+        H = self.W + cone.gram_by_modes(R)
+        factor = cho_factor(H + np.diag(_RIDGE * np.diag(H)))
+
+        def direction(wanted: Array) -> tuple[Array, Array, Array]:
+            right = short + cone.model(R @ wanted @ R.T)
+            dy = cho_solve(factor, right)
+            for _ in range(_REFINED):
+                dZ = R.T @ cone.matrix(dy) @ R
+                dy = dy + cho_solve(factor, right - self.W @ dy - cone.model(R @ dZ @ R.T))
+            dZ = R.T @ cone.matrix(dy) @ R
+            return dy, wanted - dZ, dZ
+
+        return direction
