@@ -24,7 +24,7 @@ A scattering matrix is passive if `[[1, G], [G^H, 1]]` is positive semidefinite:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -39,11 +39,12 @@ from ..modal.positive_real import Passivity
 from ..systems.passive_form import gramian_root
 
 _LEAST = 1e-8  # of the squared distance: by which it may exceed the least one; what is left is room for rounding
-_MOST = 1e-3  # the same where rounding leaves no better model passive
+_MOST = 1e-2  # the same where rounding leaves no better model passive
 _FREE = 1e-10  # of the largest: variance of what may move
 _ITERATIONS = 100  # of the interior-point method; 10 to 20 are usual
 _SHORT = 0.98  # of the way to the boundary: a step
 _FAR = 1e12  # of the size of the model: beyond, there is no passive one
+_LITTLE = 1e-4  # of `C`: what is left of it, below which it is not taken from a difference
 _SINGULAR = 1e-12  # of the size of the model: an eigenvalue of a feedthrough that is 0
 _LARGE = 2_000_000  # entries of the images of all multipliers: beyond, products are summed by modes if they can be
 _RIDGE = 1e-14  # of each: what rounding of a sum of products may take of it
@@ -104,10 +105,12 @@ def closest_passive(family: FixedPoles, C: Array, D: Array, covariance: Array | 
     if not len(family.A) or family.is_passive(C, D):
         return Closest(C, D, 0.0, np.zeros(C.size + D.size))
     program = _Program.of(family, C, D, covariance)
-    for force in program.forces_of_models():
+    for force, rows in program.models():
         moved = program.moved(force)
-        closest = Closest(C + moved[: C.size].reshape(C.shape), D + moved[C.size :].reshape(D.shape),
-                          float(force @ moved), force)  # fmt: skip
+        through = D + moved[C.size :].reshape(D.shape)
+        closest = Closest(C + moved[: C.size].reshape(C.shape), through, float(force @ moved), force)
+        if np.linalg.norm(closest.C) < _LITTLE * np.linalg.norm(C) and rows is not None:
+            closest = replace(closest, C=rows)
         if family.is_passive(closest.C, closest.D):
             return closest
     raise StructureError(
@@ -258,12 +261,16 @@ class _Cone:
 
 @dataclass(frozen=True)
 class _Program:
-    """Least `y^T W y / 2 + centre^T y` over the multipliers of a cone; `forces` are those of multipliers on a model."""
+    """Least `y^T W y / 2 + centre^T y` over the multipliers of a cone; `forces` are those of multipliers on a model.
+
+    `back` takes states to those of the cone.
+    """
 
     cone: _Cone
     forces: Array
     metric: _Metric
     centre: Array
+    back: Array
 
     @classmethod
     def of(cls, family: FixedPoles, C: Array, D: Array, covariance: Array | None) -> _Program:
@@ -285,14 +292,17 @@ class _Program:
         rows = np.zeros(k)
         rows[: m * len(A)] = (C @ T1).ravel()
         centre = np.concatenate([rows, np.einsum("kab,ab->k", U, through)])
-        return cls(cone, forces, _Metric(back, C.shape, covariance), centre)
+        return cls(cone, forces, _Metric(back, C.shape, covariance), centre, back * np.sqrt(rate))
 
     def moved(self, forces: Array) -> Array:
         """What forces move."""
         return self.metric.moved(forces)
 
-    def forces_of_models(self) -> Iterator[Array]:
-        """Forces of models inside the cone next to the closest one, the closest first."""
+    def models(self) -> Iterator[tuple[Array, Array | None]]:
+        """Forces of models inside the cone next to the closest one, the closest first, and `C` where all of it moves.
+
+        Where little is left of `C`, the difference to what is moved would have no digits.
+        """
         W = np.asarray(self.forces.T @ self.moved(self.forces), float)
         # a coupling of ports that are fed with others, where neither moves, is 0
         idle = (np.arange(len(W)) >= len(W) - self.cone.coupled) & (np.diag(W) == 0)
@@ -302,8 +312,16 @@ class _Program:
         if not (size > 0 and reach > 0):
             return
         scaled = _InteriorPoint(self.cone, W / reach, centre / size)
-        for y, S in scaled.points()[::-1]:
-            yield size / reach * (self.forces @ scaled.corrected(*scaled.centred(y, S)))
+        for point in scaled.points()[::-1]:
+            y, S = scaled.corrected(scaled.centred(point))
+            yield size / reach * (self.forces @ y), self._rows(size * self.cone.model(S))
+
+    def _rows(self, model: Array) -> Array | None:
+        """`C` of a model of the cone, in the H2 norm."""
+        if self.metric.covariance is not None or len(self.cone.B.T) > self.metric.shape[0]:
+            return None
+        rows = model[: self.cone.B.size].reshape(self.cone.B.T.shape)
+        return np.asarray(rows @ self.back, float)
 
 
 @dataclass(frozen=True)
@@ -345,6 +363,15 @@ def _unit_gramian(A: Array, B: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
+class _Point:
+    """Multipliers `y`, the matrix `S` of a model, and that of the multipliers `Z`, which rounding keeps positive."""
+
+    y: Array
+    S: Array
+    Z: Array
+
+
+@dataclass(frozen=True)
 class _InteriorPoint:
     """Primal-dual interior-point method for least `y^T W y / 2 + centre^T y`, `W` and `centre` of size 1."""
 
@@ -372,40 +399,41 @@ class _InteriorPoint:
     def _short(self, y: Array, S: Array) -> Array:
         return self.cone.model(S) - self.W @ y - self.centre
 
-    def points(self) -> list[tuple[Array, Array]]:
-        """Multipliers `y` and matrices `S` on the way to the least value, from where it is nearly reached."""
-        y, S = self.cone.inside(), np.eye(self.cone.size)
+    def points(self) -> list[_Point]:
+        """Points on the way to the least value, from where it is nearly reached."""
+        y = self.cone.inside()
         y /= float(np.linalg.norm(y))
-        points = list[tuple[Array, Array]]()
+        point, points = _Point(y, np.eye(self.cone.size), self.cone.matrix(y)), list[_Point]()
         for _ in range(_ITERATIONS):
-            moved, gap = float(y @ self.W @ y), float(np.sum(S * self.cone.matrix(y)))
+            moved, gap = float(point.y @ self.W @ point.y), float(np.sum(point.S * point.Z))
             if gap <= _MOST * moved:
-                points.append((y, S))
+                points.append(point)
             if gap <= _LEAST * moved or not moved < _FAR:
                 break
             try:
-                y, S = self._stepped(y, S)
+                point = self._stepped(point)
             except LinAlgError:
                 break
         return points
 
-    def centred(self, y: Array, S: Array) -> tuple[Array, Array]:
+    def centred(self, point: _Point) -> _Point:
         """A point of the same gap with `W y + centre = model(S)`, in the middle of the cone."""
         before = np.inf
         for _ in range(_CENTRINGS):
-            size = float(np.linalg.norm(self._short(y, S)))
+            size = float(np.linalg.norm(self._short(point.y, point.S)))
             if not size < _CLOSER * before:
                 break
             before = size
             try:
-                y, S = self._stepped(y, S, centring=True)
+                point = self._stepped(point, centring=True)
             except LinAlgError:
                 break
-        return y, S
+        return point
 
-    def corrected(self, y: Array, S: Array) -> Array:
+    def corrected(self, point: _Point) -> tuple[Array, Array]:
         """Multipliers whose model is that of `S`, as far as it may move, with the feedthrough that does not."""
         n, q, k = len(self.cone.A), self.cone.fed.shape[1], self.cone.B.size
+        y, S = point.y, point.S
         for _ in range(2):
             y = y + self._inverse @ self._short(y, S)
             through = np.zeros((q, q))
@@ -415,17 +443,17 @@ class _InteriorPoint:
             root = cholesky(S[n:, n:], lower=True)
             ratio = cholesky(through, lower=True) @ solve_triangular(root, np.eye(q), lower=True)
             S = np.block([[S[:n, :n], S[:n, n:] @ ratio.T], [ratio @ S[n:, :n], through]])
-        return y
+        return y, S
 
-    def _stepped(self, y: Array, S: Array, *, centring: bool = False) -> tuple[Array, Array]:
-        """The next `y` and `S`: a predictor and corrector of Mehrotra in the scaling of Nesterov and Todd, or centring.
+    def _stepped(self, point: _Point, *, centring: bool = False) -> _Point:
+        """The next point: a predictor and corrector of Mehrotra in the scaling of Nesterov and Todd, or centring.
 
         `R^-1 S R^-T` and `R^T Z R` are one diagonal matrix.
         """
-        cone, short = self.cone, self._short(y, S)
-        root = cholesky(S, lower=True)
-        _, scaled, V = svd(cholesky(cone.matrix(y), lower=True).T @ root)
-        R = root @ V.T / np.sqrt(scaled)
+        cone, short = self.cone, self._short(point.y, point.S)
+        root, other = cholesky(point.S, lower=True), cholesky(point.Z, lower=True)
+        U, scaled, V = svd(other.T @ root)
+        R, back = root @ V.T / np.sqrt(scaled), other @ U / np.sqrt(scaled)
         direction = self._by_modes(R, short) if cone.is_large else self._by_images(R, short)
 
         def reach(step: Array) -> float:
@@ -433,15 +461,15 @@ class _InteriorPoint:
             least = float(np.linalg.eigvalsh(step / np.sqrt(np.outer(scaled, scaled)))[0])
             return np.inf if least >= 0 else -1 / least
 
-        target, second = 1.0, np.zeros_like(S)
+        target, second = 1.0, np.zeros_like(R)
         if not centring:
             _, dS, dZ = direction(-np.diag(scaled))
             target, second = (1 - min(1.0, reach(dS), reach(dZ))) ** 3, dS @ dZ + dZ @ dS
-        gap = target * float(np.mean(scaled**2)) * np.eye(len(S))
+        gap = target * float(np.mean(scaled**2)) * np.eye(len(R))
         dy, dS, dZ = direction((2 * gap - second) / (scaled[:, None] + scaled) - np.diag(scaled))
         length = min(1.0, _SHORT * min(reach(dS), reach(dZ)))
-        S = S + length * (R @ dS @ R.T)
-        return y + length * dy, 0.5 * (S + S.T)
+        S, Z = point.S + length * (R @ dS @ R.T), point.Z + length * (back @ dZ @ back.T)
+        return _Point(point.y + length * dy, 0.5 * (S + S.T), 0.5 * (Z + Z.T))
 
     def _by_images(self, R: Array, short: Array) -> Direction:
         """Steps of `y` and of the scaled `S` and `Z`, whose sum is given, by least squares."""
