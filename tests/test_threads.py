@@ -1,4 +1,4 @@
-"""Fits run on one thread of BLAS, and leave the number of threads as it was."""
+"""Fits and reductions run on one thread of BLAS, and leave the number of threads as it was."""
 
 from __future__ import annotations
 
@@ -63,3 +63,14 @@ def test_fits_at_the_same_time_have_one_thread_of_the_first():
 
     fitted(another)
     assert inside and all(one == [1] * len(before) for one in [*inside, *after]) and threads() == before
+
+
+@pytest.mark.parametrize("method", ["modal", "balanced", "h2"])
+def test_reduced_models_do_not_depend_on_the_number_of_threads(method):
+    chain = phc.msd_chain(15)
+    by_two = phc.reduce(chain, 4, method=method)
+    assert threads() == [2] * len(threads())
+    with threadpool_limits(limits=1, user_api="blas"):
+        by_one = phc.reduce(chain, 4, method=method)
+    assert by_two.error_bound == by_one.error_bound
+    assert np.array_equal(by_two.A, by_one.A)

@@ -241,10 +241,11 @@ class _Cone:
 
         def turned(M: ComplexArray, W: ComplexArray) -> ComplexArray:
             """Columns of modes to columns of states."""
-            modes = M[:, : m * n].reshape(-1, m, n) @ W
+            modes = np.ascontiguousarray(M[:, : m * n]).reshape(-1, n) @ W
             return np.hstack([modes.reshape(len(M), m * n), M[:, m * n :]])
 
-        found = 2 * np.real(turned(turned(near, W.conj()).T, W).T + turned(turned(far, W.conj()).T, W.conj()).T)
+        both = turned(near, W.conj()) + turned(far, W.conj()).conj()
+        found = 2 * np.real(turned(both.T, W).T)
         full = np.zeros((self.B.size + len(self.through),) * 2)
         full[: len(found), : len(found)] = found
         return full

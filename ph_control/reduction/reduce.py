@@ -12,6 +12,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .. import _checks
+from .._threads import on_one_thread
 from .._types import Array
 from ..exceptions import StructureError
 from ..modal.positive_real import split_axis
@@ -28,6 +29,7 @@ METHODS = ("modal", "balanced", "h2")
 _TOLERANCE = 1e-8  # relative, of norms
 
 
+@on_one_thread
 def reduce(
     sys: Any,
     order: int | None = None,
@@ -81,7 +83,8 @@ def reduce(
     subspace for modes, of the leading states of the balanced storage, whose extremes are `diag(s)` and its inverse.
     'h2' takes the best stationary models of all, found by iterated projection from a dozen starts (seeded, so that
     calls repeat), moves their outputs until they are passive, and goes downhill in `J`, `R` and `G` by exact gradients.
-    O(n^3) each, and O(n^2 r) a step of 'h2'.
+    O(n^3) each, and O(n^2 r) a step of 'h2'.  Computed on one thread of BLAS, so that the number of threads changes
+    nothing.
 
     Examples
     --------
