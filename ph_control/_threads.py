@@ -1,4 +1,4 @@
-"""Fits and reductions on one thread of BLAS: of matrices so small, threads wait longer for one another than they work."""
+"""Fits and reductions on one thread of BLAS: for small matrices, threads wait longer for one another than they work."""
 
 from __future__ import annotations
 
