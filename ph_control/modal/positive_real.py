@@ -403,7 +403,7 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     rounding = _AXIS * len(A) * EPS * size
     unseen = _HIDDEN * len(A) * EPS * max(given, float(np.linalg.norm(B) * np.linalg.norm(C)))
     whole = len(A)
-    A, B, C = _staircase(A, B, C)
+    A, B, C = staircase(A, B, C)
     n = len(A)
     if not n:
         return Split([], (A, B, C), np.zeros(0, complex))
@@ -449,11 +449,11 @@ def split_axis(A: Array, B: Array, C: Array) -> Split:
     return Split(sorted(axis, key=lambda one: one[0]), rest, unstable)
 
 
-def _staircase(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
-    """Matrices of what inputs reach and outputs see."""
+def staircase(A: Array, B: Array, C: Array, coupled: float = 0.0) -> tuple[Array, Array, Array]:
+    """Matrices of what inputs reach and outputs see, by couplings above `coupled` of the norm; 0 means rounding."""
     # its tolerance is that of inputs and outputs of the size of A
     size, b, c = (float(np.linalg.norm(M)) or 1.0 for M in (A, B, C))
-    reduced = ct.ss(A, B * (size / b), C * (size / c), np.zeros((len(C), B.shape[1]))).minreal()
+    reduced = ct.ss(A, B * (size / b), C * (size / c), np.zeros((len(C), B.shape[1]))).minreal(coupled)
     if reduced.nstates == len(A):
         return A, B, C  # the staircase form has lost digits for nothing
     return reduced.A, reduced.B * (b / size), reduced.C * (c / size)

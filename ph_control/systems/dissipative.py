@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import control as ct
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh, qr
 
 from .. import _checks
 from .._checks import EPS
@@ -15,14 +16,16 @@ from .._types import Array, ArrayLike, ComplexArray
 from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
-from ..numerics.definiteness import unit_diagonal
+from ..modal.positive_real import staircase
+from ..numerics.definiteness import definite_factor, uncoupled_halves, unit_diagonal
 from ..numerics.double_double import exactly, product, two_sum
 from ..symplectic.forms_and_williamson import symplectic_form
 from .base import View, inherited_names, refuse_losses
-from .passive_form import Conversion, PortRows, passive_parts
+from .passive_form import Conversion, PortRows, hides_states, passive_parts
 from .port_hamiltonian import PortHamiltonian
 
 _ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
+_COUPLED = 1e-9  # of the rates of the states: a coupling that is more than rounding of the matrices
 PARTS = ("Q", "G", "J", "R", "P", "S", "N", "sensor_rows", "sensor_feedthrough")
 
 
@@ -321,20 +324,76 @@ def of_passive(
 
 def minimal_of(system: DissipativePortHamiltonian) -> DissipativePortHamiltonian:
     """System of the same transfer function with the states that ports reach and see; as it is if these are all."""
-    given = PortRows(system.A, system.B, system.C, system.D)
-    try:
-        parts, conversion = passive_parts(given, "auto", None, minimal=True)
-    except NotPassiveError as error:  # it is passive, by its matrices
-        cause = (
-            "a sensor sees what ports do not, such as the position of a free mass; leave it out"
-            if len(system.sensors[0])
-            else "its matrices are ill-conditioned; give it in better scaled states"
-        )
-        raise StructureError(f"no minimal form of {system.name!r} is known to be passive: {cause}") from error
-    if not conversion.hidden:
-        parts, conversion = system._parts, Conversion("given", 0, 0.0)
+    parts = _with_definite_energy(system._parts)
+    still = len(system.Q) - len(parts["Q"])
+    conversion = Conversion("given", 0, 0.0)
+    D = np.vstack([parts["S"] + parts["N"], parts["sensor_feedthrough"]])
+    G, P, dynamics = parts["G"], parts["P"], (parts["J"] - parts["R"]) @ parts["Q"]
+    given = PortRows(dynamics, G - P, np.vstack([(G + P).T @ parts["Q"], parts["sensor_rows"]]), D)
+    if not _is_clearly_minimal(parts) and hides_states(given):
+        try:
+            parts, conversion = passive_parts(given, "auto", None, minimal=True)
+        except NotPassiveError as error:  # it is passive, by its matrices
+            cause = (
+                "a sensor sees what ports do not, such as the position of a free mass; leave it out"
+                if len(system.sensors[0])
+                else "its matrices are ill-conditioned; give it in better scaled states"
+            )
+            raise StructureError(f"no minimal form of {system.name!r} is known to be passive: {cause}") from error
     names = {"inputs": system.input_labels, "outputs": system.output_labels}
-    return restored(parts, names, system.time_unit, conversion)
+    return restored(parts, names, system.time_unit, replace(conversion, hidden=conversion.hidden + still))
+
+
+def _is_clearly_minimal(parts: dict[str, Array]) -> bool:
+    """Whether ports reach and see all states, each by a coupling that is no rounding, however little of it arrives."""
+    factor = definite_factor(parts["Q"])
+    if factor is None:
+        return False
+    F, G, P = factor[0], parts["G"], parts["P"]
+    kept, _, _ = staircase(F.T @ (parts["J"] - parts["R"]) @ F, F.T @ (G - P), (G + P).T @ F, _COUPLED)
+    return len(kept) == len(F)
+
+
+def _with_definite_energy(parts: dict[str, Array]) -> dict[str, Array]:
+    """Matrices of the equations without the states that store no energy, as they are if there is none or one is sensed.
+
+    With `Q = L^T Q' L` the states `L x` obey equations of the same form, in which the kernel of `Q`, such as the
+    position of a floating structure, does not appear.
+    """
+    L, Q = _energetic(parts["Q"])
+    if len(Q) == len(L.T) or _sensed(parts["sensor_rows"], L):
+        return parts
+    skew, loss = L @ parts["J"] @ L.T, L @ parts["R"] @ L.T
+    return parts | {
+        "Q": Q, "J": 0.5 * (skew - skew.T), "R": 0.5 * (loss + loss.T), "G": L @ parts["G"], "P": L @ parts["P"],
+        "sensor_rows": np.linalg.lstsq(L.T, parts["sensor_rows"].T)[0].T,
+    }  # fmt: skip
+
+
+def _energetic(Q: Array) -> tuple[Array, Array]:
+    """Rows `L` and definite `Q'` with `Q = L^T Q' L`; positions and momenta that `Q` does not couple stay apart."""
+    rows, energies = [], []
+    for half in uncoupled_halves(Q):
+        if definite_factor(half) is not None:
+            rows.append(np.eye(len(half)))
+            energies.append(half)
+            continue
+        scaled, scale = unit_diagonal(half)
+        k, U = eigh(scaled)
+        kept = k > 8 * len(Q) * EPS
+        rows.append(np.sqrt(k[kept])[:, None] * U[:, kept].T * scale)
+        energies.append(np.eye(int(kept.sum())))
+    return block_diag(*rows), block_diag(*energies)
+
+
+def _sensed(rows: Array, L: Array) -> bool:
+    """Whether a sensor sees what is no combination of the rows `L`."""
+    scale = np.linalg.norm(L, axis=0)
+    scale[scale == 0] = scale.max(initial=0.0) or 1.0
+    basis = qr((L / scale).T, mode="economic")[0]
+    seen = rows / scale
+    beside, size = (float(np.abs(M).max(initial=0.0)) for M in (seen - seen @ basis @ basis.T, seen))
+    return beside > _ROUNDING * len(scale) * EPS * size
 
 
 # --- checks ------------------------------------------------------------------------------------------------------

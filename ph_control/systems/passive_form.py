@@ -124,6 +124,18 @@ def passive_parts(
         return _passive_parts(given, storage, refusal, minimal)
 
 
+def hides_states(given: PortRows) -> bool:
+    """Whether ports do not reach or do not see a state."""
+    with well_conditioned("convert"):
+        split = split_axis(given.A, given.B, given.C)
+        axis = [(w, K[: given.ports]) for w, K in _met_by_ports(split.axis, given)]
+        if not all(np.isfinite(K).all() for _, K in axis):
+            return True  # a pole at 0 that is not simple, which ports alone do not see
+        # at 0 a state, elsewhere a pair of them for each direction of the residue
+        met = sum((2 if w else 1) * len(_factors(K)[0]) for w, K in axis)
+        return met + len(minimal_part(*split.rest, given.ports)[0]) < len(given.A)
+
+
 def _passive_parts(
     given: PortRows, storage: str, refusal: NotLosslessError | None, minimal: bool
 ) -> tuple[Parts, Conversion]:

@@ -185,10 +185,12 @@ def minreal(sys: Any, *, rtol: float | None = None) -> PortHamiltonian:
     Symmetric structures have pairs of modes that rounding of `Q`, more than that of doubles, has taken apart:
     `canonical_margins` says how many lie within 1e-9, and `rtol=1e-9` merges them.
 
-    With losses, states are left out whose Hankel singular values are 0 to 1e-13 of the largest, and undamped modes
-    without a residue.  What is left has the energy of its modes where damping is classical, else the mean storage of
-    its ports, as from `ph`.  A system without hidden states is returned in its own coordinates, with its own energy.
-    O(n^3).
+    With losses, states that store no energy go first, such as the position of a structure that no spring ties to the
+    ground.  Where ports reach and see all others by couplings of more than 1e-9 of their rates, that is all: the rest
+    keeps its energy, and momenta their coordinates.  Else states are left out whose Hankel singular values are 0 to
+    1e-13 of the largest, and undamped modes without a residue.  What is left has the energy of its modes where damping
+    is classical, else the mean storage of its ports, as from `ph`.  A system without hidden states is returned in its
+    own coordinates, with its own energy.  O(n^3).
 
     Modes that are known are merged in O(n).  Of a matrix it is O(n^3), and for one port mostly without mode shapes:
     each bound of an error lies between two that need none, and where both lead to the same decision it is made.  `d`
