@@ -221,6 +221,7 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "K": Draw.stiffness,
     "from_second_order.F": lambda draw: draw.rng.standard_normal((draw.n, draw.m)),
     "from_second_order.C": Draw.stiffness,
+    "from_second_order.G": lambda draw: np.triu(np.ones((draw.n, draw.n)), 1) - np.tril(np.ones((draw.n, draw.n)), -1),
     "from_second_order.modes": _choice(None, None, 1),
     "from_second_order.band": _choice(None, None, (0.0, 2.0)),
     "from_second_order.eigensolver": _choice(None),

@@ -53,6 +53,7 @@ from .exceptions import OutputExistsError as OutputExistsError
 from .exceptions import PHControlError as PHControlError
 from .exceptions import ResolutionWarning as ResolutionWarning
 from .exceptions import StructureError as StructureError
+from .exceptions import UnknownKeywordError as UnknownKeywordError
 from .identification.data.data_frames import recording as recording
 from .identification.excitation.excitation import excitation as excitation
 from .identification.excitation.report import Excitation as Excitation

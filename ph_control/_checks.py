@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from ._types import Array
-from .exceptions import StructureError
+from .exceptions import StructureError, UnknownKeywordError
 
 EPS = float(np.finfo(float).eps)
 _TOGETHER = 1 << 14  # instants looked at together
@@ -207,11 +207,16 @@ def skew_matrix(name: str, array: Array) -> Array:
     """Skew part of a square matrix that has hardly any other."""
     size, symmetric, allowed = _largest(array), _largest(array + array.T), 1000 * len(array) * EPS
     if symmetric > allowed * size:
-        raise StructureError(
-            f"{name} is not skew-symmetric: max |{name} + {name}.T| / max |{name}| = {symmetric / size:.1e}, allowed "
-            f"{allowed:.1e}; pass ({name} - {name}.T)/2 if that is meant; a symmetric part is dissipation"
-        )
+        raise not_skew(name, symmetric / size, allowed)
     return 0.5 * array - 0.5 * array.T
+
+
+def not_skew(name: str, symmetric: float, allowed: float) -> StructureError:
+    """Error of a matrix whose symmetric part is so much of its size."""
+    return StructureError(
+        f"{name} is not skew-symmetric: max |{name} + {name}.T| / max |{name}| = {symmetric:.1e}, allowed "
+        f"{allowed:.1e}; pass ({name} - {name}.T)/2 if that is meant; a symmetric part is dissipation"
+    )
 
 
 def _largest(array: Array) -> float:
@@ -500,6 +505,36 @@ def level(name: str, value: Any) -> float:
     if isinstance(value, bool) or not (isinstance(value, int | float | np.floating) and 0 < value < 1):
         raise StructureError(f"{name} is {shown(value)}; it must be a number between 0 and 1, such as 0.95")
     return float(value)
+
+
+NAMES = ("name", "inputs", "outputs", "states")
+_KNOWN_NAMES = {
+    *NAMES,
+    "input",
+    "output",
+    "state",
+    "input_prefix",
+    "output_prefix",
+    "state_prefix",
+    "repr_format",
+    "dt",
+}
+
+
+def known_keywords(
+    function: str, names: Mapping[str, Any], own: Sequence[str] = (), advice: Mapping[str, str] | None = None
+) -> None:
+    """Refuse keywords that are no names of a system and its signals; `own` are those that a function has beside them.
+
+    `advice` says of keywords that may be expected what takes their place.
+    """
+    unknown = [key for key in names if key not in _KNOWN_NAMES and key not in own]
+    if unknown:
+        key = unknown[0]
+        remedy = (advice or {}).get(key, "leave it out, or check its spelling")
+        raise UnknownKeywordError(
+            f"unexpected keyword {key!r}: {function} takes {', '.join([*own, *NAMES])} as keywords; {remedy}"
+        )
 
 
 def signal_names(names: Mapping[str, Any], **sizes: int) -> None:

@@ -59,6 +59,20 @@ class StructureError(PHControlError, ValueError):
     """
 
 
+class UnknownKeywordError(StructureError, TypeError):
+    """A keyword is none of those that the call takes; also a `TypeError`, as for any other function.
+
+    Examples
+    --------
+    >>> import numpy as np, ph_control as phc
+    >>> try:
+    ...     phc.ph(np.eye(2), [0, 1], E=np.eye(2))
+    ... except phc.UnknownKeywordError as error:
+    ...     print(str(error).split(":")[0])
+    unexpected keyword 'E'
+    """
+
+
 class NotLosslessError(StructureError):
     """A linear system is not lossless where only lossless ones are defined.
 

@@ -207,3 +207,34 @@ def test_a_call_that_collects_keywords_refuses_an_unknown_one(name, way):
     with pytest.raises(TypeError, match=REFUSAL) as refusal:
         call(**{UNKNOWN: 1})
     assert UNKNOWN in str(refusal.value)
+
+
+MATRIX = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    "call, keyword, remedy",
+    [
+        (lambda **k: phc.from_second_order(np.eye(2), np.eye(2), [1, 0], **k), "D", "the damping matrix is C"),
+        (lambda **k: phc.from_second_order(np.eye(2), np.eye(2), [1, 0], modes=1, **k), "E", "condense=True"),
+        (lambda **k: phc.from_second_order(np.eye(2), np.eye(2), [1, 0], **k), "N", "control.feedback"),
+        (lambda **k: phc.ph(np.eye(2), [1, 0], J=MATRIX, **k), "E", "from_second_order"),
+        (lambda **k: phc.ph(np.eye(2), [1, 0], **k), "D", r"S=\(D \+ D.T\)/2"),
+        (lambda **k: phc.ph(np.eye(2), [1, 0], R=np.eye(2), **k), "G", "second argument, B"),
+        (lambda **k: phc.ph(np.eye(2), [1, 0], **k), "Gyro", "check its spelling"),
+        (lambda **k: phc.spring_chain([1.0, 2.0], **k), "damping", "check its spelling"),
+        (lambda **k: phc.tf(plant(), **k), "E", "check its spelling"),
+    ],
+)
+def test_an_unknown_keyword_is_named_with_what_is_allowed_and_what_to_do(call, keyword, remedy):
+    with pytest.raises(
+        phc.UnknownKeywordError, match=rf"'{keyword}': .* takes .*name.* as keywords; .*{remedy}"
+    ) as error:
+        call(**{keyword: MATRIX})
+    assert isinstance(error.value, TypeError | phc.StructureError) and "[[" not in str(error.value)
+
+
+def test_names_given_by_the_user_are_not_changed():
+    names = {"name": "frame", "input": "force"}
+    phc.ph(np.eye(2), [1, 0], **names)
+    assert names == {"name": "frame", "input": "force"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,19 +12,24 @@ from scipy.linalg import eigh
 
 from .. import _checks
 from .._frozen import Frozen
-from .._types import Array, Indices
+from .._types import Array
 from ..exceptions import ConditioningWarning, StructureError
 from ..numerics.shift_invert import RESIDUAL, Eigensolver, Pencil, Selection, lowest_modes, modes_between
 from .rigid import energy_parts, rigid_modes
 
 _CLASSICAL = 1e-10  # relative size of coupling of modes by damping that is called none
 _NOTHING = 1e-13  # part of the static response for which no residual mode is kept
-GYROSCOPIC = "; a skew part is gyroscopic: ph(Q, B, J=J, R=R) takes it in J"
+# what to do about parts of matrices that belong to another term of the equations
+NOTES = {
+    "C": "; a skew part is gyroscopic: pass it as G=(C - C.T)/2, and (C + C.T)/2 as C",
+    "K": (
+        "; a skew part is circulatory (follower forces, dampers in rotating parts): no energy stores it, and it may "
+        "feed the motion, so that it is no part of a port-Hamiltonian system: pass (K + K.T)/2 as K, forces and "
+        "sensors of position where it acts, and close the loop u = -(K - K.T)/2 q with "
+        "control.feedback(control.ss(sys), ..), which is a free StateSpace"
+    ),
+}
 _DEPENDENT = 1e-12  # relative modal mass of a combination of residual modes that is none of its own
-
-
-# what to do about degrees of freedom without mass
-CONDENSED = "from_second_order(M, K, F, condense=True) eliminates them statically, or give them mass"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +139,12 @@ def _residual_modes(pencil: Pencil, chosen: Selection, F: Array, shapes: Array, 
     return np.maximum(stiff, 0.0), deflections @ (turn @ within)
 
 
+def projected_gyroscopic(G: Any, basis: Array) -> Array:
+    """Gyroscopic matrix of the modes, skew."""
+    reduced = np.asarray(basis.T @ (G @ basis))
+    return 0.5 * (reduced - reduced.T)
+
+
 def projected_damping(C: Any, basis: Array) -> Array | None:
     """Damping matrix of the modes; that of classical damping is diagonal."""
     reduced = np.asarray(basis.T @ (C @ basis))
@@ -146,8 +156,8 @@ def projected_damping(C: Any, basis: Array) -> Array | None:
     return np.diag(np.diag(reduced)) if (coupling <= _CLASSICAL * size * size[:, None]).all() else reduced
 
 
-def sparse_matrix(name: str, value: Any, n: int | None = None) -> Any:
-    """Check a symmetric matrix, sparse or dense; the result is sparse."""
+def _sparse_square(name: str, value: Any, n: int | None) -> Any:
+    """Check the entries and the size of a square matrix, sparse or dense; the result is sparse."""
     given = value if sparse.issparse(value) else _checks.real_array(name, value, 2)
     if sparse.issparse(given):
         if given.dtype.kind == "c":
@@ -164,66 +174,34 @@ def sparse_matrix(name: str, value: Any, n: int | None = None) -> Any:
         matrix.sum_duplicates()
     _checks.finite(f"the entries of {name}", matrix.data)
     _checks.in_range(name, matrix.data)
+    return matrix
+
+
+def sparse_matrix(name: str, value: Any, n: int | None = None) -> Any:
+    """Check a symmetric matrix, sparse or dense; the result is sparse."""
+    matrix = _sparse_square(name, value, n)
     largest = float(np.abs(matrix.data).max(initial=0.0))
     difference = (matrix - matrix.T).tocsc()
-    asymmetry, allowed = float(np.abs(difference.data).max(initial=0.0)), 1000 * shape[0] ** 0.5 * _checks.EPS
+    asymmetry, allowed = float(np.abs(difference.data).max(initial=0.0)), 1000 * matrix.shape[0] ** 0.5 * _checks.EPS
     if asymmetry > allowed * largest:
         raise StructureError(
             f"{name} is not symmetric: max |{name} - {name}.T| / max |{name}| = {asymmetry / largest:.1e}, allowed "
             f"{allowed:.1e}; pass ({name} + {name}.T)/2 if that is meant (a file may hold one triangle only)"
-            + GYROSCOPIC
-            * (name == "C")
+            + NOTES.get(name, "")
         )
     return matrix if asymmetry == 0 else (0.5 * (matrix + matrix.T)).tocsc()
+
+
+def sparse_skew_matrix(name: str, value: Any, n: int) -> Any:
+    """Check a skew-symmetric matrix, sparse or dense; the result is sparse, or None if it is zero."""
+    matrix = _sparse_square(name, value, n)
+    largest, even = (float(np.abs(part.data).max(initial=0.0)) for part in (matrix, (matrix + matrix.T).tocsc()))
+    allowed = 1000 * n**0.5 * _checks.EPS
+    if even > allowed * largest:
+        raise _checks.not_skew(name, even / largest, allowed)
+    return (0.5 * (matrix - matrix.T)).tocsc() if largest else None
 
 
 def dense(value: Any) -> Any:
     """Columns of forces or rows of sensors, few and long, as an array."""
     return value.toarray() if sparse.issparse(value) else value
-
-
-def refuse_massless(M: Any, C: Any, F: Array, condense: bool) -> None:
-    """Check degrees of freedom without mass: allowed where they only follow the others."""
-    mass = M.diagonal()
-    if mass.min() < 0:
-        raise StructureError(
-            f"M is indefinite: entry {int(mass.argmin()) + 1} of its diagonal is {mass.min():.3g}, expected >= 0"
-        )
-    without = np.flatnonzero(mass == 0)
-    refuse_singular(without, len(mass), condense)
-    if abs(M[without]).sum() > 0:
-        raise StructureError(
-            f"M is indefinite: rows of M with a zero on the diagonal ({listed(without)}, counted from 1) have other "
-            "entries; make these rows zero, or give them mass"
-        )
-    refuse_acting(without[F[without].any(axis=1)], without if C is not None and abs(C[without]).sum() > 0 else ())
-
-
-def refuse_singular(without: Indices, n: int, condense: bool) -> None:
-    """Refuse degrees of freedom without mass among n, but for those that are to follow the others."""
-    if len(without) == n:
-        raise StructureError("M is zero: no degree of freedom has mass, so nothing would be left")
-    if len(without) and not condense:
-        raise StructureError(
-            f"M is singular: {len(without)} of {n} degrees of freedom have no mass ({listed(without)}, counted from "
-            f"1); {CONDENSED}"
-        )
-
-
-def refuse_acting(forced: Sequence[int] | Indices, damped: Sequence[int] | Indices) -> None:
-    """Refuse forces and dampers on degrees of freedom without mass, which then follow with a delay."""
-    if len(forced):
-        raise StructureError(
-            f"a force acts on degrees of freedom without mass ({listed(forced)}, counted from 1), which would make "
-            "their velocity depend on the rate of the force; move the force, or give them mass"
-        )
-    if len(damped):
-        raise StructureError(
-            f"dampers act on degrees of freedom without mass (among {listed(damped)}, counted from 1), which would "
-            "follow the others with a delay; give them mass, or move the dampers"
-        )
-
-
-def listed(indices: Sequence[int] | Indices) -> str:
-    """The first of some degrees of freedom, counted from 1."""
-    return ", ".join(str(k + 1) for k in indices[:8]) + (f" .. {indices[-1] + 1}" if len(indices) > 8 else "")

@@ -1,4 +1,4 @@
-"""Rigid-body modes of a stiffness matrix whose entries have been rounded."""
+"""Rigid-body modes of a stiffness matrix, and massless motions of a mass matrix, whose entries have been rounded."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ..exceptions import StructureError
 
 ROUNDED = 1e-9  # part of the energy of a motion that is called rounding of a stiffness where it is negative
 FAINT = 1e-10  # the same, where it is positive, provided that
+ROUNDED_MASS = 1e-8  # the same of a mass matrix that is said to be singular, scaled to unit diagonal
 _GAP = 1e3  # times more is the next
 _MARGIN = 10.0  # between a negative energy and the positive ones that are rounding too
 
@@ -37,10 +38,15 @@ def rigid_modes(squares: Array, part: Array, n: int, rtol: float | None, largest
         )
     if rtol is not None:
         return np.asarray(squares <= rtol * largest)
-    rigid = np.asarray(part <= max(_MARGIN * -part.min(initial=0.0), 0.0))
+    return zeros_by_rounding(part, n, FAINT)
+
+
+def zeros_by_rounding(part: Array, n: int, faint: float) -> Mask:
+    """Values of size 1 and less that rounding has made of zeros: the negative ones, and those that a gap shows."""
+    zero = np.asarray(part <= max(_MARGIN * -part.min(initial=0.0), 0.0))
     order = np.argsort(part)
     size = np.maximum(np.abs(part[order]), n * _checks.EPS)
-    # rounding leaves a gap above what it makes of rigid modes
-    gap = np.flatnonzero((size[:-1] <= FAINT) & (size[1:] >= _GAP * size[:-1]))
-    rigid[order[: gap.max(initial=-1) + 1]] = True
-    return rigid
+    # rounding leaves a gap above what it makes of zeros
+    gap = np.flatnonzero((size[:-1] <= faint) & (size[1:] >= _GAP * size[:-1]))
+    zero[order[: gap.max(initial=-1) + 1]] = True
+    return zero

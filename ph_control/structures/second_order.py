@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh
-from scipy.linalg.lapack import dpotri, dpstrf
 
 from .. import _checks
-from .._types import Array, ArrayLike, Indices
+from .._types import Array, ArrayLike
 from ..exceptions import StructureError
 from ..numerics import definiteness as _definite
 from ..numerics.shift_invert import Eigensolver
@@ -19,34 +18,33 @@ from ..symplectic.forms_and_williamson import symplectic_form
 from ..systems.dissipative import checked_rows, refuse_negative, restored
 from ..systems.models import force_names, named, numbered
 from ..systems.port_hamiltonian import PortHamiltonian
+from .massless import Structure, inverse, refuse_massless, symmetric, with_mass
 from .modal_reduction import (
-    CONDENSED,
-    GYROSCOPIC,
+    NOTES,
     dense,
-    listed,
     projected_damping,
-    refuse_acting,
-    refuse_massless,
-    refuse_singular,
+    projected_gyroscopic,
     sparse_matrix,
+    sparse_skew_matrix,
     structural_modes,
 )
 from .rigid import FAINT, energy_parts, rigid_modes
 
 _FEW = 64  # modes that are looked at, in a large structure; more are not rigid
 
+_KEYWORDS = (
+    "C", "G", "sensors", "modes", "band", "residual_modes", "eigensolver", "condense", "rtol"
+)  # fmt: skip
+_ADVICE = {
+    "D": "the damping matrix is C; a feedthrough follows from M, K and sensors of acceleration",
+    "B": "the forces act where the third argument, F, says",
+    "E": "a descriptor matrix E is not taken: degrees of freedom without mass are eliminated by condense=True",
+    "J": "a skew matrix of velocities is G, the gyroscopic one; any other J is taken by ph(Q, B, J=J)",
+    "R": "the damping matrix is C",
+    "N": "a circulatory matrix, the skew part of K, makes energy: pass (K + K.T)/2, and close the loop "
+    "u = -(K - K.T)/2 q with control.feedback",
+}
 _KINDS = ("position", "displacement", "velocity", "acceleration")
-
-
-class _Structure(NamedTuple):
-    """Matrices on the degrees of freedom with mass, and what moves with these."""
-
-    M: Array
-    C: Array | None
-    K: Array
-    F: Array
-    motion: Array  # all degrees of freedom, of those with mass
-    kept: Indices
 
 
 def from_second_order(
@@ -55,6 +53,7 @@ def from_second_order(
     F: ArrayLike | sparse.sparray,
     *,
     C: ArrayLike | sparse.sparray | None = None,
+    G: ArrayLike | sparse.sparray | None = None,
     sensors: Mapping[str, ArrayLike] | ArrayLike | None = None,
     modes: int | None = None,
     band: tuple[float, float] | None = None,
@@ -64,7 +63,7 @@ def from_second_order(
     rtol: float | None = None,
     **names: Any,
 ) -> PortHamiltonian:
-    """Structure `M q'' + C q' + K q = F u` with the velocities at the forces, `y = F^T q'`, as its outputs.
+    """Structure `M q'' + (C + G) q' + K q = F u` with the velocities at the forces, `y = F^T q'`, as its outputs.
 
     Parameters
     ----------
@@ -76,6 +75,8 @@ def from_second_order(
         Where the forces act, one column for each port.
     C : array_like, shape (n, n), optional
         Damping matrix, symmetric positive semidefinite; default none.
+    G : array_like, shape (n, n), optional
+        Gyroscopic matrix, skew-symmetric, as of rotors; default none.
     sensors : dict of array_like, shape (k, n), or array_like, optional
         Rows of further outputs by what they measure: 'position' or 'displacement', which are the same, 'velocity',
         'acceleration'.  An array alone holds rows of positions.
@@ -91,8 +92,8 @@ def from_second_order(
         (k,) and (n, k): the eigenpairs `K phi = d2 M phi` with `d2` nearest to `sigma`, which may be negative.
     condense : bool
         Eliminate motions without kinetic energy (the kernel of `M`: zero rows, or combinations of degrees of freedom),
-        on which no force or damper may act.  They follow the others without delay, so nothing is lost: `K` is replaced
-        by its Schur complement.
+        on which no force, damper or gyroscope may act.  They follow the others without delay, so nothing is lost: `K`
+        is replaced by its Schur complement.  `M` may be rounded, as by an exporter: see Notes.
     rtol : float, optional
         Modes with `w^2` of at most `rtol` times the largest are rigid.  By default those that the rounding of `K` may
         have made of rigid ones: see Notes.
@@ -106,14 +107,17 @@ def from_second_order(
     PortHamiltonian
         From force to velocity.  States: displacements and momenta `p = M q'`, those of the modes with `modes` or
         `band`, where the attribute `structural_modes` has the shapes and their accuracy.  With damping or sensors a
-        `DissipativePortHamiltonian`.
+        `DissipativePortHamiltonian`, whose `J` has `-G`.  With `G` alone the momenta are `p = M q' + G q / 2`.
 
     Raises
     ------
     StructureError
         If a matrix is not square, symmetric and of the size of the others, `K` or `C` is indefinite, or `M` is singular
-        and cannot be, or is not to be, condensed: the message names the massless degrees of freedom.  With `modes` or
-        `band` also if modes are missing by the count of a factorisation, or do not meet their equation.
+        and cannot be, or is not to be, condensed: the message names the massless degrees of freedom.  If `G` is not
+        skew-symmetric.  With `modes` or `band` also if modes are missing by the count of a factorisation, or do not
+        meet their equation.
+    UnknownKeywordError
+        If a keyword is not among these; the message says what takes the place of `D`, `E` and others.
 
     Warns
     -----
@@ -122,9 +126,10 @@ def from_second_order(
 
     Notes
     -----
-    `Q = diag(K, M^{-1})`, `R = diag(0, C)`, `B = (0, F)`, `M^{-1}` by Cholesky after scaling to unit diagonal.  The
-    undamped natural frequencies are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.  An accelerometer is
-    `q'' = M^{-1} (F u - K q - C q')`, with feedthrough.  Without `modes` and `band` all is dense: O(n^3).
+    `Q = diag(K, M^{-1})`, `R = diag(0, C)`, `J = [[0, I], [-I, -G]]`, `B = (0, F)`, `M^{-1}` by Cholesky after scaling
+    to unit diagonal.  The undamped natural frequencies are those of `scipy.linalg.eigh(K, M)` to about `eps cond(M)`.
+    An accelerometer is `q'' = M^{-1} (F u - K q - C q')`, with feedthrough.  Without `modes` and `band` all is dense:
+    O(n^3).
 
     With them it costs a sparse factorisation of `K - sigma M` and some three solutions with it for every mode (ARPACK
     by `scipy.sparse.linalg.eigsh`), and another factorisation behind the last mode, of which the negative pivots count
@@ -134,6 +139,15 @@ def from_second_order(
     rounding, and at the ports so is its slope, which is the damping there.  The system is passive, and its modes are
     Ritz values of the structure.  Of a band above zero the residual modes stand for modes on either side, and may lie
     inside.  `C` is checked for what it does to these modes, and `M` beyond its diagonal for positive modal masses.
+
+    `G` does no work.  With it alone the structure is lossless, and its momenta `M q' + G q / 2` make `J` the canonical
+    one; `d` are then the frequencies of its whirling modes.  With `modes` or `band`, `G` is projected on the modes of
+    `M` and `K`, like damping that is not classical: keep modes beyond the frequencies of interest.  A skew part of `K`
+    (circulatory: follower forces, dampers in rotating parts) may feed a motion with energy, and is refused.
+
+    With `condense=True`, eigenvalues of `M`, scaled to unit diagonal, of at most 1e-8 and a thousand times less than
+    the next are zeros that were rounded, and the motions without mass are known to as much: forces and dampers are
+    refused that act on them by more than 1e-8 of their size.
 
     Where entries of `K` are rounded, as by an exporter, its rigid-body modes get a small `w^2` of either sign.  By
     default a mode is rigid if its energy is less than ten times the most negative one (which is refused beyond 1e-9),
@@ -166,43 +180,46 @@ def from_second_order(
     >>> membrane.structural_modes.natural_frequencies[:3].round(4), membrane.n
     (array([0.044 , 0.0695, 0.0695]), 11)
     """
+    _checks.known_keywords("from_second_order", names, _KEYWORDS, _ADVICE)
     _checks.flags(condense=condense, residual_modes=residual_modes)
     if modes is not None or band is not None:
         return _of_few_modes(
-            M, K, F, C, sensors, condense, rtol, named_=names, modes=modes, band=band, residual_modes=residual_modes,
-            eigensolver=eigensolver,
+            M, K, F, (C, G), sensors, condense, rtol, named_=names, modes=modes, band=band,
+            residual_modes=residual_modes, eigensolver=eigensolver,
         )  # fmt: skip
     if eigensolver is not None:
         raise StructureError("an eigensolver needs modes= or band=; give one of them")
-    if any(sparse.issparse(matrix) for matrix in (M, K, C)):
+    if any(sparse.issparse(matrix) for matrix in (M, K, C, G)):
         raise StructureError(
-            "M, K or C is sparse, and all modes would need dense matrices; give modes= (how many of the lowest) or "
+            "M, K, C or G is sparse, and all modes would need dense matrices; give modes= (how many of the lowest) or "
             "band=, or the toarray() of each"
         )
     mass, stiffness = _square("M", M), _square("K", K)
     if mass.shape != stiffness.shape:
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
     force = _checks.port_matrix(F, len(mass), name="F")
-    damping = _damping(C, len(mass))
+    damping, gyroscopic = _damping(C, len(mass)), _gyroscopic(G, len(mass))
     measured = _measured(sensors, len(mass))
     if rtol is not None:
         _checks.relative_tolerance(rtol)
-    built = _with_mass(mass, damping, stiffness, force, condense)
+    built = with_mass(mass, damping, gyroscopic, stiffness, force, condense)
     stiffness = _with_exact_kernel(built.M, built.K, rtol)
     states = [f"{letter}_{k + 1}" for letter in "qp" for k in built.kept]
-    return _system(built._replace(K=stiffness), _inverse(built.M), measured, states, names)
+    return _system(built._replace(K=stiffness), inverse(built.M), measured, states, names)
 
 
 def _of_few_modes(
-    M: Any, K: Any, F: Any, C: Any, sensors: Any, condense: bool, rtol: float | None, *, named_: dict[str, Any],
-    modes: Any, band: Any, **options: Any,
+    M: Any, K: Any, F: Any, of_velocity: tuple[Any, Any], sensors: Any, condense: bool, rtol: float | None, *,
+    named_: dict[str, Any], modes: Any, band: Any, **options: Any,
 ) -> PortHamiltonian:  # fmt: skip
     """System in modal coordinates: the modes wanted, then residual modes."""
     if modes is not None and band is not None:
         raise StructureError("modes and band are both given; give only one")
     mass = sparse_matrix("M", M)
     n = mass.shape[0]
+    C, G = of_velocity
     stiffness, damping = sparse_matrix("K", K, n), None if C is None else sparse_matrix("C", C, n)
+    gyroscopic = None if G is None else sparse_skew_matrix("G", G, n)
     force = _checks.port_matrix(dense(F), n, name="F")
     given = {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors)
     measured = _measured(given, n)
@@ -210,15 +227,16 @@ def _of_few_modes(
         _checks.relative_tolerance(rtol)
     if options["eigensolver"] is not None and not callable(options["eigensolver"]):
         raise StructureError(f"eigensolver is {_checks.shown(options['eigensolver'])}; it must be a function, or None")
-    refuse_massless(mass, damping, force, condense)
+    refuse_massless(mass, (damping, gyroscopic), force, condense)
     kept = structural_modes(mass, stiffness, force, modes=modes, band=band, rtol=rtol, **options)
     basis = np.hstack([kept.shapes, kept.residual_shapes])
     squares = np.concatenate([kept.natural_frequencies, kept.residual_frequencies]) ** 2
     reduced = None if damping is None else projected_damping(damping, basis)
     if reduced is not None:
         refuse_negative("C on the modes", reduced, {"C": slice(0, len(reduced))})
+    turning = None if gyroscopic is None else projected_gyroscopic(gyroscopic, basis)
     number, unit = np.arange(len(squares)), np.eye(len(squares))
-    built = _Structure(unit, reduced, np.diag(squares), basis.T @ force, basis, number)
+    built = Structure(unit, reduced, turning, np.diag(squares), basis.T @ force, basis, number)
     states = [f"{letter}_mode_{k + 1}" for letter in "qp" for k in number]
     system = _system(built, unit, measured, states, named_)
     system.structural_modes = kept
@@ -226,27 +244,45 @@ def _of_few_modes(
 
 
 def _system(
-    built: _Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: dict[str, Any]
+    built: Structure, inverse_mass: Array, measured: dict[str, Array], states: list[str], names: dict[str, Any]
 ) -> PortHamiltonian:
     """System of a structure, of the class that its damping and sensors ask for."""
     n, ports = built.F.shape
     Q, B = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, ports))
     Q[:n, :n], Q[n:, n:], B[n:] = built.K, inverse_mass, built.F
-    _checks.in_range("the matrix diag(K, inverse of M)", Q)
     inputs, outputs = force_names(ports)
     if built.C is None and not measured:
+        if built.G is not None:  # in the momenta M q' + G q / 2
+            half = 0.5 * built.G
+            Q[:n, n:], Q[:n, :n] = half @ inverse_mass, symmetric(built.K + half.T @ inverse_mass @ half)
+            Q[n:, :n] = Q[:n, n:].T
+        _checks.in_range("the matrix of the energy, of K, G and the inverse of M,", Q)
         return PortHamiltonian._from_matrices(Q, B, **named(names, inputs, outputs, states))
-    R, none = np.zeros((2 * n, 2 * n)), np.zeros((ports, ports))
+    _checks.in_range("the matrix diag(K, inverse of M)", Q)
+    J, R, none = symplectic_form(n), np.zeros((2 * n, 2 * n)), np.zeros((ports, ports))
     if built.C is not None:
         R[n:, n:] = built.C
-    rows, through = _sensor_matrices(measured, built.motion, Q, R, B)
+    if built.G is not None:
+        J[n:, n:] = -built.G
+    rows, through = _sensor_matrices(measured, built.motion, Q, J - R, B)
     for kind, wanted in measured.items():
         outputs = outputs + ([kind] if len(wanted) == 1 else numbered(kind, len(wanted)))
     parts = {
-        "Q": Q, "G": B, "J": symplectic_form(n), "R": R, "P": np.zeros((2 * n, ports)), "S": none, "N": none,
+        "Q": Q, "G": B, "J": J, "R": R, "P": np.zeros((2 * n, ports)), "S": none, "N": none,
         "sensor_rows": rows, "sensor_feedthrough": through,
     }  # fmt: skip
     return restored(parts, named(names, inputs, outputs, states), None)
+
+
+def _gyroscopic(G: ArrayLike | None, n: int) -> Array | None:
+    """Check a gyroscopic matrix; None where there is none."""
+    if G is None:
+        return None
+    array = _checks.real_array("G", G, 2)
+    if array.shape != (n, n):
+        raise StructureError(f"G has shape {array.shape}; it must be {(n, n)}, as M and K are")
+    _checks.in_range("G", array)
+    return _checks.skew_matrix("G", array) if array.any() else None
 
 
 def _damping(C: ArrayLike | None, n: int) -> Array | None:
@@ -258,7 +294,7 @@ def _damping(C: ArrayLike | None, n: int) -> Array | None:
         raise StructureError(f"C has shape {array.shape}; it must be {(n, n)}, as M and K are")
     if not array.any():
         return None
-    array = _symmetric(_checks.symmetric_matrix(array, name="C", even=False, note=GYROSCOPIC))
+    array = symmetric(_checks.symmetric_matrix(array, name="C", even=False, note=NOTES["C"]))
     refuse_negative("C", array, {"C": slice(0, n)})
     return array
 
@@ -277,11 +313,13 @@ def _measured(sensors: Any, n: int) -> dict[str, Array]:
     return {kind: rows for kind, rows in found.items() if len(rows)}
 
 
-def _sensor_matrices(measured: Mapping[str, Array], motion: Array, Q: Array, R: Array, B: Array) -> tuple[Array, Array]:
+def _sensor_matrices(
+    measured: Mapping[str, Array], motion: Array, Q: Array, flow: Array, B: Array
+) -> tuple[Array, Array]:
     """State and input rows: positions, velocities `M^{-1} p`, and accelerations `M^{-1} p'`."""
     n = motion.shape[1]
     none, still, inverse = np.zeros((n, n)), np.zeros((n, B.shape[1])), Q[n:, n:]
-    A = (symplectic_form(n) - R) @ Q
+    A = flow @ Q
     of_kind = {
         "position": (np.eye(n, 2 * n), still),
         "displacement": (np.eye(n, 2 * n), still),
@@ -300,67 +338,7 @@ def _square(name: str, value: ArrayLike) -> Array:
     n = len(array)
     if array.shape != (n, n) or n == 0:
         raise StructureError(f"{name} has shape {array.shape}; it must be (n, n) with at least one degree of freedom")
-    return _symmetric(_checks.symmetric_matrix(array, name=name, even=False))
-
-
-def _symmetric(A: Array) -> Array:
-    return 0.5 * (A + A.T)
-
-
-def _with_mass(M: Array, C: Array | None, K: Array, F: Array, condense: bool) -> _Structure:
-    """The structure on the degrees of freedom that have mass."""
-    n, without = len(M), np.flatnonzero(np.diag(M) == 0)
-    whole = _Structure(M, C, K, F, np.eye(n), np.arange(n))
-    refuse_singular(without, n, condense)
-    if _definite.definite_factor(M) is not None:
-        return whole
-    smallest, tolerance = _definite.smallest_scaled_eigenvalue(M)
-    _definite.refuse_indefinite("M", smallest, tolerance)
-    if smallest > tolerance:
-        return whole
-    _, pivots, rank, _ = dpstrf(_definite.unit_diagonal(M)[0], tol=2 * tolerance, lower=1)
-    kept, massless = np.sort(pivots[:rank]) - 1, np.sort(pivots[rank:]) - 1
-    if not condense:
-        raise StructureError(
-            f"M is singular: its smallest eigenvalue after scaling to unit diagonal is {smallest:.3g}, expected > "
-            f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({n - rank} in all): "
-            f"{CONDENSED}"
-        )
-    return _condensed(whole, kept, massless)
-
-
-def _condensed(whole: _Structure, kept: Indices, massless: Indices) -> _Structure:
-    """The structure in `x = q_kept + X q_massless`, all that moves mass: `M q = M[:, kept] x`."""
-    M, C, K, F, _, _ = whole
-    mass = M[np.ix_(kept, kept)]
-    X = _inverse(mass) @ M[np.ix_(kept, massless)]
-    moved, coupling, inner = _blocks(K, kept, massless, X)
-    loaded = np.abs(F[massless] - X.T @ F[kept]) > 64 * len(M) * _checks.EPS * (np.abs(X).T @ np.abs(F[kept]))
-    refuse_acting(massless[loaded.any(axis=1)], ())
-    if C is not None:
-        damping, *others = _blocks(C, kept, massless, X)
-        rest, size = np.vstack(others), float(np.abs(C).max())
-        acting = np.abs(rest) > 64 * len(M) * _checks.EPS * size * (1 + float(np.abs(X).max(initial=0.0))) ** 2
-        refuse_acting((), massless if acting.any() else ())
-    smallest, tolerance = _definite.smallest_scaled_eigenvalue(inner)
-    if smallest <= tolerance:
-        raise StructureError(
-            f"the degrees of freedom without mass ({listed(massless)}, counted from 1) cannot be eliminated: the "
-            f"smallest eigenvalue of their stiffness, scaled to unit diagonal, is {smallest:.3g}, expected > "
-            f"{tolerance:.1e}; one of their motions deforms no spring"
-        )
-    follow = -_inverse(inner) @ coupling.T
-    motion = np.zeros((len(M), len(kept)))
-    motion[massless], motion[kept] = follow, np.eye(len(kept)) - X @ follow
-    stiffness = _symmetric(moved + coupling @ follow)
-    return _Structure(mass, None if C is None else damping, stiffness, F[kept], motion, kept)
-
-
-def _blocks(A: Array, kept: Indices, massless: Indices, X: Array) -> tuple[Array, Array, Array]:
-    """Blocks of a symmetric matrix in the coordinates `x = q_kept + X q_massless` and `q_massless`."""
-    coupling, inner, moved = (A[np.ix_(*rows)] for rows in ((kept, massless), (massless, massless), (kept, kept)))
-    inner = _symmetric(inner - X.T @ coupling - coupling.T @ X + X.T @ moved @ X)
-    return moved, coupling - moved @ X, inner
+    return symmetric(_checks.symmetric_matrix(array, name=name, even=False, note=NOTES.get(name, "")))
 
 
 def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
@@ -378,12 +356,4 @@ def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
     still = shapes[:, rigid]
     momenta, forces = M @ still, K @ still
     change = forces @ momenta.T
-    return _symmetric(K - change - change.T + momenta @ (still.T @ forces) @ momenta.T)
-
-
-def _inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, exactly symmetric."""
-    scaled, scale = _definite.unit_diagonal(M)
-    lower, _ = dpotri(np.linalg.cholesky(scaled), lower=1, overwrite_c=1)
-    lower = np.tril(lower) / scale / scale[:, None]
-    return lower + np.tril(lower, -1).T
+    return symmetric(K - change - change.T + momenta @ (still.T @ forces) @ momenta.T)

@@ -69,6 +69,8 @@ class LosslessSystem(ct.StateSpace):
             )
         self._views = {}
         if names:
+            _checks.known_keywords(f"a {type(self).__name__}", names)
+            names = dict(names)
             sizes = {"inputs": nports, "outputs": noutputs, "states": nstates}
             _checks.signal_names(names, **sizes)
             for kind, count in sizes.items():

@@ -36,6 +36,16 @@ _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheap
 _SIGNALS = ("inputs", "outputs", "states")
 STORAGES = ("auto", "available", "required", "mean")
 _OF_Q = ("_proven", "_energy", "S")  # views that take O(n^3) steps, of Q alone
+_KEYWORDS = ("R", "P", "S", "N", "J", "sensors", "storage", "lossless", "ports", "method", "intersample")
+_ADVICE = {
+    "E": "a descriptor matrix E is not taken: eliminate its algebraic equations first, as from_second_order does with "
+    "condense=True for motions without mass",
+    "D": "the feedthrough D of ports is S=(D + D.T)/2 and N=(D - D.T)/2, that of sensors the second of sensors=(C, D)",
+    "C": "the outputs of ports are (B + P)^T Q z; rows of others are sensors=C",
+    "G": "the port matrix is the second argument, B; a gyroscopic matrix is part of J",
+    "K": "the matrices of M q'' + C q' + K q = F u are taken by from_second_order",
+    "M": "the matrices of M q'' + C q' + K q = F u are taken by from_second_order",
+}
 _OF_Q_AND_B = (*_OF_Q, "_seen")
 
 
@@ -639,6 +649,7 @@ def ph(
     >>> damped.conversion.energy, damped.is_lossless
     ('mean', False)
     """
+    _checks.known_keywords("ph", names, _KEYWORDS, _ADVICE)
     _checks.choice("storage", storage, STORAGES)
     losses = {"R": R, "P": P, "S": S, "N": N}
     if B is None:

@@ -58,6 +58,7 @@ def tf(sys: Any, **names: Any) -> ct.TransferFunction:
     >>> phc.tf(phc.lc_circuit([1.0, 0.25], [1.0, 1.0])).num_list[0][0]
     array([2., 0., 5., 0.])
     """
+    _checks.known_keywords("tf", names, ("display_format",))
     try:
         source = sys if isinstance(sys, LosslessSystem) else ph(sys, lossless=True)
     except NotLosslessError:
