@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
+from scipy.linalg import eigh, null_space
 
 import ph_control as phc
 
@@ -88,3 +90,107 @@ def test_rows_of_sensors_are_kept_in_the_states_that_are_left():
     assert small.nstates == 7
     s = 1j * OMEGA
     np.testing.assert_allclose(small(s), measured(s), rtol=0, atol=1e-12 * np.abs(measured(s)).max())
+
+
+# --- parts that nothing holds ---
+
+
+def line(n):
+    return 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+
+
+def with_loose(structure, loose, seed, *, coupled=False):
+    """Mass and stiffness of a structure with loose degrees of freedom anywhere among the others."""
+    rng = np.random.default_rng(seed)
+    n = len(structure) + loose
+    K = np.zeros((n, n))
+    K[loose:, loose:] = structure
+    M = np.diag(rng.uniform(0.5, 2.0, n))
+    if coupled:
+        root = rng.standard_normal((n, 3)) / np.sqrt(n)
+        M = M + root @ root.T
+    order = rng.permutation(n)
+    return M[np.ix_(order, order)], K[np.ix_(order, order)]
+
+
+CHOICES = [{}, {"modes": 3}, {"modes": 15}, {"band": (0.0, 0.3)}, {"band": (0.05, 0.3)}]
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+@pytest.mark.parametrize("loose, coupled", [(1, False), (1, True), (2, True), (3, False), (5, True), (5, False)])
+def test_masses_that_no_spring_holds_are_rigid_modes(loose, coupled, choice):
+    M, K = with_loose(line(70), loose, 3, coupled=coupled)
+    F = np.random.default_rng(1).standard_normal(len(M))
+    sys = phc.from_second_order(M, K, F, **choice)
+    assert sys.rigid_modes == loose
+    if not choice:
+        np.testing.assert_allclose(sys.Q[: len(M), : len(M)], K, atol=1e-14)
+        return
+    squares, shapes = eigh(K, M)
+    still = shapes[:, np.abs(squares) < 1e-10]
+    kept = sys.structural_modes
+    assert still.shape[1] == loose == np.count_nonzero(kept.natural_frequencies == 0) and kept.is_complete
+    # the same motions, whatever their basis
+    rigid = kept.shapes[:, kept.natural_frequencies == 0]
+    np.testing.assert_allclose(rigid @ rigid.T, still @ still.T, atol=1e-12)
+    elastic = kept.natural_frequencies[loose:]
+    exact = np.sqrt(squares[np.abs(squares) > 1e-10])
+    first = np.searchsorted(exact, choice["band"][0]) if "band" in choice else 0
+    np.testing.assert_allclose(elastic, exact[first : first + len(elastic)], rtol=1e-10)
+
+
+@pytest.mark.parametrize("spread", [1e-6, 1.0, 1e6])
+def test_a_loose_mass_beside_stiffness_of_any_spread(spread):
+    stiff = np.diag(np.geomspace(1.0, spread, 120)) @ (2 * np.eye(120) + np.diag(np.linspace(-1, 1, 120)))
+    M, K = with_loose(stiff, 2, 5)
+    sys = phc.from_second_order(sparse.csc_array(M), sparse.csc_array(K), np.ones(122), modes=6)
+    assert np.count_nonzero(sys.structural_modes.natural_frequencies == 0) == 2
+
+
+@pytest.mark.parametrize("options", [{}, {"modes": 4}])
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_units_of_loose_masses_do_not_matter(unit, options):
+    M, K = with_loose(line(60), 2, 8)
+    sys = phc.from_second_order(unit * M, K / unit, np.ones(62), **options)
+    plain = phc.from_second_order(M, K, np.ones(62), **options)
+    assert sys.rigid_modes == plain.rigid_modes
+    np.testing.assert_allclose(sys.d * unit, plain.d, rtol=1e-9)
+
+
+def frame_without_diagonals(n):
+    """Stiffness of a square net whose rows and columns slide as wholes: 2 n mechanisms in a connected structure."""
+    along = sparse.diags_array(
+        [np.r_[1.0, np.full(n - 2, 2.0), 1.0], -np.ones(n - 1), -np.ones(n - 1)], offsets=[0, 1, -1]
+    )
+    unit = sparse.eye_array(n)
+    return sparse.block_diag([sparse.kron(unit, along), sparse.kron(along, unit)], format="csc")
+
+
+@pytest.mark.parametrize("n", [12, 30])
+def test_a_large_kernel_is_counted_found_and_said(n):
+    K = frame_without_diagonals(n)
+    M = sparse.diags_array(np.random.default_rng(0).uniform(0.5, 2.0, K.shape[0]))
+    F = np.ones(K.shape[0])
+    with pytest.warns(
+        phc.ConditioningWarning, match=f"{2 * n} motions without stiffness, more than the 5 modes"
+    ) as said:
+        sys = phc.from_second_order(M, K, F, modes=5)
+    assert said[0].filename == __file__
+    kept = sys.structural_modes
+    assert not kept.natural_frequencies.any() and kept.shapes.shape[1] == 2 * n and kept.is_complete
+    free = null_space(K.toarray())
+    assert free.shape[1] == 2 * n
+    np.testing.assert_allclose(free @ (free.T @ kept.shapes), kept.shapes, atol=1e-11)
+    np.testing.assert_allclose(kept.shapes.T @ (M @ kept.shapes), np.eye(2 * n), atol=1e-12)
+    more = phc.from_second_order(M, K, F, modes=2 * n + 4).structural_modes
+    exact = np.sqrt(eigh(K.toarray(), M.toarray(), eigvals_only=True)[2 * n :])
+    elastic = more.natural_frequencies[more.natural_frequencies > 0]
+    assert len(more.natural_frequencies) - len(elastic) == 2 * n
+    np.testing.assert_allclose(elastic, exact[: len(elastic)], rtol=1e-9)
+
+
+def test_soft_but_not_loose_parts_are_elastic():
+    # sixty oscillators on springs of 1e-8 of those beside them
+    K = sparse.diags_array(np.r_[np.full(60, 1e-8), np.linspace(1.0, 2.0, 200)]).tocsc()
+    kept = phc.from_second_order(sparse.eye_array(260), K, np.ones(260), modes=60).structural_modes
+    np.testing.assert_allclose(kept.natural_frequencies, 1e-4, rtol=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -10,8 +11,9 @@ from scipy.linalg import eigh
 from scipy.sparse.linalg import ArpackError, LinearOperator, SuperLU, cg, eigsh, splu
 
 from .. import _checks
+from .._checks import EPS
 from .._types import Array, Mask
-from ..exceptions import StructureError
+from ..exceptions import ConditioningWarning, StructureError
 
 Eigensolver = Callable[[Any, Any, int, float], tuple[Any, Any]]
 
@@ -23,6 +25,8 @@ _STEPS = 3  # inverse iterations that show whether there are any
 _BODY = 8  # modes searched for then: the six of a free body, and two
 _ROUNDS = 6  # searches for modes that the count finds missing
 _SMALL = 0.1  # size of the relative error of a factorisation that cannot change a count, with a margin of ten
+_SHAPE = 16  # roundings of the entries of a shape of unit modal mass
+_AT_ONCE = 32  # shapes that are multiplied by a matrix together
 _PROBES = 4  # random vectors that estimate it
 RESIDUAL = 1e-9  # of the forces of the springs one by one, allowed
 
@@ -53,6 +57,7 @@ class Pencil:
             self.scale = float((stiffness[moving] / mass[moving]).max(initial=0.0)) or 1.0
         _checks.representable("the squared frequencies of K and M", np.array([self.scale]))
         self.low = -_BELOW * self.scale
+        self.kernel: Eigenpairs | None = None  # motions without stiffness, where they are many
         self._factor: tuple[float, SuperLU] | None = None
 
     def factor(self, shift: float) -> SuperLU:
@@ -95,17 +100,28 @@ class Pencil:
         if self.eigensolver is not None or _vectors(k) >= self.finite - len(found.squares):
             return self.nearest(min(total, self.finite), shift)
         new = self._lanczos(k, shift, found)
+        if self.kernel is not None and len(found.squares) == len(self.kernel.squares):
+            # exact to rounding, as what was found in its complement is orthogonal to it
+            return Eigenpairs(np.concatenate([found.squares, new.squares]), np.hstack([found.shapes, new.shapes]))
         return _ritz(self, np.hstack([found.shapes, new.shapes]))
 
     def residuals(self, found: Eigenpairs) -> Array:
-        """`||K phi - d2 M phi||` in units of `|| |K| |phi| ||`, what the springs would exert one by one."""
+        """`||K phi - d2 M phi||` in units of `|| |K| |phi| ||`, what the springs would exert one by one.
+
+        Where hardly any spring is strained, as by a loose mass, the rounding of the shape itself is the unit.
+        """
         size = abs(self.K)
-        sizes = np.empty(len(found.squares))
-        for k, square in enumerate(found.squares):
-            shape = found.shapes[:, k]
-            error = np.linalg.norm(self.K @ shape - square * (self.M @ shape))
-            sizes[k] = error / max(float(np.linalg.norm(size @ np.abs(shape))), _checks.TINY)
-        return sizes
+        mass = self.M.diagonal()
+        rounded = np.where(mass > 0, _SHAPE * EPS / RESIDUAL / np.sqrt(np.where(mass > 0, mass, 1.0)), 0.0)
+        floor = size @ rounded
+        errors, sizes = [], []
+        for start in range(0, len(found.squares), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            shapes = found.shapes[:, part]
+            errors.append(np.linalg.norm(self.K @ shapes - (self.M @ shapes) * found.squares[part], axis=0))
+            sizes.append(np.linalg.norm(size @ np.abs(shapes) + floor[:, None], axis=0))
+        none = np.zeros(0)
+        return np.asarray(np.concatenate([none, *errors]) / np.maximum(np.concatenate([none, *sizes]), _checks.TINY))
 
     def residual_flexibility(self, F: Array, shapes: Array) -> tuple[Array, Array]:
         """Static deflection under forces without the part of the modes given, and the forces that remain.
@@ -135,7 +151,7 @@ class Pencil:
         momenta = self.M @ shapes
 
         def solve(f: Array) -> Array:
-            x = lu.solve(f - momenta @ (shapes.T @ f))
+            x = lu.solve(f)
             return np.asarray(x - shapes @ (momenta.T @ x))
 
         return LinearOperator(self.K.shape, matvec=solve, dtype=float)
@@ -154,12 +170,34 @@ class Pencil:
             return None
         number = _BODY
         while True:
-            number = min(number, k)
             found = self._lanczos(number, self.low, None)
             within = found.squares < soft
-            if not within.all() or number == k:
+            if not within.all() or number >= max(k, _BODY + 1):
                 return Eigenpairs(found.squares[within], found.shapes[:, within]) if within.any() else None
-            number *= 2
+            if number == _BODY and (kernel := self._large_kernel(k)) is not None:
+                return kernel
+            number = min(2 * number, max(k, _BODY + 1))
+
+    def _large_kernel(self, k: int) -> Eigenpairs | None:
+        """All motions without stiffness, more than those of a free body; None where they are not set apart.
+
+        A factorisation counts them, and inverse iteration of as many vectors together finds them in two steps, where
+        Lanczos vectors would show one after the other by rounding alone.
+        """
+        counted = self.count(-self.low)
+        if not counted.certain or counted.below < _BODY:
+            return None
+        lu, rng = self.factor(self.low), np.random.default_rng(2)
+        shapes = rng.standard_normal((self.K.shape[0], counted.below))
+        for _ in range(_STEPS):
+            shapes = lu.solve(self.M @ lu.solve(self.M @ shapes))
+            found = _ritz(self, shapes)
+            still = np.abs(found.squares).max() <= _NOISE * -self.low
+            if still and self.residuals(found).max() <= RESIDUAL:
+                self.kernel = found
+                return found
+            shapes = found.shapes
+        return None
 
     def _lanczos(self, k: int, shift: float, beside: Eigenpairs | None) -> Eigenpairs:
         start = np.random.default_rng(0 if beside is None else len(beside.squares)).standard_normal(self.K.shape[0])
@@ -227,9 +265,18 @@ def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
     """The lowest modes, and those that cannot be told from the last."""
     shift = pencil.low
     found = pencil.nearest(min(number + 1, pencil.finite), shift)
+    if pencil.kernel is not None and len(pencil.kernel.squares) > number:
+        warnings.warn(
+            f"K has {len(pencil.kernel.squares)} motions without stiffness, more than the {number} modes that were "
+            "asked for and the six of a free body: loose parts, mechanisms or missing supports; all are kept, and no "
+            f"others: ask for modes={len(pencil.kernel.squares) + number} to have {number} elastic ones beside them",
+            ConditioningWarning,
+            stacklevel=6,
+        )
     for _ in range(_ROUNDS):
         while (last := _end(found.squares, number, pencil)) is None:
-            found = pencil.more(found, min(4 + len(found.squares) // 4, pencil.finite - len(found.squares)), shift)
+            several = 1 if found is pencil.kernel else 4 + len(found.squares) // 4
+            found = pencil.more(found, min(several, pencil.finite - len(found.squares)), shift)
         static = _static(pencil, F, found.shapes[:, :last])
         wanted = np.arange(len(found.squares)) < last
         if last == pencil.finite:
@@ -335,24 +382,26 @@ def _normalised(pencil: Pencil, squares: Array, shapes: Array) -> Eigenpairs:
     order = np.argsort(squares)
     shapes = np.asfortranarray(shapes[:, order])
     squares = np.empty(len(order))
-    for k in range(len(order)):
-        shape = shapes[:, k]
-        mass = float(shape @ (pencil.M @ shape))
-        if not mass > 0:
+    for start in range(0, len(order), _AT_ONCE):
+        part = shapes[:, start : start + _AT_ONCE]
+        masses = np.einsum("ij,ij->j", part, pencil.M @ part)
+        if not (masses > 0).all():
             raise StructureError(
-                f"M is indefinite, or a mode has no mass: one found has the modal mass {mass:.3g}, expected > 0; check "
-                "the signs in M, and whether all that can move has mass"
+                f"M is indefinite, or a mode has no mass: one found has the modal mass {masses.min():.3g}, expected > "
+                "0; check the signs in M, and whether all that can move has mass"
             )
-        shape /= np.sqrt(mass)
-        squares[k] = shape @ (pencil.K @ shape)
+        part /= np.sqrt(masses)
+        squares[start : start + _AT_ONCE] = np.einsum("ij,ij->j", part, pencil.K @ part)
     return Eigenpairs(squares, shapes)
 
 
 def _ritz(pencil: Pencil, shapes: Array) -> Eigenpairs:
     """Eigenpairs of the pencil in a subspace."""
-    lengths = np.sqrt(np.abs(np.einsum("ij,ij->j", shapes, pencil.M @ shapes)))
-    shapes = shapes / np.where(lengths > 0, lengths, 1.0)
-    mass, stiffness = (shapes.T @ (matrix @ shapes) for matrix in (pencil.M, pencil.K))
+    momenta = pencil.M @ shapes
+    lengths = np.sqrt(np.abs(np.einsum("ij,ij->j", shapes, momenta)))
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    units = lengths * lengths[:, None]
+    mass, stiffness = shapes.T @ momenta / units, shapes.T @ (pencil.K @ shapes) / units
     try:
         squares, turn = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T))
     except np.linalg.LinAlgError:
@@ -360,7 +409,7 @@ def _ritz(pencil: Pencil, shapes: Array) -> Eigenpairs:
             "the shapes found depend on one another, or M is indefinite: their modal masses are no positive definite "
             "matrix; check the signs in M, or the eigensolver"
         ) from None
-    return Eigenpairs(squares, np.asfortranarray(shapes @ turn))
+    return _normalised(pencil, squares, shapes @ (turn / lengths[:, None]))
 
 
 def _refuse_negative(pencil: Pencil, found: Eigenpairs) -> None:

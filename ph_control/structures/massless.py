@@ -54,7 +54,7 @@ def with_mass(M: Array, C: Array | None, G: Array | None, K: Array, F: Array, co
             f"{tolerance:.1e}; a combination of degrees of freedom moves without kinetic energy ({count} in all): "
             f"{CONDENSED}"
         )
-    faint = zeros_by_rounding(values, n, ROUNDED_MASS)
+    faint = zeros_by_rounding(values, n * _checks.EPS, ROUNDED_MASS)
     if not faint.any():
         return whole
     rest = values[~faint].min(initial=1.0)

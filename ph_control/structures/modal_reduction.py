@@ -85,9 +85,8 @@ def structural_modes(
     static = F if residual_modes else None
     chosen = _chosen(pencil, modes, band, static)
     found, wanted = chosen.found, chosen.wanted
-    rigid = rigid_modes(
-        found.squares, energy_parts(K.diagonal(), *found), K.shape[0], rtol, pencil.scale
-    )[wanted]  # fmt: skip
+    energy = energy_parts(K.diagonal(), *found, pencil.scale)
+    rigid = rigid_modes(found.squares, energy, K.shape[0], rtol, pencil.scale)[wanted]
     kept = type(found)(found.squares[wanted], found.shapes[:, : wanted.sum()])
     residuals = pencil.residuals(kept)
     if residuals.max(initial=0.0) > RESIDUAL:

@@ -122,7 +122,8 @@ def from_second_order(
     Warns
     -----
     ConditioningWarning
-        If that count is not certain.
+        If that count is not certain, or with `modes` if there are more rigid modes than these and the six of a free
+        body, which are all kept: loose parts or mechanisms.
 
     Notes
     -----
@@ -349,9 +350,10 @@ def _with_exact_kernel(M: Array, K: Array, rtol: float | None) -> Array:
     n = len(K)
     few = [0, _FEW - 1] if rtol is None and n > 2 * _FEW else None
     squares, shapes = eigh(K, M, subset_by_index=few)
-    part = energy_parts(np.diag(K), squares, shapes)
-    rigid = rigid_modes(squares, part, n, rtol, float(squares.max()))
-    if np.abs(part[rigid]).max(initial=0.0) <= 2 * _checks.EPS:
+    exact = np.einsum("ij,ij->j", shapes, K @ shapes)  # of the shapes; the others are rounded by the largest
+    energy = energy_parts(np.diag(K), exact, shapes, float((np.diag(K) / np.diag(M)).max()))
+    rigid = rigid_modes(squares, energy, n, rtol, float(squares.max()))
+    if (np.abs(energy.part[rigid]) <= 2 * _checks.EPS + energy.noise[rigid]).all():
         return K
     still = shapes[:, rigid]
     momenta, forces = M @ still, K @ still
