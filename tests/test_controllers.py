@@ -6,7 +6,7 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import minimize_scalar
 
 import ph_control as phc
@@ -243,6 +243,41 @@ def test_gain_of_an_observer_is_chosen_where_none_is_given():
     best = phc.optimal_damping(CHAIN, [0, 2], criterion="damping")
     assert estimator.damping_ratios.min() == pytest.approx(best.cost, rel=1e-9)
     assert estimator.input_labels == ["F_1", "F_2", "F_3", "v_1", "v_3"]
+
+
+@pytest.mark.parametrize("c", [2.0, 2.1, 5.0, 1e4])
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_an_observer_of_an_overdamped_plant_takes_the_impedance_of_its_port(c, unit):
+    sys = phc.spring_chain([1.0], ground=unit**2, ground_c=c * unit)
+    made = phc.observer(sys)
+    # at the geometric mean of its two rates the response of the mass is 1 / c
+    np.testing.assert_allclose(made.R[1, 1], 2 * c * unit, rtol=1e-6)
+    error = np.linalg.eigvals((made.J - made.R) @ made.Q)
+    assert error.real.max() < 0
+    np.testing.assert_allclose(np.sort(error.real), np.sort(np.roots([1.0, 2 * c * unit, unit**2])), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "sys",
+    [
+        phc.ph([[2.0]], [1.0], R=[[0.3]], J=[[0.0]]),
+        phc.rcl_ladder(1),
+        phc.spring_chain([1.0, 2.0], 1.0, ground=0.5, ground_c=9.0, port=(0, 1)),
+        # the first port oscillates, the second does not
+        phc.ph(np.diag([4.0, 4.0, 1.0, 1.0]), np.eye(4)[:, 2:], R=np.diag([0.0, 0.0, 0.01, 9.0])),
+    ],
+)
+def test_an_observer_without_a_gain_finds_the_states_of_any_plant(sys):
+    made = phc.observer(sys)
+    x = np.ones(sys.nstates)
+    A = (made.J - made.R) @ made.Q
+    rates = np.linalg.eigvals(A).real
+    assert rates.max() < 0
+    error = expm(A * 40 / -rates.max()) @ x
+    assert np.linalg.norm(error) < 1e-9
+    for t in np.geomspace(1e-3, 10, 5):
+        moved = expm(A * t) @ x
+        assert moved @ made.Q @ moved <= x @ made.Q @ x * (1 + 1e-12)
 
 
 # --- passive LQG ---------------------------------------------------------------------------------------------------

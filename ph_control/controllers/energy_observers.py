@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from control import care
+from scipy.linalg import eig
 
 from .. import _checks
 from .._types import Array, ArrayLike
@@ -17,6 +18,8 @@ from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .damping_injection import controller_of, plant, port_numbers
 from .optimal_damping import energy_coordinates, optimal_damping, refuse_feedthrough
 
+_OSCILLATES = 1e-7  # of the fastest rate: an imaginary part of a pole that is more than rounding of a double one
+_REACHED = 1e-12  # of the size of a port: a mode that moves there
 _ROUNDING = 64  # times `n EPS`: negative eigenvalues that are taken for rounding
 
 
@@ -35,7 +38,8 @@ def observer(
         The plant, without feedthrough at the ports that are measured.
     gain : float, array_like of shape (k,) or (k, k), optional
         `K` of the correction `B K (y - C x)`, with `K + K^T >= 0`.  Default: that which maximises the smallest damping
-        ratio of the error, see `optimal_damping`.
+        ratio of the error, see `optimal_damping`; at a port that reaches no mode that oscillates, as of an overdamped
+        plant, the size of its impedance at the geometric mean of the rates of the plant.
     ports : sequence of int or str, optional
         Ports whose outputs are measured, by number or the name of their input.  Default: all.
     **names
@@ -72,7 +76,7 @@ def observer(
     plant(sys)
     at = port_numbers(sys, ports)
     refuse_feedthrough(sys, at)
-    chosen = optimal_damping(sys, at, criterion="damping").gains if gain is None else gain
+    chosen = _default_gain(sys, at) if gain is None else gain
     if isinstance(chosen, PortHamiltonian):
         raise StructureError("the gain of an observer is a matrix; it is a system")
     K = np.asarray(controller_of(chosen, len(at)))
@@ -89,6 +93,26 @@ def observer(
     made = ph(part["Q"], G, J=skew, R=R, P=P, S=through[0], N=through[1], sensors=np.eye(n), **_named(sys, at, names))
     made.time_unit = sys.time_unit
     return made
+
+
+def _default_gain(sys: PortHamiltonian, at: list[int]) -> Array:
+    """Gain of each port: that of the largest damping ratio where a mode oscillates at it, else its impedance."""
+    A, into, _, _ = energy_coordinates(sys, at)
+    p, left, right = eig(A, left=True, right=True)
+    overlap = np.abs(np.einsum("ij,ij->j", left.conj(), right))
+    reached = np.abs(left.conj().T @ into[:, at]) * np.abs(right.T @ into[:, at])
+    size, turning = np.abs(p), p.imag > _OSCILLATES * np.abs(p).max(initial=0.0)
+    seen = reached > _REACHED * overlap[:, None] * np.linalg.norm(into[:, at], axis=0) ** 2
+    swings = [k for k in range(len(at)) if seen[turning, k].any()]
+    gains = np.zeros(len(at))
+    if swings:
+        gains[swings] = optimal_damping(sys, [at[k] for k in swings], criterion="damping").gains
+    moving = size[size > _ROUNDING * len(A) * _checks.EPS * size.max(initial=0.0)]
+    rate = float(np.exp(np.mean(np.log(moving)))) if len(moving) else 1.0
+    admittance = np.abs(np.diag(np.asarray(sys.horner(1j * rate))[: sys.ninputs, :, 0])[at])
+    still = np.isin(np.arange(len(at)), swings, invert=True) & (admittance > 0)
+    gains[still] = 1.0 / admittance[still]
+    return gains
 
 
 def _named(sys: PortHamiltonian, at: list[int], names: dict[str, Any]) -> dict[str, Any]:
