@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import control as ct
+import mpmath as mp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -663,3 +664,22 @@ def test_what_is_refused_is_refused_before_any_factorisation(monkeypatch):
     ):
         with pytest.raises(StructureError, match=message):
             from_second_order(M, K, [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_natural_frequencies_alone_are_as_exact_as_those_of_the_modes(power):
+    n = 24
+    K = np.linalg.matrix_power(2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1), power)
+    masses = 1 + 0.1 * np.random.default_rng(power).random(n)
+    sys = from_second_order(np.diag(masses), K, np.eye(n)[3])
+    with mp.workdps(40):
+        pencil = mp.matrix(n, n)
+        for i, j in np.ndindex(n, n):
+            pencil[i, j] = mp.mpf(K[i, j]) / mp.sqrt(mp.mpf(masses[i]) * mp.mpf(masses[j]))
+        exact = np.array([float(mp.sqrt(square)) for square in mp.eigsy(pencil, eigvals_only=True)])
+    alone = sys.natural_frequencies
+    # rounding of K moves the squares by eps of the largest
+    allowed = 4 * n * EPS * exact[-1] ** 2 / exact
+    assert (np.abs(alone - exact) < allowed).all() and (np.diff(alone) > 0).all()
+    assert (np.abs(sys.modes.natural_frequencies - alone) < allowed).all()
+    np.testing.assert_array_equal(sys.natural_frequencies, sys.modes.natural_frequencies)
