@@ -54,10 +54,10 @@ def _results():
         phc.expressive_power([1.0, 2.0], [1.0, 1.0, 0.0, 0.0]), phc.is_morphism(np.eye(4), plant, plant),
         phc.are_isomorphic(plant, plant), phc.PortHamiltonianGroupoid(np.eye(4), plant),
         phc.ReducedGroupoid(np.eye(2), np.eye(4), [1.0, 2.0], [1.0, 1.0, 1.0, 1.0]),
-        phc.StructureError("refused"), phc.UnknownKeywordError("refused"), phc.NotLosslessError(("it is damped",)), phc.IdentificationError("refused"),
+        phc.StructureError("refused"), phc.NotLosslessError(("it is damped",)), phc.IdentificationError("refused"),
         phc.NotPassiveError([(0.0, 1.0)], [0.5], [0.5], [1.0 + 2.0j], (-1,), ("it is active",)),
         phc.FileFormatError("refused"), phc.FileMissingError("refused"), phc.OutputExistsError("refused"),
-        phc.MissingPackageError("refused"),
+        phc.MissingPackageError("refused"), phc.UnknownKeywordError("refused"),
         phc.PHControlError("refused"), phc.IdentifiabilityWarning("told"), phc.ResolutionWarning("told"),
         phc.ConditioningWarning("told"),
     ]  # fmt: skip
