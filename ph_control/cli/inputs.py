@@ -20,6 +20,7 @@ from .options import list_of_numbers
 from .outcome import NoError, complain
 from .outputs import check_files
 
+_MATRICES = ("A", "B", "C", "D")
 _NETLISTS = (".cir", ".net", ".sp")
 
 
@@ -200,7 +201,7 @@ def labels_of(models: Sequence[Model], options: Namespace) -> list[str]:
 def read_model(name: str) -> Model:
     """Model of a file of any kind; its kind is told by its content."""
     from ..io.codecs import restore
-    from ..io.matlab import is_matlab, read_matlab
+    from ..io.matlab import Elements, is_matlab, read_matlab
 
     source = opened(name)
     content = source.getvalue()
@@ -212,6 +213,9 @@ def read_model(name: str) -> Model:
     fields: Any = None
     if is_matlab(content, source.name):
         fields = read_matlab(content, source.name)
+        for key, value in fields.items():
+            if key in _MATRICES and isinstance(value, Elements):
+                raise FileFormatError(f"{source.name}: {key} is {value.kind}; a matrix is an array of numbers")
     elif content.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] != b"{":
         fields = coefficients_in(content, source.name)
     else:
