@@ -39,6 +39,7 @@ _GIVEN = 64  # roundings of each matrix that is given
 _NEAR = 1e-3  # of that sum: a smallest eigenvalue below may turn negative between the points looked at
 _LOOKS = 5  # points spread over a piece, beside the most negative ones
 _SOLVER = 8  # backward errors of a Schur form
+_FAR = 1e6  # times the largest pole: of a picture, nothing is beyond
 _DECADES = (8.0, 4.0)  # of poles, on which one shift serves: of several ports in `s`, of one in its square
 _OVERLAP = 3.0  # times its ends, what a shift serves as well
 _BESIDE = np.array([1.0, 1.3, 0.77, 1.7, 0.59, 2.2, 0.45])  # of the middle of them: points to choose the shift from
@@ -175,7 +176,10 @@ class Passivity:
         inverse = np.linalg.inv(A @ A - shift**2 * np.eye(len(A)))
         column, row = inverse @ B, 2 * C @ A @ inverse
         value = 2 * D - level - 2 * C @ A @ column
-        squares = shift**2 + 1 / np.linalg.eigvals(inverse + column @ row / value)
+        moved = inverse + column @ row / value
+        if not np.isfinite(moved).all():
+            return self._points(shift, False, level)
+        squares = shift**2 + 1 / np.linalg.eigvals(moved)
         return np.asarray(np.sqrt(squares.astype(complex)), complex)
 
     def _points(self, shift: float, regular: bool, level: float) -> ComplexArray:
@@ -205,8 +209,10 @@ class Passivity:
 
     def dense_grid(self, reach: float) -> Array:
         """Frequencies for a picture: spaced evenly in the logarithm, dense at resonances and at what is singular."""
-        poles = self.modes.poles
-        marks = np.concatenate([np.abs(poles), self.singular_frequencies(), [0.0]])
+        poles, singular = self.modes.poles, self.singular_frequencies()
+        # beyond are zeros at infinity, and what rounding makes of them
+        singular = singular[singular <= _FAR * np.abs(poles).max(initial=0.0)]
+        marks = np.concatenate([np.abs(poles), singular, [0.0]])
         marks = marks[(marks > 0) & (marks > 1e-6 * marks.max())] if marks.any() else np.ones(1)
         even = np.geomspace(marks.min() / reach, marks.max() * reach, 2001)
         near = np.abs(poles.imag[:, None] + poles.real[:, None] * np.sinh(np.linspace(-6.0, 6.0, 121))).ravel()

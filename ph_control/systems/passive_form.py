@@ -190,9 +190,12 @@ def loses_energy(sys: ct.StateSpace) -> bool:
     A, B, C, D = (np.asarray(getattr(sys, name), float) for name in "ABCD")
     if not len(A) or len(D) != len(D.T) or not all(np.isfinite(M).all() for M in (A, B, C, D)):
         return False
-    rate = float(np.median(np.abs(np.linalg.eigvals(A))))
-    solver = EliminationResolvent(A)
     with np.errstate(all="ignore"):
+        try:
+            rate = float(np.median(np.abs(np.linalg.eigvals(A))))
+        except LinAlgError:
+            return False  # numbers at the end of the range of doubles
+        solver = EliminationResolvent(A)
         for point in 1j * rate * _BESIDE:
             x, y = solver.columns(point, B), solver.rows(point, C)
             G, (x, y) = C @ x + D, (np.abs(x), np.abs(y))
