@@ -87,8 +87,10 @@ def test_the_loss_never_rises_along_the_path():
 def test_no_constant_is_estimated_where_it_is_forbidden():
     rng = np.random.default_rng(0)
     y = 2 + np.cos(1.3 * np.arange(500)) + 0.05 * rng.standard_normal(500)
-    result = phc.pem((None, y), dt=1.0, offset=False)
+    result = phc.pem((None, y), dt=1.0, offset=False, real_poles=0)
     assert np.isnan(result.offset_stderr).all() and not causes(result)
+    slow = phc.pem((None, y), dt=1.0, offset=False)
+    assert slow.structure == "lossless" and slow.real_poles.tolist() == [0.0] and not slow.offsets.any()
     with pytest.raises(phc.StructureError, match="offset"):
         phc.pem((None, y), dt=1.0, offset="yes")
 

@@ -16,6 +16,7 @@ from ph_control.identification.data.experiments import as_experiments
 from ph_control.identification.diagnosis.damping import sentence
 from ph_control.identification.regression.free import FreeProjection
 from ph_control.identification.regression.frequency_rows import FreeResponse, FrequencyRows
+from ph_control.identification.regression.sections import Sections
 from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
 from ph_control.identification.regression.time_rows import FreeRecord, RecordRows
 from ph_control.modal.discretization import Hold
@@ -282,9 +283,9 @@ def test_gradient_of_the_damped_loss_is_that_of_differences(kind, method, inters
         rows = FreeRecord.of(experiment) if kind != "bins" else FreeWindow(spectrum, np.arange(1, spectrum.last + 1))
 
     def loss(x):
-        return FreeProjection([rows], x[2:] + 1j * x[:2]).loss
+        return FreeProjection([rows], Sections.from_coordinates(x).p).loss
 
     residual, jacobian = FreeProjection([rows], p).condensed
-    x, nudge = np.concatenate([p.imag, p.real]), 1e-6
+    x, nudge = Sections.of(p).x, 1e-6
     differences = [(loss(x + nudge * one) - loss(x - nudge * one)) / (2 * nudge) for one in np.eye(4)]
     assert np.allclose(2 * jacobian.T @ residual, differences, rtol=1e-4, atol=1e-6 * np.abs(differences).max())

@@ -157,7 +157,7 @@ def test_minimum_is_that_of_all_unknowns_together(kind, gaps):
 def test_gradient_and_derivatives_are_those_of_differences(kind):
     *_, at, layout = free_fit(kind)
     of = coordinates_of(at, layout, kind)
-    x = of.start(at.p, *layout.split(at.shared, 2)) * 1.01
+    x = of.start(*layout.split(at.shared, 2)) * 1.01
     problem = ConstrainedProblem(of, at, REGION, np.ones(of.size, bool))
     nudge = 1e-6 * np.eye(of.size)
     differences = [(problem.project(x + one).loss - problem.project(x - one).loss) / 2e-6 for one in nudge]

@@ -377,7 +377,7 @@ def over_inputs(given: Any) -> ComplexArray | None:
     quantities = getattr(given, "quantities", None)
     if quantities is None or len(quantities) > 1 or given.participation.shape[1] < 2:
         return None
-    b, p = given.participation, given.poles
+    b, p = given.participation, given.poles[: len(given.participation)]
     return np.asarray(b * (2j * p.imag / p ** _POWERS.get(quantities[0], 0))[:, None])
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ..._types import Array
 from ..regression.elimination import orthogonal, without
@@ -55,7 +54,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     free = replace(free, findings=(*free.findings, *findings))
     if not at.inputs or any(_is_short(one) for one in records):
         return free
-    rows = [row for one in records for row in _filtered(one, [each.innovations for each in noise])]
+    rows = [row for one in records for row in one.filtered([each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
     if np.any(found.p.real > 2 * np.maximum(at.p.real, 0.0)):
         return free
@@ -154,22 +153,6 @@ def _gains(at: FreeProjection, rows: FreeRecord) -> Array:
     return found
 
 
-def _filtered(one: FreeRecord, innovations: Sequence[Array]) -> list[FreeRecord]:
-    """Each output of a record, and the inputs, through the filter of the output; what it cannot know is left out."""
-    found = []
-    for row, output in enumerate(one.outputs.tolist()):
-        b = innovations[output]
-        u, y = (np.asarray(lfilter(b, 1.0, part, axis=-1)) for part in (one.u, one.measured[row : row + 1]))
-        missing = np.convolve(~one.observed, np.ones(len(b)))[: one.length] > 0
-        # before a record at rest, all is 0; a constant is not
-        missing[: (len(b) - 1) * (one.offset > 0)] = True
-        part = slice((len(b) - 1) * one.moving, None)
-        found.append(
-            replace(one, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=one.outputs[[row]])
-        )
-    return found
-
-
 # --- what a fit leaves of the noise ----------------------------------------------------------------------------------
 
 
@@ -209,7 +192,7 @@ def _leverages(near: FreeProjection) -> list[Array]:
     ends = np.cumsum([len(one) for one in own])[:-1]
     joint = orthogonal(np.concatenate(shared))[0]
     by_output = np.stack([without(one, joint) for one in np.concatenate(slopes, axis=1)])
-    poles = orthogonal(by_output.reshape(-1, 2 * n))[0].reshape(by_output.shape)
+    poles = orthogonal(by_output.reshape(-1, 2 * n))[0].reshape(*by_output.shape[:2], -1)
     taken = np.split(np.sum(poles**2, axis=2) + np.sum(joint**2, axis=1), ends, axis=1)
     rows = [part + np.sum(basis**2, axis=1) for part, basis in zip(taken, own, strict=True)]
     return [0.5 * (each[:, : each.shape[1] // 2] + each[:, each.shape[1] // 2 :]) for each in rows]

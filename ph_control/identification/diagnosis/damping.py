@@ -190,7 +190,9 @@ def is_crowded(at: Projection) -> bool:
 def standing_out(model: Any, free: FreeFit) -> tuple[Mask, Mask]:
     """Which damping ratios of damped modes, and which of their weights below 0, stand out of the noise."""
     bound = float(norm.isf(norm.sf(_ERRORS) / max(1, model.order)))
-    evident = free.projection.evidence > _EVIDENT * free.variance
+    p = free.projection.p
+    modes = np.lexsort((np.abs(p), p.imag == 0))[: model.order]
+    evident = free.projection.evidence[modes] > _EVIDENT * free.variance
     weights, errors = model.weights
     negative = (weights < -bound * errors) & (weights < -0.5 * np.abs(model.complex_weights))
     return evident & (np.abs(model.damping_ratios) > bound * model.stderr["damping_ratios"]), evident & negative

@@ -239,8 +239,9 @@ def _examined(
 
 def _damped_model(free: FreeFit, quantity: str) -> DampedModel:
     """Damped modes beside a lossless fit, and what of them stands out."""
-    none = np.zeros(free.order, bool)
-    found = DampedModel(structured(free, Asked("free", (), (quantity,))), none, none)
+    result = structured(free, Asked("free", (), (quantity,)))
+    none = np.zeros(result.order, bool)
+    found = DampedModel(result, none, none)
     damped, negative = standing_out(found, free)
     return replace(found, damped=damped, negative=negative)
 

@@ -33,7 +33,7 @@ from ..uncertainty.draws import draw
 from ..uncertainty.modal_draws import ModalSamples
 from .report import DampedReport, damped_lines
 from .result import OrderRow, PEMResult
-from .scaled_shapes import ModeShapes, Ports, in_velocity_units
+from .scaled_shapes import ModeShapes, Ports
 from .stabilisation import Orders
 
 _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of its own does not stand for
@@ -41,21 +41,22 @@ _NO_SIZE = 1e-9  # of the largest singular value of a residue: what a state of i
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DampedResult(DampedReport, PEMResult):
-    """Result of `pem`: damped modes of m inputs and p outputs.
+    """Result of `pem`: damped modes and real poles of m inputs and p outputs.
 
     Attributes
     ----------
     structure : {'lossless', 'classical', 'passive', 'free'}
         What the model assumes of losses and sensors.
-    poles : ndarray of complex, shape (n,)
-        Those of positive imaginary part, by their natural frequencies.
-    residues : ndarray of complex, shape (n, p, m)
+    poles : ndarray of complex, shape (N,)
+        Those of positive imaginary part, by their natural frequencies, then the real ones, the slowest first.
+    residues : ndarray of complex, shape (N, p, m)
         Of the outputs as measured, at these poles.
     feedthrough : ndarray, shape (p, m)
         Response at infinity.
-    covariance : ndarray, shape (N, N)
-        Of natural frequencies, damping ratios, real and imaginary parts of the residues and the feedthrough, matrices
-        row by row, N = 2n + (2n + 1) p m; rows and columns of what was not estimated are NaN.
+    covariance : ndarray, shape (K, K)
+        Of sizes `|p|` of the poles, damping ratios, real and imaginary parts of the residues and the feedthrough,
+        matrices row by row, K = 2N + (2N + 1) p m; rows and columns of what was not estimated are NaN, those of what
+        is real by nature 0.
     shapes, participation : ndarray of complex, shapes (n, p) and (n, m)
         As of every `PEMResult`.
     shape_stderr : ndarray of complex, shape (n, p)
@@ -97,8 +98,9 @@ class DampedResult(DampedReport, PEMResult):
     intersample : str
         Input between the samples: 'zoh' or 'foh'.
     stderr : mapping
-        Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'residues', 'shapes' and
-        'feedthrough'; those of complex numbers are complex, of real and imaginary part.
+        Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
+        'time_constants', 'residues', 'shapes' and 'feedthrough'; those of complex numbers are complex, of real and
+        imaginary part.
     """
 
     structure: str
@@ -131,16 +133,21 @@ class DampedResult(DampedReport, PEMResult):
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        n, shape = self.order, self.residues.shape
+        n, count, shape = self.order, len(self.poles), self.residues.shape
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        count = 2 * n + self.residues.size
+        real, imaginary = np.split(deviation[2 * count : 2 * (count + self.residues.size)], 2)
+        rates = deviation[n:count]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = rates / self.real_poles**2
         parts = {
             "natural_frequencies": deviation[:n],
             "hertz": deviation[:n] / hertz_size(self.time_unit),
-            "damping_ratios": deviation[n : 2 * n],
-            "residues": _complex(deviation[2 * n : count], deviation[count : count + self.residues.size], shape),
+            "damping_ratios": deviation[count : count + n],
+            "real_poles": rates,
+            "time_constants": relative,
+            "residues": _complex(real, imaginary, shape),
             "shapes": self.shape_stderr,
-            "feedthrough": deviation[count + self.residues.size :].reshape(shape[1:]),
+            "feedthrough": deviation[2 * (count + self.residues.size) :].reshape(shape[1:]),
         }
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
         super().__post_init__()
@@ -158,8 +165,8 @@ class DampedResult(DampedReport, PEMResult):
 
     @property
     def damping_ratios(self) -> Array:
-        """Damping ratios `-Re p / |p|`, shape (n,); negative where a mode grows."""
-        return 0.0 - self.poles.real / np.abs(self.poles)
+        """Damping ratios `-Re p / |p|` of the modes, shape (n,); negative where one grows."""
+        return 0.0 - self.poles[: self.order].real / self.natural_frequencies
 
     @property
     def d(self) -> Array:
@@ -185,8 +192,8 @@ class DampedResult(DampedReport, PEMResult):
 
     @property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        """Factors (n, p) and (n, m) of the rank-one matrices next to the residues."""
-        U, s, V = np.linalg.svd(self.residues, full_matrices=False)
+        """Factors (N, p) and (N, m) of the rank-one matrices next to the residues."""
+        U, s, V = _singular(self.poles, self.residues)
         return U[:, :, 0], s[:, :1] * V[:, 0]
 
     @cached_property
@@ -205,16 +212,18 @@ class DampedResult(DampedReport, PEMResult):
             c, b = (np.ones((n, 1), complex), residues[:, 0]) if p == 1 else (residues[:, :, 0], np.ones((n, 1)) + 0j)
             poles, shapes, participation = list(self.poles), [c], [b]
         elif m:
-            U, s, V = np.linalg.svd(residues, full_matrices=False)
+            U, s, V = _singular(self.poles, residues)
             for l, rank in enumerate(np.sum(s > _NO_SIZE * s[:, :1], axis=1)):
                 poles += [self.poles[l]] * int(rank)
                 shapes.append(U[l, :, :rank].T)
                 participation.append(s[l, :rank, None] * V[l, :rank])
         else:
             # an input that has no effect, as python-control needs one
-            poles, shapes, through = list(self.poles), [self.shapes], np.zeros((p, 1))
-            participation = [np.zeros((n, 1), complex)]
-        A, B, C = real_matrices(np.array(poles, complex), 2 * np.concatenate(participation), np.concatenate(shapes).T)
+            shapes, through = [self.shapes, np.ones((n - self.order, p), complex)], np.zeros((p, 1))
+            poles, participation = list(self.poles), [np.zeros((n, 1), complex)]
+        every = np.array(poles, complex)
+        pairs = np.where(every.imag == 0, 1.0, 2.0)[:, None]
+        A, B, C = real_matrices(every, pairs * np.concatenate(participation), np.concatenate(shapes).T)
         names = {"outputs": _checks.without_dots(outputs)}
         names |= {"inputs": _checks.without_dots(self.input_labels)} if m else {}
         return with_unit(ct.StateSpace(A, B, C, through, remove_useless_states=False, **names), self.time_unit)
@@ -231,8 +240,11 @@ class DampedResult(DampedReport, PEMResult):
             return self.observed_system
         ports = sorted(self.ports, key=lambda port: port[1])
         velocities = [o for o, _ in ports]
-        factors = in_velocity_units(self.poles, self.quantities)[:, :, None]
-        turned = self.residues * factors * (self.poles / (2j * self.poles.imag))[:, None, None]
+        powers = np.array([POWERS[one] for one in self.quantities])
+        with np.errstate(all="ignore"):
+            turned = self.residues * (self.poles[:, None] ** (1.0 - powers))[:, :, None]
+        if not np.all(np.isfinite(turned)):
+            return self.observed_system  # an integrator of a displacement
         known = [o for o in velocities if self.quantities[o] in ("velocity", "free")]
         others = [o for o in range(len(self.output_labels)) if o not in known]
         labels = [self.output_labels[o] if o in known else f"velocity of {self.output_labels[o]}" for o in velocities]
@@ -287,17 +299,19 @@ class DampedResult(DampedReport, PEMResult):
         >>> result.sample(200, rng=1).magnitude_band([0.5, 1.0]).shape
         (2, 2)
         """
-        n, (_, p, m), size = self.order, self.residues.shape, self.residues.size
-        d, zeta, rho = self.natural_frequencies, self.damping_ratios, self.residues.ravel()
+        (n, p, m), size = self.residues.shape, self.residues.size
+        d, rho = np.abs(self.poles), self.residues.ravel()
+        zeta = -self.poles.real / np.where(d > 0, d, 1.0)
         mean = np.concatenate([d, zeta, rho.real, rho.imag, self.feedthrough.ravel()])
         found = draw(mean, self.covariance, k, rng, positive=np.arange(len(mean)) < n)
         d, zeta = found[:, :n], found[:, n : 2 * n]
         poles = d * (-zeta + 1j * np.sqrt(np.maximum(1 - zeta**2, 0.0)))
         residues = (found[:, 2 * n :][:, :size] + 1j * found[:, 2 * n + size :][:, :size]).reshape(len(found), n, p, m)
-        shapes = np.broadcast_to(self.shapes, (len(found), n, p))
+        shapes = np.broadcast_to(self.shapes, (len(found), self.order, p))
         if m:
-            shaped = ModeShapes.of(poles.ravel(), residues.reshape(-1, p, m), self.quantities, self._scaling)
-            shapes = shaped.shapes.reshape(-1, n, p)
+            modes, of_modes = (part[:, : self.order] for part in (poles, residues))
+            shaped = ModeShapes.of(modes.ravel(), of_modes.reshape(-1, p, m), self.quantities, self._scaling)
+            shapes = shaped.shapes.reshape(len(found), self.order, p)
         return ModalSamples(poles, residues, found[:, 2 * n + 2 * size :].reshape(len(found), p, m), shapes)
 
     def sample_systems(self, k: int, rng: Any = None) -> list[Any]:
@@ -366,7 +380,7 @@ class DampedResult(DampedReport, PEMResult):
             offset=bool(self.offsets.any()), moving=moving,
         )  # fmt: skip
         return [
-            (self.poles, self.shapes) if len(poles) == self.order
+            (self.poles[: self.order], self.shapes) if len(poles) == self.order
             else (poles, ModeShapes.of(poles, residues, self.quantities, ()).shapes)
             for poles, residues in rows
         ]  # fmt: skip
@@ -475,19 +489,21 @@ class DampedResult(DampedReport, PEMResult):
         """Motions (n,) of a state of `observed_system`."""
         if self.residues.shape[1:] != (1, 1):
             raise StructureError("initial_state is a state; of several channels it is 'estimate', 'fitted' or 'zero'")
-        every = self._given_state(state)
-        return every[::2] + 1j * every[1::2]
+        every, n = self._given_state(state), self.order
+        return np.concatenate([every[: 2 * n : 2] + 1j * every[1 : 2 * n : 2], every[2 * n :]])
 
     def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
         """Outputs from free motions (n,) or (n, p)."""
         hold, t = Hold(record.dt, "exact", self.intersample), record.dt * np.arange(record.samples)
         forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
-        return np.asarray(forced + (motion.reshape(self.order, -1).T @ np.exp(np.outer(self.poles, t))).real)
+        return np.asarray(forced + (motion.reshape(len(self.poles), -1).T @ np.exp(np.outer(self.poles, t))).real)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DampedModel(Report, Frozen):
     """Modes with damping and residues of any phase, fitted to the same data as the lossless model beside it.
+
+    Arrays of modes leave out real poles, which `result` has.
 
     `G(s) = D + sum_l rho_l / (s - p_l) + conj(rho_l) / (s - conj(p_l))`, for an output that is what was measured; by
     maximum likelihood if the noise is white.  Sensors may be anywhere.  What is not listed is that of `result`.
@@ -520,8 +536,8 @@ class DampedModel(Report, Frozen):
     @property
     def residues(self) -> ComplexArray:
         """`rho`, shape (n,); 0 for a free motion."""
-        n = self.order
-        return self.result.residues[:, 0, 0] if self.result.residues.size else np.zeros(n, complex)
+        found = self.result.residues
+        return found[: self.order, 0, 0] if found.size else np.zeros(self.order, complex)
 
     @property
     def feedthrough(self) -> float:
@@ -534,9 +550,12 @@ class DampedModel(Report, Frozen):
 
         NaN for what was not estimated.
         """
-        found, known = np.full((4 * self.order + 1,) * 2, np.nan), len(self.result.covariance)
+        n, every = self.order, len(self.result.poles)
+        found = np.full((4 * every + 1,) * 2, np.nan)
+        known = len(self.result.covariance)
         found[:known, :known] = self.result.covariance
-        return found
+        kept = np.append((every * np.arange(4)[:, None] + np.arange(n)).ravel(), 4 * every)
+        return found[np.ix_(kept, kept)]
 
     @property
     def noise_variance(self) -> float:
@@ -605,13 +624,23 @@ class DampedModel(Report, Frozen):
 
     @property
     def _per_residue(self) -> ComplexArray:
-        return np.asarray(2j * self.poles.imag / self.poles ** POWERS[self.quantity])
+        p = self.poles[: self.order]
+        return np.asarray(2j * p.imag / p ** POWERS[self.quantity])
 
     def _headline(self) -> str:
         return f"{counted(self.order, 'damped mode')}, fit {percent(self.fit_percent)}"
 
     def __str__(self) -> str:
         return "\n".join(damped_lines(self))
+
+
+def _singular(poles: ComplexArray, residues: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
+    """Singular values and vectors of residues (N, p, m), real ones of those of real poles."""
+    U, s, V = np.linalg.svd(residues, full_matrices=False)
+    real = poles.imag == 0
+    if real.any():
+        U[real], s[real], V[real] = np.linalg.svd(residues[real].real, full_matrices=False)
+    return U, s, V
 
 
 def _complex(real: Array, imaginary: Array, shape: tuple[int, ...]) -> ComplexArray:

@@ -17,7 +17,7 @@ from ...modal.discretization import INTERSAMPLE
 from ...modal.modal_form import ModalForm
 from ..data.channels import Recording, ResponseMatrix, single
 from ..data.frequency_record import FrequencyRecord
-from ..data.parts import Difference, Signal
+from ..data.parts import Difference, Signal, cut, searched_part
 from ..data.quantities import checked_quantities
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers, saturation
@@ -26,7 +26,7 @@ from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.prediction import FittedExperiment, Pairs, joint_percent, pieces, shares_left
 from ..regression.tuning import TUNING
-from ..search.circumstances import REJECTED, Cause, Finding, real_pole, sentence_of, worth_telling
+from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
 from ..search.formulation import Callback, reporter
 from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
@@ -37,6 +37,7 @@ from .damped_result import DampedResult
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
+_BEGINNING = 1 << 15  # numbers of a part of a record that is asked for real poles
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
@@ -64,6 +65,7 @@ class Options:
     callback: Callback | None
     moving: bool  # whether records may start in motion
     weighted: bool  # whether weights were given
+    real_poles: int | str = "auto"
 
 
 def fit_channels(
@@ -80,9 +82,11 @@ def fit_channels(
     if not isinstance(offset, str) or offset != "auto":
         _checks.flags(offset=offset)
     most = _checks.whole_number("max_order", options.max_order, 1)
+    checked_real_poles(options.real_poles)
     search = partial(
         free_fit, channels, quantities=asked.quantities, intersample=options.intersample, offset=offset,
         max_order=most, criterion=options.criterion, weighted=options.weighted,
+        real_poles=options.real_poles,
         reports=reporter(most if isinstance(wanted, str) else wanted, options.callback),
     )  # fmt: skip
     # before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues
@@ -93,6 +97,31 @@ def fit_channels(
         if other.criteria.bic < free.criteria.bic:
             free = search(wanted, start=start, moving=True)
     return under_either_hold(free, asked, findings)
+
+
+def shows_real_poles(channels: Channels, asked: Asked, options: Options) -> bool:
+    """Whether the beginning of each record has real poles beside its modes, or is asked for them."""
+    if options.real_poles != "auto" or options.order != "auto":
+        return options.real_poles not in ("auto", 0)
+    _refuse_still(channels)
+    parts: Any = [cut(one, searched_part(one, not options.moving, _BEGINNING)) for one in channels]
+    try:
+        found = free_fit(
+            parts, quantities=asked.quantities, intersample=options.intersample, offset=options.offset,
+            moving=options.moving, max_order=options.max_order, criterion="bic",
+        )  # fmt: skip
+    except IdentificationError:
+        return False
+    if found.interrupted and not np.any(found.projection.p.imag == 0):
+        raise KeyboardInterrupt
+    return bool(np.any(found.projection.p.imag == 0))
+
+
+def checked_real_poles(value: int | str) -> int | str:
+    """Check the number of real poles that is asked for."""
+    if isinstance(value, str):
+        return _checks.choice("real_poles", value, ("auto",))
+    return _checks.whole_number("real_poles", value, 0)
 
 
 def begin_at_rest(channels: Channels) -> bool:
@@ -270,12 +299,14 @@ def _judged(
     free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], asked: Asked, findings: tuple[Finding, ...]
 ) -> DampedResult:
     """Parameters, experiments and judgement of a fit."""
-    rank = np.argsort(np.abs(fit.p), kind="stable")
-    poles, residues = fit.p[rank], fit.residues[rank]
+    rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
+    poles = fit.p[rank]
+    modes = int(np.sum(poles.imag != 0))
+    residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
     covariance = _covariance(fit, free, rank)
     experiments = _experiments(_in_data(fit, free), free, rank)
     shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
-    extra = fit.parameters - (2 * free.order + int(free.projection.shown.sum()))
+    extra = fit.parameters - (len(free.projection.x) + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + len(free.scales)
     predicted = [(one.record, one.predicted) for one in experiments]
     counts, losses = _losses(predicted, free.per_entry)
@@ -290,16 +321,16 @@ def _judged(
     fitted = joint_percent(shares_left(predicted))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
     findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
-    lag = real_pole(free.measured or free.projection) if whiteness < WHITE and not free.interrupted else None
-    findings = (*findings, *([lag] if lag else []), *_saturated(experiments))
+    findings = (*findings, *_saturated(experiments))
     if whiteness >= WHITE and not (free.rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, spare))
-    spread = np.sqrt(np.diag(covariance)[len(poles) : 2 * len(poles)])
-    growing = np.flatnonzero(poles.real > _CERTAIN * spread * np.abs(poles))
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors_of_decay = np.append(spread[len(poles) :][:modes] * np.abs(poles[:modes]), spread[modes : len(poles)])
+    growing = np.flatnonzero(poles.real > _CERTAIN * errors_of_decay)
     length = max((one.dt * one.samples for one in free.channels if isinstance(one, Recording)), default=np.inf)
-    slow = np.flatnonzero(np.abs(poles) * length < 2 * np.pi * (1 - 1e-6))
+    slow = np.flatnonzero(np.abs(poles[:modes]) * length < 2 * np.pi * (1 - 1e-6))
     single = residues.shape[1] == 1 and residues.shape[2] <= 1
-    shown = tuple(_squeezed(one) for one in experiments) if single else experiments
+    shown = tuple(_squeezed(one, poles) for one in experiments) if single else experiments
     far = any(one.cause is Cause.OUTLIERS for one in findings)
     outcome = _outcome(free, fitted, whiteness, spare, far)
     return DampedResult(
@@ -339,7 +370,7 @@ def _judged(
 
 def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     """From the coordinates of the projection to those of a result, NaN for what leaves no trace."""
-    n, at = free.order, fit.projection
+    n, at = len(fit.p), fit.projection
     width, count = at.shared.shape[0] if at.shared.size else 0, len(free.scales)
     places = (2 * n + np.arange(width * count)).reshape(count, width).T
     scales = np.broadcast_to(free.scales, (width, count))
@@ -365,6 +396,8 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     inner[:, : 2 * n] = inner[:, : 2 * n] @ J.T
     inner = 0.5 * (inner + inner.T)  # but for rounding
     size = np.concatenate(unit)
+    twice = np.where(fit.p[rank].imag == 0, 2.0, 1.0).repeat(int(np.prod(entries)))
+    size[2 * n :][: 2 * len(twice)] *= np.tile(twice, 2)  # a real pole has its residue in two halves
     if not inner.size:
         return np.full((len(order), len(order)), np.nan)
     found = inner[np.ix_(order, order)] * np.outer(size, size)
@@ -385,7 +418,7 @@ def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
 
 def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[FittedChannels, ...]:
     """Predictions, free motions and offsets of each experiment, from the rows of its outputs."""
-    n, found = free.order, []
+    n, found = len(at.p), []
     rows = iter(zip(at.experiments, at.own, at.predictions() if n else [None] * len(at.experiments), strict=True))
     for one in free.channels:
         p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
@@ -464,24 +497,26 @@ def _shapes(
     experiments: tuple[FittedChannels, ...], rank: Indices,
 ) -> tuple[ModeShapes, ComplexArray]:  # fmt: skip
     """Shapes with their standard errors: of residues, or of a free motion."""
-    n, p, m = residues.shape
+    n, (_, p, m) = int(np.sum(poles.imag != 0)), residues.shape
+    count, size = len(poles), residues.size
+    poles, residues = poles[:n], residues[:n]
     # a port that was not told stands only where the structure does
     ports = () if asked.assumed and fit.structure == "free" else asked.ports
     if m:
         shapes = ModeShapes.of(poles, residues, asked.quantities, ports)
         entries = np.arange(n * p * m).reshape(n, p * m)
-        places = [[l, n + l, *(2 * n + entries[l]), *(2 * n + n * p * m + entries[l])] for l in range(n)]
+        places = [[l, count + l, *(2 * count + entries[l]), *(2 * count + size + entries[l])] for l in range(n)]
         blocks = [np.nan_to_num(covariance[np.ix_(one, one)]) for one in places]
         return shapes, shape_errors(poles, residues, asked.quantities, ports, blocks)
-    motions = np.stack([one.free_amplitudes for one in experiments], axis=2)
+    motions = np.stack([one.free_amplitudes[:n] for one in experiments], axis=2)
     shapes = ModeShapes.of(poles, motions, asked.quantities, ())
     shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)
-    return shapes, shape_errors(poles, motions, asked.quantities, (), _motion_covariances(fit, free, rank))
+    return shapes, shape_errors(poles, motions, asked.quantities, (), _motion_covariances(fit, free, rank)[:n])
 
 
 def _motion_covariances(fit: StructuredFit, free: FreeFit, rank: Indices) -> list[Array]:
     """Covariance of `(d, zeta, Re, Im of the free motions)` of each mode, outputs by experiments."""
-    n, at, count, runs = free.order, fit.projection, len(free.scales), len(free.channels)
+    n, at, count, runs = len(fit.p), fit.projection, len(free.scales), len(free.channels)
     J = natural_jacobian(fit.p)
     found = []
     inner = fit.covariance[: 2 * n, : 2 * n]
@@ -510,13 +545,14 @@ def _motion_covariances(fit: StructuredFit, free: FreeFit, rank: Indices) -> lis
     return found
 
 
-def _squeezed(one: FittedChannels) -> Any:
+def _squeezed(one: FittedChannels, poles: ComplexArray) -> Any:
     """An experiment of one input and one output as one of a lossless fit."""
+    kept_of = np.stack([poles == poles, poles.imag != 0], axis=1)
     kept = single(one.record)
     if isinstance(kept, FrequencyRecord):
         return FittedExperiment(kept, np.zeros(0), np.zeros(0, complex), 0.0, one.predicted[0, 0])
     motion = one.free_amplitudes[:, 0]
-    state = np.stack([motion.real, motion.imag], axis=1).ravel()
+    state = np.stack([motion.real, motion.imag], axis=1)[kept_of]
     # among several experiments a free motion has an input of 0
     kept = replace(kept, time=kept.clock, driven=bool(kept.u.any()))
     return FittedExperiment(kept, state, motion, float(one.offsets[0]), one.predicted[0], float(one.drifts[0]))
@@ -567,7 +603,7 @@ def _message(
         parts.append("Not rejected: " + ", ".join(f"{one.hypothesis} ({p_value(one.p)})" for one in kept) + ".")
     if len(growing):
         grow = "grows" if len(growing) == 1 else "grow"
-        parts.append(f"{counted(len(growing), 'mode')} {grow}: {', '.join(map(str, growing + 1))}.")
+        parts.append(f"{counted(len(growing), 'pole')} {grow}: {', '.join(map(str, growing + 1))}.")
     if len(slow):
         parts.append(slower_than_record(slow.tolist()))
     if shapes.shapes.shape[1] > 1:

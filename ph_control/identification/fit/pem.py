@@ -37,7 +37,16 @@ from ..search.response_noise import reweighted
 from ..search.steps import Report, Search, Step
 from .conclusion import Conclusion, Fit, conclude
 from .damped_result import DampedResult
-from .modal_fit import Options, asked_of, begin_at_rest, fit_channels, starting_poles, under_either_hold
+from .modal_fit import (
+    Options,
+    asked_of,
+    begin_at_rest,
+    checked_real_poles,
+    fit_channels,
+    shows_real_poles,
+    starting_poles,
+    under_either_hold,
+)
 from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 
 
@@ -62,12 +71,13 @@ def pem(
     callback: Callback | None = None,
     structure: str = "auto",
     ports: Any = None,
+    real_poles: int | str = "auto",
 ) -> PEMResult:
-    """Fit modes to recordings or frequency responses, by prediction-error minimisation.
+    """Fit modes and real poles to recordings or frequency responses, by prediction-error minimisation.
 
-    Finds natural frequencies, damping ratios and residues, with what belongs to each experiment, that minimise the
-    squared output error: with white output noise, of each output its own, the maximum-likelihood estimate.  No
-    starting guess is needed.  The model is the simplest that the data do not reject, from lossless to free.
+    Finds natural frequencies, damping ratios, time constants and residues, with what belongs to each experiment, that
+    minimise the squared output error: with white output noise, of each output its own, the maximum-likelihood estimate.
+    No starting guess is needed.  The model is the simplest that the data do not reject, from lossless to free.
 
     Parameters
     ----------
@@ -122,6 +132,9 @@ def pem(
         Driving points, where an output is measured where and along which an input acts: labels, or numbers from 0.
         They set the scale of mode shapes.  Default: what the data give by an attribute `ports`, as `read_uff` does;
         one input and output are taken for one.
+    real_poles : int or 'auto'
+        Number of real poles beside the modes, as of a lag, a motor or an RC circuit; 'auto' takes that which
+        `criterion` prefers, and none beside a number of modes that is given.  A lossless model has none.
 
     Returns
     -------
@@ -186,7 +199,15 @@ def pem(
     if not several and not isinstance(quantity, str):
         (quantity,) = checked_quantities(quantity, records[0].output_labels)
     options = Options(
-        order, intersample, offset, max_order, criterion, callback, initial_state == "estimate", weights is not None
+        order,
+        intersample,
+        offset,
+        max_order,
+        criterion,
+        callback,
+        initial_state == "estimate",
+        weights is not None,
+        checked_real_poles(real_poles),
     )
     fit = partial(
         _fitted, options=options, method=method, initial_state=initial_state, quantity=quantity,
@@ -232,6 +253,11 @@ def _fitted(
     largest = posed.largest_order(options.order, options.max_order, guess)
     posed.check_signals()
     damped = structure == "auto" and method == "exact"
+    if damped and options.real_poles:
+        channels = as_channels(list(records))
+        asked = asked_of(channels, "auto", ports, quantity)
+        if shows_real_poles(channels, asked, options):
+            return fit_channels(channels, asked, options, starting_poles(initial_guess), findings)
     asking = LosslessSearch(options, largest, guess, damped, workers, random, representation, quantity, method)
     found = asking.concluded(posed)
     try:

@@ -140,16 +140,17 @@ def damped_lines(model: Any) -> list[str]:
 def damped_table(model: Any) -> list[list[str]]:
     """Cells of that table, a head first; of one input and output the residue, with the error of its size."""
     n, stderr = model.order, model.stderr
-    residues = np.reshape(model.residues, (n, model.residues.size // max(1, n)))
+    count = len(model.poles)
+    residues = np.reshape(model.residues, (count, model.residues.size // max(1, count)))[:n]
     columns = [(model.hertz, stderr["hertz"]), (100 * model.damping_ratios, 100 * stderr["damping_ratios"])]
     head = ["mode", f"f [{'1/time' if model.time_unit is None else 'Hz'}]", "+-", "damping [%]", "+-"]
     last = [""] * n
     if residues.shape[1] == 1 and residues.any():
         rho = residues[:, 0]
         turned = np.exp(-1j * np.angle(rho))
-        C, l = model.covariance[2 * n : 4 * n, 2 * n : 4 * n], np.arange(n)
-        crossed = 2 * turned.real * turned.imag * C[l, n + l]
-        along = turned.real**2 * C[l, l] + turned.imag**2 * C[n + l, n + l] - crossed
+        C, l = model.covariance[2 * count : 4 * count, 2 * count : 4 * count], np.arange(n)
+        crossed = 2 * turned.real * turned.imag * C[l, count + l]
+        along = turned.real**2 * C[l, l] + turned.imag**2 * C[count + l, count + l] - crossed
         columns.append((np.abs(rho), np.sqrt(np.maximum(along, 0.0))))
         head += ["|residue|", "+-", "phase [deg]"]
         last = [f"{np.degrees(np.angle(one)):.1f}" for one in rho]
@@ -166,17 +167,34 @@ def damped_table(model: Any) -> list[list[str]]:
     return [head, *rows]
 
 
+def real_pole_table(model: Any) -> list[list[str]]:
+    """Cells of a table of the real poles, a head first: time constants, of one input and output with residues."""
+    n, unit = model.order, model.time_unit or "time"
+    poles, constants, stderr = model.real_poles, model.time_constants, model.stderr
+    residues = np.reshape(model.residues[n:], (len(poles), model.residues.size // max(1, len(model.poles))))
+    alone = residues.shape[1] == 1
+    head = ["real pole", f"p [1/{unit}]", "+-", f"time constant [{unit}]", "+-", *(["residue", "+-"] if alone else [])]
+    errors = np.reshape(stderr["residues"][n:], residues.shape).real
+    rows = []
+    for k, pole in enumerate(poles.tolist()):
+        pairs = [(pole, stderr["real_poles"][k]), (constants[k], stderr["time_constants"][k])]
+        pairs += [(residues[k, 0].real, errors[k, 0])] if alone else []
+        cells = [text for value, error in pairs for text in (to_its_error(value, error), to_its_error(error, error))]
+        rows.append([str(k + 1), *cells])
+    return [head, *rows]
+
+
 class DampedReport(FitReport):
     """What the result of a fit of damped modes shows of itself."""
 
     def _headline(self: Any) -> str:
-        return f"{counted(self.order, 'mode')}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
+        return f"{counted_poles(self)}, {self.structure}, fit {percent(self.fit_percent)}, {self.verdict}"
 
     def _mode_table(self) -> list[list[str]]:
         return damped_table(self)
 
     def _tables(self: Any) -> list[list[str]]:
-        shown = (self._mode_table(), test_table(self.tests))
+        shown = (self._mode_table(), real_pole_table(self), test_table(self.tests))
         return [aligned(one) for one in shown if len(one) > 1]
 
     def _lines(self: Any) -> list[str]:
@@ -185,7 +203,7 @@ class DampedReport(FitReport):
         ports = [f"{outputs[o]}:{inputs[i]}" for o, i in self.ports]
         scale = "unit modal mass" if self.shapes_scaled else "the largest entry 1, unscaled"
         return [
-            f"{counted(self.order, 'mode')} of {_listed(outputs)}{source}",
+            f"{counted_poles(self)} of {_listed(outputs)}{source}",
             f"  verdict         {self.verdict}",
             f"  structure       {self.structure}",
             *_channel_lines(self),
@@ -194,6 +212,12 @@ class DampedReport(FitReport):
             f"  fit             {self.fit_percent:.2f} %",
             _criteria_line(self),
         ]
+
+
+def counted_poles(result: Any) -> str:
+    """How many modes and real poles there are."""
+    parts = [counted(result.order, "mode")] * (result.order > 0 or not len(result.real_poles))
+    return " and ".join(parts + [counted(len(result.real_poles), "real pole")] * (len(result.real_poles) > 0))
 
 
 def test_table(tests: Any) -> list[list[str]]:

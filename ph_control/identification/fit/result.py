@@ -71,10 +71,14 @@ class PEMResult(Report, Frozen):
     findings : tuple of Finding
         What the data show beside the modes.
     natural_frequencies, damping_ratios : ndarray, shape (n,)
-        `|p|`, ascending, rad per unit time, and `-Re p / |p|`.
-    poles : ndarray of complex, shape (n,)
-        Those of positive imaginary part.
-    residues : ndarray of complex, shape (n, p, m)
+        Of modes, `|p|`, ascending, rad per unit time, and `-Re p / |p|`.
+    real_poles, time_constants : ndarray, shape (r,)
+        Real poles, the slowest first, and `-1/p`; negative where one grows.
+    states : int
+        Number of all poles, `2 n + r`.
+    poles : ndarray of complex, shape (n + r,)
+        Those of positive imaginary part, then the real ones.
+    residues : ndarray of complex, shape (n + r, p, m)
         Of p outputs, as measured, and m inputs at each of the poles; those at the conjugates are their conjugates.
     feedthrough : ndarray, shape (p, m)
         Response at infinity.
@@ -112,8 +116,24 @@ class PEMResult(Report, Frozen):
 
     @property
     def natural_frequencies(self) -> Array:
-        """Natural frequencies `|p|`, ascending, rad per unit time."""
-        return np.abs(self.poles)
+        """Natural frequencies `|p|` of the modes, ascending, rad per unit time."""
+        return np.abs(self.poles[: self.order])
+
+    @property
+    def real_poles(self) -> Array:
+        """Real poles, the slowest first, per unit time."""
+        return np.asarray(self.poles[self.order :].real)
+
+    @property
+    def time_constants(self) -> Array:
+        """Time constants `-1/p` of the real poles; infinite for an integrator, negative where one grows."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(-1.0 / self.real_poles)
+
+    @property
+    def states(self) -> int:
+        """Number of all poles: two of each mode, and the real ones."""
+        return self.order + len(self.poles)
 
     @property
     def hertz(self) -> Array:
@@ -122,8 +142,8 @@ class PEMResult(Report, Frozen):
 
     @property
     def order(self) -> int:
-        """Number of modes n."""
-        return len(self.poles)
+        """Number of modes n: pairs of complex poles."""
+        return int(np.sum(self.poles.imag != 0))
 
     @property
     def verdict(self) -> str:
@@ -222,7 +242,7 @@ class PEMResult(Report, Frozen):
 
     def _given_state(self, value: Any) -> Array:
         """State (2n,); a number is every entry of it."""
-        state, size = _checks.real_array("initial_state", value), 2 * self.order
+        state, size = _checks.real_array("initial_state", value), self.states
         if state.ndim and state.shape != (size,):
             raise StructureError(f"initial_state has shape {state.shape}; a state of this model is a vector ({size},)")
         return np.full(size, state) if not state.ndim else state

@@ -199,11 +199,12 @@ def _split(table: Fields, orders: tuple[int, ...]) -> list[Array]:
 # --- its experiments, and its damped model ---------------------------------------------------------------------------
 
 
-def _experiments(fields: Fields, n: int, records: Sequence[Any] = ()) -> tuple[Any, ...]:
-    """Experiments of a fit of n modes, of records that are known or told with them."""
+def _experiments(fields: Fields, n: int, records: Sequence[Any] = (), states: int | None = None) -> tuple[Any, ...]:
+    """Experiments of a fit of n poles and some states, of records that are known or told with them."""
+    states = 2 * n if states is None else states
     inner = fields.nested("experiments")
-    known = [_experiment(inner.nested(str(k)), n, record) for k, record in enumerate(records, start=1)]
-    found = tuple(known or (_experiment(one, n, _record(one.nested("record"))) for one in _all_of(inner)))
+    known = [_experiment(inner.nested(str(k)), n, states, record) for k, record in enumerate(records, start=1)]
+    found = tuple(known or (_experiment(one, n, states, _record(one.nested("record"))) for one in _all_of(inner)))
     if not found:
         raise StructureError("there are no experiments; a fit has at least one")
     return found
@@ -220,13 +221,13 @@ def _record(fields: Fields) -> Any:
     return _read(kinds[not in_time], fields, shapes)
 
 
-def _experiment(fields: Fields, n: int, record: Any) -> Any:
+def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     in_time, single = isinstance(record, InTime), isinstance(record, Record | FrequencyRecord)
     # damped modes do not predict a response where nothing was measured
     predicted = (fields.array if in_time else fields.complex_array)(
         "predicted", record.measured.shape, finite=in_time and single
     )
-    shapes: Shapes = {"initial_state": (2 * n * in_time,), "free_amplitudes": (n * in_time,)}
+    shapes: Shapes = {"initial_state": (states * in_time,), "free_amplitudes": (n * in_time,)}
     if not single:
         p = len(record.output_labels)
         shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
@@ -253,15 +254,16 @@ def _modal_to_dict(result: DampedResult, *apart: str) -> dict[str, Any]:
 
 
 def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
-    n = len(fields.complex_array("poles", (None,)))
-    experiments = _experiments(fields, n, records)
+    poles = fields.complex_array("poles", (None,))
+    n, modes = len(poles), int(np.sum(poles.imag != 0))
+    experiments = _experiments(fields, n, records, n + modes)
     outputs, inputs = fields.complex_array("residues", (n, None, None)).shape[1:]
     size = 2 * n + (2 * n + 1) * outputs * inputs
     ports = fields.nested("ports")
     per_entry = isinstance(experiments[0].record, ResponseMatrix | FrequencyRecord)
     shapes: Shapes = {
         "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs),
-        "shapes": (n, outputs), "shape_stderr": (n, outputs), "participation": (n, inputs),
+        "shapes": (modes, outputs), "shape_stderr": (modes, outputs), "participation": (modes, inputs),
         "noise_variance": (outputs, inputs) if per_entry else (outputs,),
     }  # fmt: skip
     pairs = zip(_places(ports, "output", outputs), _places(ports, "input", inputs), strict=True)

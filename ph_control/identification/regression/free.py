@@ -1,10 +1,12 @@
-"""Modes of any damping and residues of any phase, fitted to data: the linear problem, and its minimum over the poles.
+"""Poles anywhere and residues of any phase, fitted to data: the linear problem, and its minimum over the poles.
 
     G(s) = D + sum_l rho_l / (s - p_l) + conj(rho_l) / (s - conj(p_l)),       residues rho_l (outputs, inputs)
 
 Poles may lie on either side of the axis, and residues are of any phase and sign, so that every lossless model is among
-these.  All outputs of a record share its columns, and so one factorisation; as columns depend on each pole
-analytically, the same factor gives the derivatives for every output.
+these.  A real pole is its own conjugate: half of its residue is `rho`, and the column of the imaginary part is 0.  The
+coordinates of the minimisation are those of `sections`, which pass smoothly through critical damping.  All outputs of
+a record share its columns, and so one factorisation; as columns depend on each pole analytically, the same factor gives
+the derivatives for every output.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import numpy as np
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from .elimination import LinearProjection, column_lengths, eliminate, inverse_gram, orthogonal, without
 from .frequency_rows import FreeResponse
+from .sections import PoleRegion, Sections
 from .spectral_rows import FreeWindow
 from .time_rows import FreeRecord
 from .triangular import reduced, triangle
@@ -26,7 +29,6 @@ from .tuning import TUNING
 from .variable_projection import Progress, refine
 
 _STEPS = 40
-_NUDGE = 1e-6  # of a frequency: a step towards a border
 _SHOWN = 1e-6  # part of a column of unit length that is not among others
 
 # A complex coefficient has two columns, for its real and its imaginary part: those of the free motion, if modes may be
@@ -76,19 +78,30 @@ class _Together:
 
 
 class FreeProjection(LinearProjection):
-    """Best residues, and what belongs to each experiment, for modes with poles `p` (n,) of positive imaginary part.
+    """Best residues, and what belongs to each experiment, for poles `p` (n,): of pairs the upper ones, and real ones.
 
     Natural frequencies are `d`, decay rates `sigma`; `rows` is the number of real equations, `inputs` that of inputs, 0
-    for a free motion.  Of what rows may feed through, only that of entries `fed` (outputs, inputs) is.
+    for a free motion.  Of what rows may feed through, only that of entries `fed` (outputs, inputs) is.  Derivatives are
+    by the coordinates `x` of the `sections`, those of these poles by default.
     """
 
-    def __init__(self, experiments: Sequence[FreeRows], p: ComplexArray, fed: Mask | None = None) -> None:
-        self.p, self.x, self.d, self.sigma = p, np.concatenate([p.imag, p.real]), np.abs(p), -p.real
-        self.sizes, self.experiments = np.tile(self.d, 2), experiments
+    def __init__(
+        self, experiments: Sequence[FreeRows], p: ComplexArray, fed: Mask | None = None,
+        sections: Sections | None = None,
+    ) -> None:  # fmt: skip
+        self.sections = Sections.of(p) if sections is None else sections
+        self.p, self.x, self.d, self.sigma = p, self.sections.x, np.abs(p), -p.real
+        self.sizes = self.sections.sizes()
+        self.experiments = experiments
         self.rows = sum(one.samples * len(one.outputs) for one in experiments)
         self.inputs = max(int(one.acting.max(initial=-1)) + 1 for one in experiments)
         self.fed = fed
         self.region: PoleRegion | None = None  # at whose border poles may be
+
+    @property
+    def pole_parts(self) -> Array:
+        """Imaginary, then real parts of the poles."""
+        return np.concatenate([self.p.imag, self.p.real])
 
     @property
     def has_feedthrough(self) -> bool:
@@ -106,8 +119,11 @@ class FreeProjection(LinearProjection):
     @property
     def unknowns(self) -> int:
         """Number of real unknowns: poles, the shared ones that are shown, and those of each experiment and output."""
-        own = sum(one.own_unknowns(len(self.p)) * len(one.outputs) for one in self.experiments)
-        return 2 * len(self.p) + int(self.shown.sum()) + own
+        real = int(np.sum(self.p.imag == 0))
+        own = sum(
+            (one.own_unknowns(len(self.p)) - real * one.moving) * len(one.outputs) for one in self.experiments
+        )  # fmt: skip
+        return len(self.x) + int(self.shown.sum()) + own
 
     @property
     def _shared_unknowns(self) -> int:
@@ -251,18 +267,18 @@ class FreeProjection(LinearProjection):
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
-        """Residual and its Jacobian by imaginary and real parts of the poles, all else moving along."""
-        parts = []
+        """Residual and its Jacobian by the coordinates, all else moving along."""
+        parts, along = [], self.sections.pole_slopes
         for group in self._groups:
             for output, target in zip(group.outputs, group.targets.T, strict=True):
-                rows = np.column_stack([-self._slopes(group, output), target])
+                rows = np.column_stack([-self._slopes(group, output) @ along, target])
                 parts.append(without(rows, group.basis))
         R = reduced(np.asfortranarray(np.concatenate(parts)))
         return R[:, -1], R[:, :-1]
 
     @cached_property
     def held(self) -> Mask:
-        """Which imaginary and real parts are at a border that a descent would push them across."""
+        """Which coordinates are at a border that a descent would push them across."""
         residual, jacobian = self.condensed
         none = np.zeros(len(self.x), bool)
         return none if self.region is None else self.region.held(self.x, jacobian.T @ residual)
@@ -281,13 +297,13 @@ class FreeProjection(LinearProjection):
 
     def covariance(self, variance: float) -> Array:
         """Covariance of imaginary and real parts of the poles, then `shared` by outputs, for a variance of the rows."""
-        n, width = len(self.p), self._shared_unknowns
-        along = np.zeros((2 * n + self.shared.size, 2 * n))
-        along[: 2 * n] = np.eye(2 * n)
-        left, places = [np.zeros((0, 2 * n))], {}
+        n, width, by = len(self.p), self._shared_unknowns, self.sections.pole_slopes
+        along = np.zeros((2 * n + self.shared.size, len(self.x)))
+        along[: 2 * n] = by
+        left, places = [np.zeros((0, len(self.x)))], {}
         for group in self._groups:
             for output in group.outputs:
-                rest, moved = group.slopes(self._slopes(group, output))
+                rest, moved = group.slopes(self._slopes(group, output) @ by)
                 places[output] = slice(2 * n + output * width, 2 * n + (output + 1) * width)
                 along[places[output]] = moved
                 left.append(rest)
@@ -302,7 +318,7 @@ class GivenResidues(FreeProjection):
     """The same poles with `shared` unknowns that are given: only what belongs to each experiment is at its best."""
 
     def __init__(self, at: FreeProjection, shared: Array) -> None:
-        super().__init__(at.experiments, at.p, at.fed)
+        super().__init__(at.experiments, at.p, at.fed, at.sections)
         self._parts, self._groups, self.shared = at._parts, at._groups, shared
 
     @cached_property
@@ -312,8 +328,9 @@ class GivenResidues(FreeProjection):
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
-        """Residual and its Jacobian by imaginary and real parts of the poles, the shared unknowns at rest."""
-        rows = [np.column_stack([slopes, left]) for _, left, slopes, _ in self.sensitivities()]
+        """Residual and its Jacobian by the coordinates, the shared unknowns at rest."""
+        along = self.sections.pole_slopes
+        rows = [np.column_stack([slopes @ along, left]) for _, left, slopes, _ in self.sensitivities()]
         R = reduced(np.asfortranarray(np.concatenate(rows)))
         return R[:, -1], R[:, :-1]
 
@@ -388,35 +405,8 @@ Make = Callable[[ComplexArray], Sequence[FreeRows]]  # rows for modes about whic
 
 
 @dataclass(frozen=True)
-class PoleRegion:
-    """Where poles are looked for, and the distance in frequency within which the loss has one minimum.
-
-    The lowest frequency is in units of that distance.  Modes may be `damped` as far as the ceiling, or by a ratio.
-    """
-
-    bin: float
-    ceiling: float
-    lowest: float = 1e-3
-    damped: bool = False
-
-    def inside(self, x: Array) -> Array:
-        """Imaginary and real parts of poles brought to where they are allowed."""
-        w, real = np.split(x, 2)
-        w = np.clip(w, self.lowest * self.bin, self.ceiling)
-        # borders that do not depend on one another are those that a descent can follow
-        ratio = TUNING.most_damped / np.sqrt(1 - TUNING.most_damped**2)
-        steepest = np.full(len(w), self.ceiling) if self.damped else w * ratio
-        return np.append(w, np.clip(real, -steepest, np.minimum(steepest, TUNING.fastest_growth * self.bin)))
-
-    def held(self, x: Array, gradient: Array) -> Mask:
-        """Which numbers a descent would only push across the border that they are at."""
-        nudge = _NUDGE * np.tile(np.abs(x[: len(x) // 2]), 2) * np.sign(gradient)
-        return np.asarray((self.inside(x - nudge) == x) & (gradient != 0))
-
-
-@dataclass(frozen=True)
 class FreeProblem:
-    """Experiments whose loss is minimised over imaginary and real parts of the poles."""
+    """Experiments whose loss is minimised over the coordinates of the sections."""
 
     experiments: Sequence[FreeRows]
     region: PoleRegion
@@ -429,9 +419,9 @@ class FreeProblem:
 
     def project(self, x: Array) -> FreeProjection:
         """Best residues for these poles."""
-        w, real = np.split(x, 2)
-        found = FreeProjection(self.experiments, real + 1j * w, self.fed)
-        found.region = self.region if self.region.damped else None
+        sections = Sections.from_coordinates(x)
+        found = FreeProjection(self.experiments, sections.p, self.fed, sections)
+        found.region = self.region
         return found
 
     def inside(self, x: Array) -> Array:
@@ -439,9 +429,8 @@ class FreeProblem:
         return self.region.inside(x)
 
     def reach(self, at: FreeProjection) -> Array:
-        """Widths of the basins: a bin, and the half-width of a peak."""
-        width = self.region.bin + np.abs(at.sigma)
-        return np.concatenate([width, width])
+        """Widths of the basins."""
+        return self.region.reach(at.sections)
 
     def elsewhere(self, at: FreeProjection) -> Iterator[Array]:
         """No other places are known."""
@@ -460,12 +449,13 @@ def refine_free(
     for k in np.flatnonzero(np.isnan(p.real)):
         p[k] = _first_decay(make, p, int(k), region)
     for _ in range(3):  # peaks turn out wider than their window
-        problem = FreeProblem(make(p), region, fed)
-        start = problem.inside(np.concatenate([p.imag, p.real]))
+        sections = Sections.of(p)
+        problem = FreeProblem(make(p), region.about(sections), fed)
+        start = problem.inside(sections.x)
         report = progress and _averaged(progress, problem.samples)
         end = refine(problem, start, rtol=rtol, max_iterations=steps, last=last, progress=report)
         before, p = p, end.projection.p
-        if np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
+        if len(p) == len(before) and np.all(np.abs(p.real) <= 2 * np.abs(before.real) + region.bin):
             break
     return end.projection
 

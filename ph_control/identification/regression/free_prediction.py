@@ -49,7 +49,8 @@ class FittedChannels(FittedData):
 
 def natural_jacobian(p: ComplexArray) -> Array:
     """Derivatives of natural frequencies and damping ratios by imaginary and real parts of poles, shape (2n, 2n)."""
-    n, w, x, d = len(p), p.imag, p.real, np.abs(p)
+    n, w, x = len(p), p.imag, np.where(p == 0, -(np.finfo(float).tiny ** 0.25), p.real)
+    d = np.hypot(x, w)
     J, k = np.zeros((2 * n, 2 * n)), np.arange(n)
     J[k, k], J[k, n + k] = w / d, x / d
     J[n + k, k], J[n + k, n + k] = x * w / d**3, -(w**2) / d**3
@@ -63,7 +64,7 @@ def predicted_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u
         return np.zeros((outputs, u.shape[1]))
     y = np.zeros((outputs, u.shape[1]))
     rows = FreeRecord(u, y, np.ones(u.shape[1], bool), hold, moving=False, outputs=np.arange(outputs))
-    each = np.moveaxis(residues, 2, 0)
+    each = np.moveaxis(np.where(p.imag == 0, 0.5, 1.0)[:, None, None] * residues, 2, 0)
     shared = np.concatenate([each.real, each.imag, through.T[:, None]], axis=1).reshape(-1, outputs)
     return np.asarray(rows.at(p).predict(shared, np.zeros((0, outputs))))
 

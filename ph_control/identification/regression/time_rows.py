@@ -9,11 +9,12 @@ modes), then the shared ones of a driven experiment, derivatives, and the output
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...modal.discretization import Hold
@@ -208,6 +209,25 @@ class FreeRecord(SampledRecord):
     def own_unknowns(self, n: int) -> int:
         """Free motion of every mode, then the drift per sample, and the constant as the last."""
         return 2 * n * self.moving + self.offset
+
+    def filtered(self, innovations: Sequence[Array]) -> list[FreeRecord]:
+        """Inputs and each output through the filter of that output; what it cannot know is left out.
+
+        A filter takes inputs and outputs of any poles to inputs and outputs of the same poles.
+        """
+        found = []
+        for row, output in enumerate(self.outputs.tolist()):
+            b = innovations[output]
+            u, y = (np.asarray(lfilter(b, 1.0, part, axis=-1)) for part in (self.u, self.measured[row : row + 1]))
+            missing = np.convolve(~self.observed, np.ones(len(b)))[: self.length] > 0
+            # before a record at rest, all is 0; a constant is not
+            missing[: (len(b) - 1) * (self.offset > 0)] = True
+            part = slice((len(b) - 1) * self.moving, None)
+            record = replace(
+                self, u=u[:, part], y=y[:, part], observed=~missing[part], scale=None, outputs=self.outputs[[row]]
+            )
+            found.append(record)
+        return found
 
     def at(self, p: ComplexArray) -> FreeTimeEvaluation:
         """The rows for modes with these poles."""

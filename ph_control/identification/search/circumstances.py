@@ -18,18 +18,13 @@ from ..._checks import EPS
 from ..._display import p_value
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ..._units import hertz_size
-from ..regression.free import FreeProjection, FreeRows
-from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import Spectrum, Window
-from ..regression.time_rows import FreeRecord, RecordRows
+from ..regression.time_rows import RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Problem, Projection, Rows
 
 _RIDGE = 1e-12
-_RATES = 16  # of real poles, over all frequencies
-_LARGE = 0.25  # part of what is left: of coloured noise a real pole explains a tenth
-_LONG_ENOUGH = 1 << 14  # samples that show a real pole
 _LISTED = 6  # values named one by one
 _RATIOS = np.geomspace(1e-4, 1e4, 9)  # of input noise, seen at the median of the bins, to output noise
 
@@ -52,7 +47,6 @@ class Cause(Enum):
     ACTIVITY = "energy that no passive model gives"
     SEVERAL_SHAPES = "residues of more than one shape"
     ONE_WAY = "responses that are not reciprocal"
-    REAL_POLE = "a real pole"
     COLOURED_RESIDUALS = "residuals that are coloured"
     OUTLIERS = "values far out of the noise"
     SATURATION = "an output that stays at an end of its range"
@@ -339,43 +333,6 @@ def sampled_response(step: SampledModes, residues: NDArray[Any], through: float,
     return found
 
 
-# --- real poles ------------------------------------------------------------------------------------------------------
-
-
-def real_pole(at: FreeProjection) -> Finding | None:
-    """The real pole that explains most of what modes leave, a first-order lag; None if that is no large part.
-
-    Modes are pairs of complex poles, and none of them does what a lag does.
-    """
-    if not at.inputs:
-        return None
-    predictions = at.predictions() if len(at.p) else [None] * len(at.experiments)
-    left = [_left(rows, one) for rows, one in zip(at.experiments, predictions, strict=True)]
-    none = FreeProjection(left, np.zeros(0, complex)).loss
-
-    def loss(rate: float) -> float:
-        return FreeProjection(left, np.array([complex(-rate)])).loss
-
-    rates = np.geomspace(0.5 * min(one.bin for one in left), max(one.ceiling for one in left), _RATES)
-    k = int(np.clip(np.argmin([loss(one) for one in rates]), 1, _RATES - 2))
-    found = minimize_scalar(lambda x: loss(np.exp(x)), bounds=np.log(rates[[k - 1, k + 1]]), method="bounded",
-                            options={"xatol": 0.01})  # fmt: skip
-    share = 1 - float(found.fun) / none
-    gain = -0.5 * at.rows * float(np.log(max(1 - share, EPS)))
-    return Finding(Cause.REAL_POLE, (float(np.exp(found.x)), share), gain) if share > _LARGE else None
-
-
-def _left(rows: FreeRows, predicted: NDArray[Any] | None) -> FreeRecord | FreeResponse:
-    """The same rows with what is left of the outputs; of a long record the first part."""
-    if isinstance(rows, FreeResponse):
-        return replace(rows, response=rows.response - (0.0 if predicted is None else np.nan_to_num(predicted)))
-    assert isinstance(rows, FreeRecord)
-    start = int(np.argmax(rows.observed))
-    part = slice(start, start + _LONG_ENOUGH)
-    y = rows.measured if predicted is None else np.where(rows.observed, rows.measured - predicted, 0.0)
-    return replace(rows, u=rows.u[:, part], y=y[:, part], scale=None, observed=rows.observed[part], moving=True)
-
-
 # --- in words --------------------------------------------------------------------------------------------------------
 
 
@@ -428,13 +385,6 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         return (
             f"The noise grows with the gain, by {' to '.join(sizes)} of it ({certain}): each "
             "point is weighted by this estimate."
-        )
-    if finding.cause is Cause.REAL_POLE:
-        rate, share = values
-        return (
-            f"A first-order lag explains {100 * share:.0f} % of the residual: a real pole at {-rate:.3g}, a "
-            f"time constant of {1 / rate:.3g}. Modes are pairs of complex poles: remove the lag from the data or, for "
-            "recordings, pass its response to each input as a further input, which corrects poles and predictions."
         )
     if finding.cause is Cause.COLOURED_NOISE:
         return (

@@ -16,9 +16,11 @@ import numpy as np
 
 from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
-from ..regression.free import FreeProjection, FreeRows, PoleRegion
+from ..regression.elimination import orthogonal, without
+from ..regression.free import FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse
 from ..regression.modal_regressors import SampledModes
+from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
@@ -28,6 +30,9 @@ _ROUNDS = 3  # of the local problem, weighted with the pole found
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
 _PEAKS = 200
 _COMPARED = 16
+_RATES = 30  # of real poles that are compared, from one
+_SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
+_FASTEST = 0.5  # of the ceiling
 
 
 Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
@@ -54,26 +59,43 @@ class FreeModel:
 
 @dataclass(frozen=True)
 class FreeSearch:
-    """Data, and where damped modes are looked for in them.
-
-    With a `lowest` frequency, in bins, modes may have any damping.
-    """
+    """Data, and where poles are looked for in them; whether modes may become overdamped, and lags a mode."""
 
     data: Sequence[Any]
-    lowest: float = 0.0
+    kinds_may_change: bool = True
 
     @property
     def region(self) -> PoleRegion:
         """Where poles are looked for."""
         ends = min(one.bin for one in self.data), max(one.ceiling for one in self.data)
-        return PoleRegion(*ends, self.lowest, damped=True) if self.lowest else PoleRegion(*ends)
+        return PoleRegion(*ends, self.kinds_may_change)
 
-    def unknowns(self, n: int) -> int:
-        """Parameters of n modes: poles, residues and what is fed through of each output, nuisance parameters."""
+    def unknowns(self, modes: int, real_poles: int = 0) -> int:
+        """Parameters of a model: poles, residues and what is fed through of each output, nuisance parameters."""
+        n, states = modes + real_poles, 2 * modes + real_poles
         outputs = np.unique(np.concatenate([one.outputs for one in self.data]))
-        own = sum(one.own_unknowns(n) * len(one.outputs) for one in self.data)
+        own = sum((one.own_unknowns(n) - real_poles * one.moving) * len(one.outputs) for one in self.data)
         driven, fed = max(one.inputs for one in self.data), any(one.through for one in self.data)
-        return 2 * n + len(outputs) * driven * (2 * n + fed) + own
+        return states + len(outputs) * driven * (states + fed) + own
+
+    def unknowns_of(self, p: ComplexArray) -> int:
+        """Those of a model with these poles."""
+        real = int(np.sum(p.imag == 0))
+        return self.unknowns(len(p) - real, real)
+
+    def with_kinds(self, changing: bool) -> FreeSearch:
+        """The same where modes may become overdamped, if the data tell them from a background."""
+        return replace(self, kinds_may_change=changing and self.shows_background(2))
+
+    def shows_background(self, n: int) -> bool:
+        """Whether what other modes leave of the data is not left to n poles."""
+        return True
+
+    def lag(self, at: FreeProjection) -> complex:
+        """The real pole that explains most of what a model leaves."""
+        rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
+        gains = sum(explained_by_lags(rows, at.p, rates) for rows in at.experiments)
+        return complex(-rates[int(np.argmax(gains))])
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All of the data, or what of them is about some modes."""
@@ -99,6 +121,25 @@ class FreeSearch:
         """Modes with what they leave."""
         left = self.left(at)
         return FreeModel(at, left, self.losses(left))
+
+
+def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
+    """How much of what poles leave each of some further real poles explains."""
+    blocks = list(rows.at(p).blocks())
+    known = np.concatenate(blocks, axis=1)
+    own = rows.own_unknowns(len(p)) + rows.inputs * (2 * len(p) + rows.through)
+    basis, _ = orthogonal(known[:own].T)
+    left = without(known[-len(rows.outputs) :].T, basis)
+    k = len(rates)
+    columns = np.concatenate(list(rows.at((-rates).astype(complex)).blocks()), axis=1)
+    starts = ([0] if rows.moving else []) + [
+        rows.own_unknowns(k) + place * (2 * k + rows.through) for place in range(rows.inputs)
+    ]
+    gains = np.zeros(k)
+    for place in range(k):
+        some, _ = orthogonal(without(columns[[start + place for start in starts]].T, basis))
+        gains[place] = np.sum((some.T @ left) ** 2)
+    return gains
 
 
 @dataclass(frozen=True)
@@ -309,6 +350,14 @@ class Responses(FreeSearch):
     """Frequency responses."""
 
     data: Sequence[FreeResponse]
+
+    def with_kinds(self, changing: bool) -> FreeSearch:
+        """The same where modes may become overdamped, if the data tell them from a background."""
+        return replace(self, kinds_may_change=changing and self.shows_background(2))
+
+    def shows_background(self, n: int) -> bool:
+        """Whether points abound: of few of them a real pole may stand for modes outside the band."""
+        return all(one.own_unknowns(n) > 0 for one in self.data)
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The points about the modes where there are many."""

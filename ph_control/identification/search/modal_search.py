@@ -21,8 +21,9 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
-from ..regression.free import FreeProjection, PoleRegion, refine_free
+from ..regression.free import FreeProjection, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Progress
@@ -42,11 +43,11 @@ _ROUNDS = 6  # of fit and variances in turn
 _SETTLED = 1e-6  # relative change of the likelihood, over the samples
 _ROUGH = 1e-5  # relative decrease of the loss at which refinements on the way end
 _EXACT = 1e-13  # relative decrease of the loss at which the last refinement ends
-_LOWEST = 0.5  # bins: what does not swing half a time is a drift
 _GROWING = 3.0  # standard errors of a decay rate beyond which a mode grows
 _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
+_FASTEST = 0.8  # of the ceiling: faster real poles are none
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
 
@@ -155,6 +156,7 @@ def free_fit(
     reports: Reports = lambda order: None,
     start: ComplexArray | None = None,
     weighted: bool = True,
+    real_poles: int | str = "auto",
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -184,6 +186,9 @@ def free_fit(
         returned, if it has a mode.
     start : ndarray of complex, optional
         Poles of positive imaginary part to start from, real parts NaN where they are not known.
+    real_poles : int or 'auto'
+        Number of real poles beside the modes; 'auto' takes that which the criterion prefers, and none beside a number
+        of modes that is given.
     weighted : bool
         Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
         is repeated with the weights of the law of each entry, which is estimated.
@@ -201,14 +206,19 @@ def free_fit(
         If an entry of the response matrices was measured in none of them.
     """
     if is_long(channels):
-        how: dict[str, Any] = {"quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports}
+        how: dict[str, Any] = {
+            "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
+            "real_poles": real_poles,
+        }  # fmt: skip
         return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start)
 
+    automatic = not isinstance(order, int)
+    real_poles = 0 if real_poles == "auto" and not automatic else real_poles
+
     def posed(channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample) -> FreePath:
-        return FreePath.of(channels, quantities, hold, terms, moving, criterion, reports)
+        return FreePath.of(channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles)
 
     path = posed(channels)
-    automatic = not isinstance(order, int)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
     most = min(max_order, path.carried) if automatic else int(order)
@@ -227,7 +237,10 @@ def free_fit(
 
         either = None if intersample == "auto" else intersample
         try:
-            return _on_time(_beside_drift(found, anew) if offset == "auto" else found, anew)
+            level = _beside_drift(found, anew) if offset == "auto" else found
+            late = _on_time(level, anew)
+            # poles that stand for a delay may hide a drift
+            return _beside_drift(late, anew) if offset == "auto" and late is not level and late.offset < 2 else late
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
 
@@ -279,7 +292,7 @@ Anew = Callable[[Experiments, int, ComplexArray | None], FreeFit]  # search, or 
 def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
     """The fit beside outputs that drift, where a line explains more than a slow mode or what is left."""
     rows = [one for one in found.projection.experiments if isinstance(one, FreeRecord)]
-    slow = found.projection.p.imag < TUNING.damped_apart * min(one.bin for one in rows)
+    slow = found.projection.d < TUNING.damped_apart * min(one.bin for one in rows)
     if not slow.any() and not any(_leans(*one) for one in zip(rows, found.projection.predictions(), strict=True)):
         return found
     trial = anew(found.channels, 2, found.projection.p[~slow])
@@ -291,7 +304,10 @@ def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
         float(one) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
         if isinstance(rows, FreeRecord) for one in best.scales[rows.outputs] * own[-2] / rows.hold.h
     ]  # fmt: skip
-    finding = Finding(Cause.DRIFT, tuple(drifts), best.criteria.loglik - found.criteria.loglik)
+    # slow poles may stand for a drift
+    level = anew(found.channels, 1, found.projection.p[~slow]) if slow.any() else found
+    gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (found.criteria.bic - best.criteria.bic))
+    finding = Finding(Cause.DRIFT, tuple(drifts), gain)
     return replace(best, findings=(*found.findings, finding))
 
 
@@ -437,17 +453,19 @@ def orders_about(
 ) -> list[tuple[ComplexArray, ComplexArray]]:  # fmt: skip
     """Poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and from these to the most.
 
+    Real poles stay, and are left out.
     Without inputs the residues are motions in the experiments.
     """
     channels = [cut(one, searched_part(one, not moving)) for one in channels]
     path = FreePath.of(channels, quantities, intersample, offset, moving)
     found = []
-    for start, end in ((poles[:0], len(poles) - 1), (poles, min(most, path.carried))):
+    for start, end in ((poles[poles.imag == 0], _modes(poles) - 1), (poles, min(most, path.carried))):
         model: FreeModel | None = path.reweighted(path.model(start))
         while model is not None:
-            if len(model.p):
-                found.append((model.p, path.residues(model.at, channels)))
-            model = path.joined(model, len(model.p) + 1, False) if len(model.p) < end else None
+            modes = model.p.imag > 0
+            if modes.any():
+                found.append((model.p[modes], path.residues(model.at, channels)[modes]))
+            model = path.with_modes(model, _modes(model.p) + 1, False) if _modes(model.p) < end else None
     return found
 
 
@@ -508,9 +526,10 @@ class FreePath:
 
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
-        best: FreeModel | None = None,
+        best: FreeModel | None = None, real_poles: int | str = "auto",
     ) -> None:  # fmt: skip
-        self.search, self.felt, self.criterion, self.reports = search, felt, criterion, reports
+        self.real_poles, self.search = real_poles, search.with_kinds(real_poles == "auto")
+        self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
         self.best = best  # so far
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
@@ -529,6 +548,7 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
+        real_poles: int | str = "auto",
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -537,10 +557,10 @@ class FreePath:
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
-            return cls(Records(_records(recordings, held, offset, moving), _LOWEST), felt, criterion, reports, best)
-        search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each), _LOWEST)
+            return cls(Records(_records(recordings, held, offset, moving)), felt, criterion, reports, best, real_poles)
+        search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
-        return cls(search, felt.reshape(-1, 1), criterion, reports)
+        return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
 
     @classmethod
     def over(cls, problem: Problem, criterion: str = "bic", reports: Reports = lambda order: None) -> FreePath:
@@ -548,8 +568,8 @@ class FreePath:
         rows = [one for one in problem.experiments if isinstance(one, RecordRows | FrequencyRows)]
         records = [FreeRecord.of(one) for one in rows if isinstance(one, RecordRows)]
         responses = [FreeResponse.of(one) for one in rows if isinstance(one, FrequencyRows)]
-        search = Records(records, _LOWEST) if records else Responses(responses, _LOWEST)
-        return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports)
+        search = Records(records) if records else Responses(responses)
+        return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports, real_poles=0)
 
     # --- likelihood
 
@@ -575,7 +595,7 @@ class FreePath:
 
     def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
-        found = self.criteria(self.loglik(model.losses), self.search.unknowns(len(model.p))).by_name(self.criterion)
+        found = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
         if not len(model.p) or not isinstance(self.search, Records):
             return found
         each = 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
@@ -585,6 +605,42 @@ class FreePath:
             sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
             foretold = autoregression(sums, min(length for length, _ in seen))[1]
             found += past_of_noise(int(count), foretold, each)
+        return found
+
+    def gain(self, more: FreeModel, model: FreeModel) -> float:
+        """By how much the criterion prefers a larger model, both in rows in which the noise of the larger one is white.
+
+        Residues that are best in white noise are poor ones in coloured noise, whose criterion they say little of.
+        """
+        past = self._past_of_noise(more)
+        if not isinstance(self.search, Records) or max(map(len, past)) == 1:
+            return self.cost(model) - self.cost(more)
+        rows = [row for one in self.search.data for row in one.filtered(past)]
+        counts, likelihood = np.zeros(len(self.counts)), []
+        for one in rows:
+            counts[one.outputs] += one.samples
+        for p in (model.p, more.p):
+            losses = np.maximum(FreeProjection(rows, p).losses, self.floors)
+            likelihood.append(-0.5 * float(np.sum(counts * np.log(losses / counts))))
+        unknowns = [self.search.unknowns_of(one.p) for one in (model, more)]
+        first, second = (
+            Criteria.of(each, count, float(counts.sum())).by_name(self.criterion)
+            for each, count in zip(likelihood, unknowns, strict=True)
+        )  # fmt: skip
+        return first - second
+
+    def _past_of_noise(self, model: FreeModel) -> list[Array]:
+        """Of each output the innovations filter of the autoregression that BIC prefers for what a model leaves."""
+        found = [np.ones(1) for _ in self.counts]
+        if not isinstance(self.search, Records):
+            return found
+        for output, count in enumerate(self.counts):
+            pairs = zip(self.search.data, model.left, strict=True)
+            seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
+            sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
+            models, left = autoregression(sums, min(length for length, _ in seen))
+            order = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(len(left))))
+            found[output] = np.concatenate([[1.0], -models[order]])
         return found
 
     @property
@@ -606,22 +662,22 @@ class FreePath:
 
     def model(self, p: ComplexArray, rtol: float = _ROUGH) -> FreeModel:
         """Modes refined from a start, over the bins about them; outputs are weighted by what is left then."""
-        rows, region, report = self.scaled.rows, self.scaled.region, self.report(len(p))
+        rows, region, report = self.scaled.rows, self.scaled.region, self.report(max(1, _modes(p)))
         try:
             at = refine_free(rows, p, region, rtol, last=False, steps=_STEPS, progress=report)
         except Interrupted as cut:
-            imag, real = np.split(cut.x, 2)
-            self.judged(FreeProjection(rows(real + 1j * imag), real + 1j * imag))
+            p = Sections.from_coordinates(cut.x).p
+            self.judged(FreeProjection(rows(p), p))
             raise
         return self.judged(at)
 
     def judged(self, at: FreeProjection) -> FreeModel:
         """Modes with what they leave, entered into the table."""
-        found, n = self.scaled.model(at), len(at.p)
+        found, n = self.scaled.model(at), _modes(at.p)
         found = replace(found, losses=found.losses / self.sizes**2)  # in the units of the data
-        one = self.criteria(self.loglik(found.losses), self.search.unknowns(n))
+        one = self.criteria(self.loglik(found.losses), self.search.unknowns_of(at.p))
         if n not in self.table or self.table[n].loglik < one.loglik:
-            self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[np.argsort(at.d)])
+            self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[at.p.imag > 0][np.argsort(at.d[at.p.imag > 0])])
         cost = self.cost(found)
         self.seen.append((cost, at.p))
         if self.best is None or cost < self.cost(self.best):
@@ -662,7 +718,7 @@ class FreePath:
         if self._shown is not None and self._shown[0] is model:
             return self._shown[1]
         p, gains = self.scaled.candidates(model.left)
-        now, then = self.search.unknowns(len(model.p)), self.search.unknowns(len(model.p) + 1)
+        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
         loss = float(np.sum(model.losses * self.sizes**2))
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
         self._shown = model, (p, gains * np.array(shown, bool))
@@ -701,7 +757,7 @@ class FreePath:
         """The same where no mode that has joined is doubted."""
         model = self.reweighted(self.model(start))
         best, missed = model, 0
-        while len(model.p) < most and missed < TUNING.patience:
+        while missed < TUNING.patience:
             more = self.joined(model, most, automatic)
             if more is None:
                 break
@@ -713,12 +769,42 @@ class FreePath:
         return best
 
     def joined(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
+        """One more mode, or several, or one more real pole: what the criterion prefers."""
+        more = self.with_modes(model, most, automatic) if _modes(model.p) < most else None
+        lag = self.with_lag(model, most)
+        if lag is None or more is None:
+            return more or lag
+        return lag if self.cost(lag) <= self.cost(more) else more
+
+    def with_lag(self, model: FreeModel, most: int) -> FreeModel | None:
+        """One more real pole, if the criterion prefers it; two may become a mode where there are not `most` yet."""
+        given = self.real_poles != "auto"
+        if given and _real(model.p) >= int(self.real_poles):
+            return None
+        if not given and not self.search.shows_background(len(model.p) + 1):
+            return None
+        p = np.append(model.p, self.scaled.lag(model.at))
+        if self.search.unknowns_of(p) >= self.counts.sum() or np.all(model.losses <= self.floors):
+            return None
+        more = self.reweighted(self.model(p))
+        if _modes(more.p) > most or (given and _real(more.p) <= _real(model.p)):
+            return None
+        if given:
+            return more
+        # a pole at the border stands for what is fed through
+        fast = np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling)
+        before, after = (float(np.sum(one.losses * self.sizes**2)) for one in (model, more))
+        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(more.p)
+        shown = stands_out(before - after, before, int(self.counts.sum()), now, then - now)
+        return more if shown and not fast and self.gain(more, model) > 2 * TUNING.sure else None
+
+    def with_modes(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
         """One more mode, or several, that do not only mend the shape of others; if need be, and order, what does."""
         p, gains = self.candidates(model)
         if not len(p) or (automatic and not gains.any()):
             return None
         band = self.search.region.bin
-        whole = _together(model.at, p, gains, band, most - len(model.p))
+        whole = _together(model.at, p, gains, band, most - _modes(model.p))
         modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
         alone = automatic and len(self.counts) * max(1, model.at.inputs) == 1
         if alone:
@@ -732,8 +818,9 @@ class FreePath:
         for joining in trials:
             if len(joining):
                 trial = self.model(np.append(model.p, joining))
-                sound = self.cleaned(trial) if automatic else trial
-                if len(sound.p) > len(model.p) and self.is_sound(sound):
+                lags = int(np.sum(_broad(model.p)))
+                sound = self.cleaned(trial, lags) if automatic else trial
+                if len(sound.p) > len(model.p) and self.is_sound(sound, lags):
                     return self.reweighted(sound)
                 first = first or trial
         return None if automatic or first is None else self.reweighted(first)
@@ -743,7 +830,7 @@ class FreePath:
         more = model
         for _ in range(TUNING.patches):
             p, gains = self.candidates(more)
-            if not gains.any() or len(more.p) >= most or self.is_white(more):
+            if not gains.any() or _modes(more.p) >= most or self.is_white(more):
                 break
             more = self.reweighted(self.model(np.append(more.p, p[0])))
         if more is model or not self.is_white(more):
@@ -752,27 +839,30 @@ class FreePath:
         better = self.is_white(more) and self.cost(more) < self.cost(model)
         return more if better and not self.grows(more) else model
 
-    def is_sound(self, model: FreeModel) -> bool:
-        """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen."""
-        broad = np.any(np.abs(model.at.sigma) > TUNING.broadest * model.at.d)
+    def is_sound(self, model: FreeModel, lags: int = 0) -> bool:
+        """Whether each mode is one of the plant: none mends the shape of another, is too broad, or grows unseen.
+
+        So many as `lags` that have become pairs of complex poles may be broad.
+        """
+        broad = int(np.sum(_broad(model.p))) > lags
         return not patching(model.at, self.search.region.bin) and not broad and not self.grows(model)
 
-    def cleaned(self, model: FreeModel) -> FreeModel:
+    def cleaned(self, model: FreeModel, lags: int = 0) -> FreeModel:
         """A model without its modes that are none of the plant."""
-        while len(model.p) and not self.is_sound(model):
+        while len(model.p) and not self.is_sound(model, lags):
             at = model.at
             # what several channels see of a pair changes as others go
             alone = len(self.counts) * max(1, at.inputs) == 1
             worst = patching(at, self.search.region.bin)[: None if alone else 1]
             if not worst:
-                broad = np.abs(at.sigma) / at.d
-                worst = [int(np.argmax(broad) if broad.max() > TUNING.broadest else np.argmin(at.sigma))]
+                broad = np.where(_broad(at.p), np.abs(at.sigma) / at.d, 0.0)
+                worst = [int(np.argmax(broad) if broad.any() else np.argmin(at.sigma))]
             model = self.model(np.delete(at.p, worst))
         return model
 
     def growing(self, at: FreeProjection, evidence: Callable[[], Array]) -> Mask:
         """Modes that grow and are broad, or no large part of any motion: they patch records that are not stationary."""
-        found = at.sigma < -_GROWING * self.decay_errors(at)
+        found = (at.p.imag > 0) & (at.sigma < -_GROWING * self.decay_errors(at))
         if found.any():
             large = _LARGE * float(np.sum(self.power * self.sizes**2))
             found &= (at.sigma < -TUNING.broadest * at.d) | (evidence() < large)
@@ -806,7 +896,7 @@ class FreePath:
             weakest = int(np.argmin(self.evidence(more)))
             other = self.model(np.delete(more.p, weakest))
             gain = self.loglik(other.losses) - self.loglik(model.losses)
-            if gain <= TUNING.sure or (sound and not self.is_sound(other)):
+            if gain <= TUNING.sure or (sound and not self.is_sound(other, int(np.sum(_broad(model.p))))):
                 break
             model = self.reweighted(other)
         return model
@@ -818,24 +908,32 @@ class FreePath:
     def decay_errors(self, at: FreeProjection) -> Array:
         """Standard errors of the decay rates."""
         n = len(at.p)
-        inner = at.covariance(at.loss / max(1, at.rows - self.search.unknowns(n)))
-        return np.sqrt(np.diag(inner)[n : 2 * n])
+        inner = at.covariance(at.loss / max(1, at.rows - self.search.unknowns_of(at.p)))
+        return np.sqrt(np.maximum(np.diag(inner)[n : 2 * n], 0.0))  # rounding may make them negative
 
     def vagueness(self, model: FreeModel) -> Array:
         """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
         allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
-        return np.asarray(self.decay_errors(model.at) / allowed)
+        return np.where((model.p.imag > 0) & ~_broad(model.p), self.decay_errors(model.at) / allowed, 0.0)
 
     def pruned(self, model: FreeModel) -> FreeModel:
         """Modes dropped as long as the criterion gets better, or their widths are not known."""
         while len(model.p):
             vague = self.vagueness(model)
-            weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(self.evidence(model)))
+            evidence = np.where(self._kept(model.p), np.inf, self.evidence(model))
+            weakest = int(np.argmax(vague)) if vague.max() > 1 else int(np.argmin(evidence))
+            if vague.max() <= 1 and not np.isfinite(evidence[weakest]):
+                break
             fewer = self.model(np.delete(model.p, weakest))
             if vague.max() <= 1 and self.cost(fewer) >= self.cost(model):
                 break
             model = self.reweighted(fewer)
         return model
+
+    def _kept(self, p: ComplexArray) -> Mask:
+        """Which poles stay in any case: the real ones of a number that was given."""
+        given = self.real_poles != "auto"
+        return (p.imag == 0) & (given and _real(p) <= int(self.real_poles))
 
     # --- the end
 
@@ -855,7 +953,7 @@ class FreePath:
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             kept = replace(self.best, at=found.projection)
             other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
-            path = FreePath(other, self.felt, self.criterion, self.reports, kept)
+            path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles)
             rival = path.finished(kept, channels, automatic)
         except KeyboardInterrupt:
             if found is not None:
@@ -887,7 +985,7 @@ class FreePath:
                 at, losses = self.settled(at.p, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
-        unknowns = self.search.unknowns(len(rank)) - (0 if fed is None else int(np.sum(~fed)))
+        unknowns = self.search.unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
         table = tuple(self.table[n] for n in sorted(self.table))
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
@@ -919,25 +1017,43 @@ class FreePath:
             return None
         if self.growing(at, lambda: at.evidence).any():
             return int(np.argmin(at.sigma))
-        weakest = int(np.argmin(at.evidence))
+        weakest = int(np.argmin(np.where(self._kept(at.p), np.inf, at.evidence)))
+        if self._kept(at.p)[weakest]:
+            return None
         lost = 0.5 * at.rows * float(np.log1p(at.evidence[weakest] / at.loss))
         with_it, without = (
-            self.criteria(loglik, self.search.unknowns(size)).by_name(self.criterion)
-            for loglik, size in ((0.0, n), (-lost, n - 1))
+            self.criteria(loglik, self.search.unknowns_of(p)).by_name(self.criterion)
+            for loglik, p in ((0.0, at.p), (-lost, np.delete(at.p, weakest)))
         )
         return weakest if without <= with_it else None
 
     def refined(self, p: ComplexArray, rtol: float, fed: Mask | None) -> FreeProjection:
         """Modes refined over all data."""
         data, region = self.scaled.data, self.scaled.region
-        return refine_free(lambda _: data, p, region, rtol, fed, progress=self.report(len(p)))
+        return refine_free(lambda _: data, p, region, rtol, fed, progress=self.report(max(1, _modes(p))))
 
     def stands_out(self, at: FreeProjection) -> Mask:
         """Which of all that may be fed through is more than its error shows."""
         n, width = len(at.p), 2 * len(at.p) + 1
-        errors = np.sqrt(np.diag(at.covariance(at.rows / max(1, at.rows - self.search.unknowns(n)))))[2 * n :]
+        variances = np.diag(at.covariance(at.rows / max(1, at.rows - self.search.unknowns_of(at.p))))[2 * n :]
+        errors = np.sqrt(np.maximum(variances, 0.0))
         errors = errors.reshape(len(at.feedthrough), at.inputs, width)[:, :, -1]
         return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
+
+
+def _modes(p: ComplexArray) -> int:
+    """Number of pairs of complex poles."""
+    return int(np.sum(p.imag > 0))
+
+
+def _real(p: ComplexArray) -> int:
+    """Number of real poles."""
+    return int(np.sum(p.imag == 0))
+
+
+def _broad(p: ComplexArray) -> Mask:
+    """Which poles are those of modes without a peak."""
+    return (p.imag > 0) & (np.abs(p.real) > TUNING.broadest * np.abs(p))
 
 
 def patching(at: FreeProjection, band: float) -> list[int]:
@@ -948,6 +1064,8 @@ def patching(at: FreeProjection, band: float) -> list[int]:
     d, half_width = at.d, np.abs(at.sigma)
     apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
     apart[~_alike(at)] = np.inf
+    lag = (at.p.imag == 0) | _broad(at.p)
+    apart[lag] = apart[:, lag] = np.inf
     np.fill_diagonal(apart, np.inf)
     found, taken = list[int](), set[int]()
     for place in np.argsort(apart, axis=None, kind="stable")[: np.count_nonzero(apart < 1)].tolist():

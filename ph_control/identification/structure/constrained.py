@@ -18,7 +18,8 @@ from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Mask, NDArray
 from ..regression.elimination import LinearProjection
-from ..regression.free import FreeProjection, GivenResidues, PoleRegion
+from ..regression.free import FreeProjection, GivenResidues
+from ..regression.sections import PoleRegion
 from ..regression.triangular import reduced
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import refine
@@ -94,14 +95,14 @@ class Tangent:
     """What the residuals of a free fit are near its minimum, where they are linear: no pass over the data."""
 
     def __init__(self, at: FreeProjection) -> None:
-        self._x, self._shared, self._parts = at.x, at.shared, list[_Residual]()
+        self._poles, self._shared, self._parts = at.pole_parts, at.shared, list[_Residual]()
         for output, left, by_poles, by_shared in GivenResidues(at, at.shared).sensitivities():
             R = reduced(np.asfortranarray(np.column_stack([by_poles, by_shared, left])))
-            self._parts.append((output, R[:, -1], R[:, : len(at.x)], R[:, len(at.x) : -1]))
+            self._parts.append((output, R[:, -1], R[:, : 2 * len(at.p)], R[:, 2 * len(at.p) : -1]))
 
     def at(self, p: ComplexArray, shared: Array) -> TangentPoint:
         """The residuals at other poles and residues."""
-        moved = np.concatenate([p.imag, p.real]) - self._x
+        moved = np.concatenate([p.imag, p.real]) - self._poles
         return TangentPoint([
             (output, left + by_poles @ moved + by_shared @ (shared - self._shared)[:, output], by_poles, by_shared)
             for output, left, by_poles, by_shared in self._parts
@@ -129,14 +130,15 @@ class ConstrainedProjection(LinearProjection):
 
     def __init__(self, problem: ConstrainedProblem, x: Array) -> None:
         self.x, self.sizes, self._problem = x, np.maximum(np.abs(x), EPS), problem
-        self.p, self.residues, self.feedthrough = problem.coordinates.model(x)
+        self.sections, self.residues, self.feedthrough = problem.coordinates.model(x)
+        self.p = self.sections.p
         start, layout = problem.start, problem.coordinates.layout
         shared = layout.joined(self.residues, self.feedthrough, start.has_feedthrough)
         self.data: GivenResidues | TangentPoint
         if problem.tangent is not None:
             self.data = problem.tangent.at(self.p, shared)
         else:
-            self.data = GivenResidues(FreeProjection(start.experiments, self.p, start.fed), shared)
+            self.data = GivenResidues(FreeProjection(start.experiments, self.p, start.fed, self.sections), shared)
 
     @property
     def loss(self) -> float:
@@ -147,7 +149,7 @@ class ConstrainedProjection(LinearProjection):
     def _normal(self) -> tuple[Array, Array]:
         """Gram matrix of the Jacobian by the coordinates, and half the gradient."""
         of, size = self._problem.coordinates, len(self.x)
-        gram, gradient, poles = np.zeros((size, size)), np.zeros(size), of.pole_derivatives()
+        gram, gradient, poles = np.zeros((size, size)), np.zeros(size), of.pole_derivatives(self.x)
         for output, left, by_poles, by_shared in self.data.sensitivities():
             slopes = self.derivatives(output)
             # each output depends on its own part of the shapes
@@ -184,8 +186,8 @@ class ConstrainedProjection(LinearProjection):
         if failed or not np.abs(inner).max(initial=0.0) < _WELL_CONDITIONED:
             inner = np.linalg.pinv(gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
         inner *= variance / np.outer(lengths, lengths)
-        outputs = range(self._problem.start.shared.shape[1])
-        J = np.concatenate([self._problem.coordinates.pole_derivatives(), *map(self.derivatives, outputs)])[:, kept]
+        poles = self._problem.coordinates.pole_derivatives(self.x)
+        J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, kept]
         return np.asarray(J @ inner @ J.T)
 
 
@@ -209,18 +211,21 @@ class ConstrainedProblem:
         return ConstrainedProjection(self, x)
 
     def inside(self, x: Array) -> Array:
-        """Poles brought to where they are allowed."""
-        n, p, found = self.coordinates.n, self.coordinates.poles(x), x.copy()
-        poles = self.region.inside(np.concatenate([p.imag, p.real]))
-        count = n * (1 + self.coordinates.damped)
-        found[:count] = poles[:count]
-        return found
+        """Poles brought to where they are allowed; next to a free fit no two of a section meet."""
+        coordinates = self.coordinates
+        inside = self.region.inside(coordinates.sections_at(x).x.copy())
+        if self.tangent is not None or not (coordinates.damped and coordinates.real):
+            k = len(coordinates.sections.decay)
+            least = self.region.least(inside[:k])
+            square, sign = inside[k : 2 * k], np.where(coordinates.sections.square > 0, 1.0, -1.0)
+            sign = sign if coordinates.damped else np.ones(k)
+            inside[k : 2 * k] = sign * np.maximum(sign * square, least)
+        return np.concatenate([inside[coordinates.kept], x[len(coordinates.kept) :]])
 
     def reach(self, at: ConstrainedProjection) -> Array:
         """A bin and the half-width of a peak for poles; any for what is nearly linear."""
-        n, found = self.coordinates.n, np.full(len(at.x), np.inf)
-        width = self.region.bin + np.abs(at.p.real)
-        found[: n * (1 + self.coordinates.damped)] = np.tile(width, 1 + self.coordinates.damped)
+        kept, found = self.coordinates.kept, np.full(len(at.x), np.inf)
+        found[: len(kept)] = self.region.reach(at.sections)[kept]
         return found
 
     def elsewhere(self, at: ConstrainedProjection) -> Iterator[Array]:
@@ -262,12 +267,14 @@ def constrained(
         )  # fmt: skip
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
-    x = coordinates.start(at.p, *layout.split(at.shared, len(at.p)))
+    x = coordinates.start(*layout.split(at.shared, len(at.p)))
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
-    tangent = replace(problem, tangent=Tangent(at))
-    near = refine(tangent, problem.inside(x), rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False)
-    found = refine(problem, near.projection.x, rtol=_EXACT, max_iterations=most, last=last)
+    x = problem.inside(x)
+    if coordinates.sections_at(x).keeps_kinds(at.sections):
+        tangent = replace(problem, tangent=Tangent(at))
+        x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
+    found = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
     end = found.projection
     shapes, participation = coordinates.shapes(end.x) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
@@ -297,13 +304,13 @@ def nearest_passive_fit(
 
 def coordinates_of(at: FreeProjection, layout: ChannelLayout, hypothesis: str) -> StructureCoordinates:
     """Coordinates of the models of a hypothesis, for what the data show."""
-    n, shown = len(at.p), at.shown
+    n, shown, sections = len(at.p), at.shown, at.sections
     residues, through = layout.split(shown.astype(float), n)
     entries, fed = np.any(residues, axis=0, keepdims=True)[0], through != 0
     if not layout.inputs:
-        return MatrixCoordinates(layout, n, entries, fed, damped=hypothesis != "lossless")
+        return MatrixCoordinates(layout, sections, entries, fed, damped=hypothesis != "lossless")
     if hypothesis in ("lossless", "classical"):
-        return ShapeCoordinates(layout, n, entries, fed, damped=hypothesis == "classical", real=True, tied=True)
+        return ShapeCoordinates(layout, sections, entries, fed, damped=hypothesis == "classical", real=True, tied=True)
     if hypothesis == "rank one":
-        return ShapeCoordinates(layout, n, entries, fed)
-    return MatrixCoordinates(layout, n, entries, fed, reciprocal=hypothesis == "reciprocal")
+        return ShapeCoordinates(layout, sections, entries, fed)
+    return MatrixCoordinates(layout, sections, entries, fed, reciprocal=hypothesis == "reciprocal")

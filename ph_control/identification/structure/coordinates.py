@@ -1,10 +1,11 @@
 """Coordinates of the models that have a structure: poles, shapes or matrices, what is fed through; and derivatives.
 
-    rho[l, o, i] = g[l, o] x[l, a] x[l, b]   or   g[l, o] K[l, c],        g[l, o] = p_l**k_o / (2j Im p_l)
+    rho[l, o, i] = g[l, o] x[l, a] x[l, b]   or   g[l, o] K[l, c],        g[l, o] = p_l**k_o / (p_l - q_l)
 
-with `k_o` times that the displacement is differentiated by output o.  Of a plant with damping that decouples in its
-real modes `x` is real: a response of unit modal mass is `x_a x_b / (s - p) (s - conj p)`, and its part at `p` that
-product over `2j Im p`.  At a port, output and input have the same number `x`.
+with `k_o` times that the displacement is differentiated by output o, and `q_l` the other pole of the section.  Of a
+plant with damping that decouples in its real modes `x` is real, and the same for both poles: a response of unit modal
+mass is `x_a x_b / (s - p) (s - q)`, and its part at `p` that product over `p - q`.  A real pole without another is that
+of a mass on a damper, `x_a x_b / (s - p)` in units of velocity.  At a port, output and input have the same number `x`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..regression.sections import Sections
 from .layout import ChannelLayout
 
 _NOTHING = 1e-3  # of the largest of a mode: what a shape begins with where its residue has the wrong sign
@@ -25,31 +27,48 @@ _NOTHING = 1e-3  # of the largest of a mode: what a shape begins with where its 
 
 @dataclass(frozen=True)
 class StructureCoordinates:
-    """Real numbers: frequencies Im p, growth Re p if it is free, residues by some numbers, and the feedthrough.
+    """Real numbers: coordinates of sections, without their decays if there are no losses, residues, and feedthrough.
 
-    `shown` (p, m) are the entries of which any experiment shows residues, `through` (p, m) those that may be fed
-    through.
+    `sections` are those of the model that the structure starts from; `shown` (p, m) are the entries of which any
+    experiment shows residues, `through` (p, m) those that may be fed through.  Residues have their values for each
+    section if these are `real`, else for each pole.
     """
 
     layout: ChannelLayout
-    n: int
+    sections: Sections
     shown: Mask
     through: Mask
     damped: bool = True
     real: bool = False
 
+    @cached_property
+    def kept(self) -> Indices:
+        """Which coordinates of the sections may move."""
+        k, s = len(self.sections.decay), len(self.sections.rates)
+        return np.arange(2 * k + s) if self.damped else np.arange(k, 2 * k)
+
     @property
     def _poles(self) -> int:
-        return self.n * (1 + self.damped)
+        return len(self.kept)
+
+    @property
+    def _units(self) -> int:
+        """Sections, or poles, that have values of their own."""
+        return len(self.sections.decay) + len(self.sections.rates) if self.real else len(self.sections.p)
+
+    @property
+    def _numbers(self) -> int:
+        """Real numbers of one value in all units: of a complex pole two."""
+        return self._units + (0 if self.real else int(np.sum(self.sections.p.imag != 0)))
 
     @cached_property
     def size(self) -> int:
         """Number of coordinates."""
-        return self._poles + self.n * self.values * (1 + (not self.real)) + int(self.through.sum())
+        return self._poles + self._units * self.values * (1 + (not self.real)) + int(self.through.sum())
 
     @cached_property
     def values(self) -> int:
-        """Number of values of residues in each mode."""
+        """Number of values of residues in each section or pole."""
         raise NotImplementedError
 
     @property
@@ -57,60 +76,100 @@ class StructureCoordinates:
         """Unknowns that the data show."""
         raise NotImplementedError
 
-    def start(self, p: ComplexArray, residues: ComplexArray, feedthrough: Array) -> Array:
-        """Coordinates near those of a free model."""
-        values = self.nearest(residues / self._factor(p))
-        parts = [p.imag, *([p.real] if self.damped else []), values.real.ravel()]
+    def sections_at(self, x: Array) -> Sections:
+        """Sections of a model."""
+        of = self.sections.x * (self.damped or np.repeat([0.0, 1.0, 0.0], self._counts))
+        of[self.kept] = x[: self._poles]
+        return self.sections.moved(of)
+
+    @property
+    def _counts(self) -> tuple[int, int, int]:
+        return len(self.sections.decay), len(self.sections.decay), len(self.sections.rates)
+
+    def start(self, residues: ComplexArray, feedthrough: Array) -> Array:
+        """Coordinates near those of a free model with residues (n, p, m) at the poles of the `sections`."""
+        x = self.sections.x if self.damped else np.abs(self.sections.x)
+        sections = self.sections_at(x[self.kept])
+        factor, unit = self._factor(self.sections), self._unit_of_pole(self.sections)
+        products, weights = factor.conj() * residues, np.abs(factor) ** 2
+        scaled = np.zeros((self._units, *residues.shape[1:]), complex)
+        sums = np.zeros((self._units, *factor.shape[1:]))
+        np.add.at(scaled, unit, products)
+        np.add.at(sums, unit, weights)
+        values = self.nearest(np.asarray(scaled / sums, complex))
+        parts = [sections.x[self.kept], values.real.ravel()]
         parts += [] if self.real else [values.imag.ravel()]
         return np.concatenate([*parts, feedthrough[self.through]])
 
     def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
-        """Values (n, number) for matrices (n, p, m) near to these."""
+        """Values (units, number) for matrices (units, p, m) near to these."""
         raise NotImplementedError
-
-    def poles(self, x: Array) -> ComplexArray:
-        """Poles of a model."""
-        n = self.n
-        return np.asarray((x[n : 2 * n] if self.damped else 0.0) + 1j * x[:n])
 
     def residue_values(self, x: Array) -> NDArray[Any]:
-        """Values of the residues, shape (n, number): real if the structure says so."""
-        count = self.n * self.values
+        """Values of the residues, shape (units, number): real if the structure says so."""
+        count = self._units * self.values
         real = x[self._poles : self._poles + count]
         both = real if self.real else real + 1j * x[self._poles + count : self._poles + 2 * count]
-        return both.reshape(self.n, self.values)
+        return both.reshape(self._units, self.values)
 
-    def model(self, x: Array) -> tuple[ComplexArray, ComplexArray, Array]:
-        """Poles, residues (n, p, m) and feedthrough (p, m)."""
-        p, through = self.poles(x), np.zeros(self.through.shape)
+    def model(self, x: Array) -> tuple[Sections, ComplexArray, Array]:
+        """Sections, residues (n, p, m) of their poles, and feedthrough (p, m)."""
+        sections, through = self.sections_at(x), np.zeros(self.through.shape)
         through[self.through] = x[self.size - int(self.through.sum()) :]
-        return p, self._factor(p) * self.matrices(self.residue_values(x)), through
+        matrices = self.matrices(self.residue_values(x))[self._unit_of_pole(sections)]
+        return sections, self._factor(sections) * matrices, through
 
     def matrices(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Residues over their factor, shape (n, p, m)."""
+        """Residues over their factor, shape (units, p, m)."""
         raise NotImplementedError
 
-    def _factor(self, p: ComplexArray) -> ComplexArray:
-        """`g`, shape (n, p, 1)."""
-        return (p[:, None] ** self.layout.powers / (2j * p.imag[:, None]))[:, :, None]
+    def _unit_of_pole(self, sections: Sections) -> Indices:
+        """Which unit each pole belongs to."""
+        if not self.real:
+            return np.arange(len(sections.p))
+        found = np.empty(len(sections.p), int)
+        for k, places in enumerate(sections.places):
+            found[places] = k
+        found[sections.single] = len(sections.places) + np.arange(len(sections.single))
+        return found
+
+    def _factor(self, sections: Sections) -> ComplexArray:
+        """`g`, shape (n, p, 1); of real poles half, as they are their own conjugates."""
+        p, apart = sections.p, np.empty(len(sections.p), complex)
+        slow, fast = sections.places.T
+        apart[fast] = np.where(sections.square > 0, 2j, -4.0) * sections.root
+        real = sections.square <= 0
+        apart[slow[real]] = 4.0 * sections.root[real]
+        apart[sections.single] = 2.0 * _not_zero(p[sections.single])
+        return (p[:, None] ** self.layout.powers / apart[:, None])[:, :, None]
+
+    def _factor_slopes(self, sections: Sections) -> ComplexArray:
+        """Derivatives of the logarithm of `g` by the coordinates of the poles, shape (n, p, coordinates)."""
+        p, k, n = sections.p, len(sections.decay), len(sections.p)
+        by = sections.pole_slopes[n:] + 1j * sections.pole_slopes[:n]
+        found = self.layout.powers[None, :, None] * (by / _not_zero(p)[:, None])[:, None]
+        for column in (0, 1):
+            found[sections.places[:, column], :, k + np.arange(k)] -= (
+                0.5 / sections.square / np.where(sections.square > 0, 2.0, 1.0)
+            )[:, None]  # a complex pole stands at both places
+        found[sections.single] -= (by / _not_zero(p)[:, None])[sections.single][:, None]
+        return found[:, :, self.kept]
 
     def derivatives(self, x: Array, output: int, has_feedthrough: bool) -> Array:
         """Of what `shared` has of an output of the projection, in the units of the data, shape (numbers, size)."""
-        n, p, values = self.n, self.poles(x), self.residue_values(x)
-        factor, matrices = self._factor(p)[:, :, 0], self.matrices(values)
-        modes, first = np.arange(n), int(self._poles)
+        sections, values = self.sections_at(x), self.residue_values(x)
+        unit, n = self._unit_of_pole(sections), len(sections.p)
+        factor, slopes = self._factor(sections)[:, :, 0], self._factor_slopes(sections)
+        matrices, poles, first = self.matrices(values)[unit], np.arange(n), int(self._poles)
         found = []
         for o, i in self.layout.entries(output):
-            rho, k = factor[:, o] * matrices[:, o, i], self.layout.powers[o]
             by = np.zeros((n, self.size), complex)
-            by[modes, modes] = rho * (1j * k / p - 1 / p.imag)
-            if self.damped:
-                by[modes, n + modes] = rho * k / p
+            by[:, :first] = (factor[:, o] * matrices[:, o, i])[:, None] * slopes[:, o]
             for place, slope in self.slopes(values, o, i):
-                at = first + modes * self.values + place
-                by[modes, at] += factor[:, o] * slope
+                where = first + unit * self.values + place
+                by[poles, where] += factor[:, o] * slope[unit]
                 if not self.real:
-                    by[modes, at + n * self.values] += 1j * factor[:, o] * slope
+                    by[poles, where + self._units * self.values] += 1j * factor[:, o] * slope[unit]
             fed = np.zeros((int(has_feedthrough), self.size))
             fed[:, self._through_at[o, i]] = self.through[o, i]
             found += [by.real, by.imag, fed]
@@ -125,13 +184,26 @@ class StructureCoordinates:
         """Places of the values that an entry depends on, and its derivative by each."""
         raise NotImplementedError
 
-    def pole_derivatives(self) -> Array:
+    def pole_derivatives(self, x: Array) -> Array:
         """Of imaginary and real parts of the poles, shape (2n, size)."""
-        return np.eye(2 * self.n, self.size) * (np.arange(2 * self.n) < self._poles)[:, None]
+        slopes = self.sections_at(x).pole_slopes
+        found = np.zeros((len(slopes), self.size))
+        found[:, : self._poles] = slopes[:, self.kept]
+        return found
 
     def free(self, x: Array) -> Mask:
         """Coordinates that may move: of several that make the same model all but one are held."""
-        return np.ones(self.size, bool)
+        found = np.ones(self.size, bool)
+        if not self.real:
+            # residues of real poles are real
+            count = self._units * self.values
+            real = np.repeat(self.sections.p.imag == 0, self.values)
+            found[self._poles + count : self._poles + 2 * count] = ~real
+        return found
+
+
+def _not_zero(p: ComplexArray) -> ComplexArray:
+    return np.where(p == 0, np.finfo(float).tiny ** 0.25, p)
 
 
 @dataclass(frozen=True)
@@ -157,8 +229,7 @@ class MatrixCoordinates(StructureCoordinates):
     @property
     def dof(self) -> int:
         """Unknowns that the data show."""
-        shapes = len(np.unique(self._classes[self.shown])) * (1 + (not self.real))
-        return self._poles + self.n * shapes + int(self.through.sum())
+        return self._poles + self._numbers * len(np.unique(self._classes[self.shown])) + int(self.through.sum())
 
     def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
         """Means over the entries of each value."""
@@ -171,7 +242,7 @@ class MatrixCoordinates(StructureCoordinates):
 
     def slopes(self, values: NDArray[Any], output: int, input: int) -> Sequence[tuple[int, NDArray[Any]]]:
         """One value for each entry."""
-        return [(int(self._classes[output, input]), np.ones(self.n))]
+        return [(int(self._classes[output, input]), np.ones(self._units))]
 
 
 @dataclass(frozen=True)
@@ -217,18 +288,17 @@ class ShapeCoordinates(StructureCoordinates):
     @property
     def dof(self) -> int:
         """Unknowns that the data show."""
-        shapes = (self.values - len(self._gauges)) * (1 + (not self.real))
-        return self._poles + self.n * shapes + int(self.through.sum())
+        return self._poles + self._numbers * (self.values - len(self._gauges)) + int(self.through.sum())
 
     def free(self, x: Array) -> Mask:
         """All but the largest of the numbers that share a scale."""
-        sizes, held = np.abs(self.residue_values(x)), np.zeros((self.n, self.values), bool)
+        sizes, held = np.abs(self.residue_values(x)), np.zeros((self._units, self.values), bool)
         for one in self._gauges:
-            held[np.arange(self.n), one[np.argmax(sizes[:, one], axis=1)]] = True
-        found = np.ones(self.size, bool)
-        found[self._poles :][: held.size] = ~held.ravel()
+            held[np.arange(self._units), one[np.argmax(sizes[:, one], axis=1)]] = True
+        found = super().free(x)
+        found[self._poles :][: held.size] &= ~held.ravel()
         if not self.real:
-            found[self._poles + held.size :][: held.size] = ~held.ravel()
+            found[self._poles + held.size :][: held.size] &= ~held.ravel()
         return found
 
     def nearest(self, scaled: ComplexArray) -> NDArray[Any]:
@@ -238,7 +308,7 @@ class ShapeCoordinates(StructureCoordinates):
         U, sizes, Vh = np.linalg.svd(kept, full_matrices=False)
         root = np.sqrt(sizes[:, :1])
         c, b = U[:, :, 0] * root, Vh[:, 0] * root
-        values = np.zeros((self.n, self.values), kept.dtype)
+        values = np.zeros((self._units, self.values), kept.dtype)
         if self.tied and self.layout.ports:
             at_outputs, at_inputs = (np.array(one) for one in zip(*self.layout.ports, strict=True))
             # of c t and b / t, which agree where t**2 = b / c

@@ -10,7 +10,8 @@ from scipy.special import fdtrc
 
 from ..._checks import EPS
 from ..diagnosis.verdict import HypothesisTest
-from ..regression.free import FreeProjection, GivenResidues, PoleRegion
+from ..regression.free import FreeProjection, GivenResidues
+from ..regression.sections import PoleRegion
 from .constrained import StructuredFit, constrained, nearest_passive_fit
 from .layout import ChannelLayout
 

@@ -86,7 +86,7 @@ class _Ports:
 
     def theta(self, at: FreeProjection) -> Array:
         """The numbers of a model."""
-        return np.concatenate([at.x, at.shared.T.ravel()])
+        return np.concatenate([at.pole_parts, at.shared.T.ravel()])
 
     def data(self, theta: Array) -> GivenResidues:
         """The data at a model."""
@@ -290,7 +290,8 @@ def made_passive(
 
 def _decay(C: Array, n: int, theta: Array) -> Array:
     """Least decay rates, which keep poles from the axis."""
-    return np.asarray(_STEADY * np.minimum(np.sqrt(np.diag(C)[n : 2 * n]), theta[:n]))
+    frequencies = np.where(theta[:n] > 0, theta[:n], np.inf)
+    return np.asarray(_STEADY * np.minimum(np.sqrt(np.diag(C)[n : 2 * n]), frequencies))
 
 
 def _gradient(data: GivenResidues) -> Array:

@@ -20,9 +20,9 @@ class ModalSamples(Draws):
 
     Attributes
     ----------
-    poles : ndarray of complex, shape (k, n)
-        Those of positive imaginary part: one draw a row, one mode of the estimate a column.
-    residues : ndarray of complex, shape (k, n, p, m)
+    poles : ndarray of complex, shape (k, N)
+        Those of positive imaginary part, then real ones: one draw a row, one pole of the estimate a column.
+    residues : ndarray of complex, shape (k, N, p, m)
         At these poles.
     feedthrough : ndarray, shape (k, p, m)
         Responses at infinity.
@@ -44,22 +44,23 @@ class ModalSamples(Draws):
             object.__setattr__(self, name, np.array(getattr(self, name), complex))
         object.__setattr__(self, "feedthrough", np.array(self.feedthrough, float))
         k, n, p, m = self.residues.shape
+        modes = int(np.sum(self.poles[:1].imag != 0))
         found = self.poles.shape, self.feedthrough.shape, self.shapes.shape
-        if found != ((k, n), (k, p, m), (k, n, p)):
+        if found != ((k, n), (k, p, m), (k, modes, p)):
             raise StructureError(
-                f"poles, feedthrough, shapes have shapes {found}; expected (k, n), (k, p, m), (k, n, p)"
+                f"poles, feedthrough, shapes have shapes {found}; expected {(k, n)}, {(k, p, m)}, {(k, modes, p)}"
             )
         super().__post_init__()
 
     @property
     def natural_frequencies(self) -> Array:
-        """Natural frequencies `|p|`, shape (k, n), rad per unit time."""
-        return np.abs(self.poles)
+        """Natural frequencies `|p|` of the modes, shape (k, n), rad per unit time."""
+        return np.abs(self.poles[:, : self.shapes.shape[1]])
 
     @property
     def damping_ratios(self) -> Array:
-        """Damping ratios `-Re p / |p|`, shape (k, n)."""
-        return -self.poles.real / np.abs(self.poles)
+        """Damping ratios `-Re p / |p|` of the modes, shape (k, n)."""
+        return -self.poles[:, : self.shapes.shape[1]].real / self.natural_frequencies
 
     def freqresp(self, omega: ArrayLike, output: int = 0, input: int = 0) -> ComplexArray:
         """Frequency response of every draw from an input to an output.
@@ -189,7 +190,8 @@ class ModalSamples(Draws):
         residues, through = self._entry(output, input)
 
         def step(t: Array, p: ComplexArray) -> Array:
-            moved = np.sum((2 * residues / p * np.expm1(p * np.maximum(t, 0.0))).real, axis=-1)
+            weights = np.where(p.imag == 0, 1, 2) * residues
+            moved = np.sum((weights / p * np.expm1(p * np.maximum(t, 0.0))).real, axis=-1)
             return np.where(t[..., 0] < 0, 0.0, moved + through)
 
         return self._percentiles(self._tables("time", time, step), level)
@@ -223,7 +225,8 @@ class ModalSamples(Draws):
         residues, _ = self._entry(output, input)
 
         def impulse(t: Array, p: ComplexArray) -> Array:
-            moved = np.sum((2 * residues * np.exp(p * np.maximum(t, 0.0))).real, axis=-1)
+            weights = np.where(p.imag == 0, 1, 2) * residues
+            moved = np.sum((weights * np.exp(p * np.maximum(t, 0.0))).real, axis=-1)
             return np.where(t[..., 0] < 0, 0.0, moved)
 
         return self._percentiles(self._tables("time", time, impulse), level)
@@ -239,7 +242,7 @@ class ModalSamples(Draws):
         residues, through = self._entry(output, input)
 
         def response(w: Array, p: ComplexArray) -> ComplexArray:
-            terms = residues / (1j * w - p) + residues.conj() / (1j * w - p.conj())
+            terms = residues / (1j * w - p) + (p.imag != 0) * residues.conj() / (1j * w - p.conj())
             return np.asarray(terms.sum(axis=-1) + through)
 
         return response

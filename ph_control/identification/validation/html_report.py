@@ -14,7 +14,7 @@ from matplotlib import rc_context
 
 from ..._display import escaped, html_report, html_table
 from ...exceptions import StructureError
-from ..fit.report import test_table
+from ..fit.report import real_pole_table, test_table
 from ..fit.result import PEMResult
 
 # kind of picture, its heading, and what it shows
@@ -50,6 +50,9 @@ figcaption { color: #5a6472; font-size: .9rem; }
 def page_of(result: PEMResult, title: str) -> str:
     """The whole page, with its pictures inside."""
     parts = [f"<h1>{escaped(title)}</h1>", result._repr_html_()]
+    if len(result.real_poles):
+        head, *rows = real_pole_table(result)
+        parts += ["<h2>Real poles</h2>", html_table(head, rows)]
     if result.tests:
         head, *rows = test_table(result.tests)
         parts += ["<h2>Tests of structure</h2>", html_table([*head[:-1], "p"], rows)]
@@ -79,6 +82,7 @@ def page_of(result: PEMResult, title: str) -> str:
 def _call(result: PEMResult) -> str:
     """The call that fits this model to the same data, with what was found in place of the search."""
     given: dict[str, Any] = {"order": result.order, "structure": getattr(result, "structure", "lossless")}
+    given |= {"real_poles": len(result.real_poles)} if len(result.real_poles) else {}
     given["quantity"] = getattr(result, "quantities", None) or getattr(result, "quantity", None)
     given |= {name: getattr(result, name, None) for name in _KEYWORDS}
     given = {name: list(value) if isinstance(value, tuple) else value for name, value in given.items() if value}

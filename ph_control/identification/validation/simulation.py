@@ -296,7 +296,7 @@ def _own_directions(model: PEMResult, place: int) -> Directions:
         return _no_directions(one.record)
     if isinstance(model, LosslessResult):
         return _fitted_directions(model, place)
-    rho = model.residues[:, 0, 0]
+    rho = model.residues[:, 0, 0] * np.where(model.poles.imag == 0, 0.5, 1.0)  # a real pole has two halves
     if isinstance(one.record, FrequencyRecord):
         return of_damped_response(one.record, model.poles, rho)
     hold, offset = Hold(one.record.dt, "exact", model.intersample), int(model.offsets.any())

@@ -1,0 +1,167 @@
+"""Sections: coordinates of poles that pass smoothly from pairs of complex poles through critical damping to real ones.
+
+    s^2 + 2 decay s + decay^2 + square        a section, with the poles -decay +- i sqrt(square),
+    s + rate                                  a first-order section, where the number of real poles is odd
+
+A section is a damped mode (`square > 0`), an overdamped mass or two lags (`square < 0`), a mass on a damper (a pole at
+0) or a rigid body (both).  Poles and residues are not smooth at critical damping, where residues are infinite; these
+coordinates and everything that is predicted are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..._types import Array, ComplexArray, Indices, Mask
+from .tuning import TUNING
+
+# of their distance from 0, or of a bin: two poles of a section are taken as that far apart. What is predicted changes
+# by the square of it, and keeps all but as many digits as it has
+_APART = 1e-4
+_NUDGE = 1e-6  # of the size of a coordinate: a step towards a border
+
+
+@dataclass(frozen=True)
+class Sections:
+    """Sections of a model: `decay` and `square` of each, shapes (k,), and `rates` (0 or 1,) of a first-order section.
+
+    `places` (k, 2) are those of the poles of each section among all poles, the same twice for one of a complex pair;
+    `single` that of the first-order section.
+    """
+
+    decay: Array
+    square: Array
+    rates: Array
+    places: Indices
+    single: Indices
+
+    @classmethod
+    def of(cls, p: ComplexArray) -> Sections:
+        """Sections of poles (n,): those of positive imaginary part alone, neighbouring real poles in pairs."""
+        pairs = np.flatnonzero(p.imag != 0)
+        real = np.flatnonzero(p.imag == 0)
+        real = real[np.argsort(-p[real].real, kind="stable")]
+        couples = real[: len(real) // 2 * 2].reshape(-1, 2)
+        slow, fast = p.real[couples].T if len(couples) else np.zeros((2, 0))
+        return cls(
+            np.concatenate([-p.real[pairs], -0.5 * (slow + fast)]),
+            np.concatenate([p.imag[pairs] ** 2, -((0.5 * (slow - fast)) ** 2)]),
+            -p.real[real[2 * len(couples) :]],
+            np.concatenate([np.stack([pairs, pairs], axis=1), couples]).astype(int),
+            real[2 * len(couples) :],
+        )
+
+    @classmethod
+    def from_coordinates(cls, x: Array) -> Sections:
+        """The sections with these coordinates, poles in the order of the sections."""
+        decay, square, rates = np.split(x, [len(x) // 2, 2 * (len(x) // 2)])
+        ends = np.cumsum(np.where(square > 0, 1, 2)).astype(int)
+        places = np.stack([ends - np.where(square > 0, 1, 2), ends - 1], axis=1)
+        single = np.arange(len(rates)) + (int(ends[-1]) if len(ends) else 0)
+        return cls(decay, square, rates, places, single)
+
+    def moved(self, x: Array) -> Sections:
+        """Sections with other coordinates, poles at the same places as long as each section is of the same kind."""
+        found = Sections.from_coordinates(x)
+        return replace(found, places=self.places, single=self.single) if found.keeps_kinds(self) else found
+
+    def keeps_kinds(self, other: Sections) -> bool:
+        """Whether the sections of another model have complex, or real poles as these."""
+        return np.array_equal(self.square > 0, other.square > 0)
+
+    @cached_property
+    def x(self) -> Array:
+        """Coordinates: decays, squares, rates."""
+        return np.concatenate([self.decay, self.square, self.rates])
+
+    @cached_property
+    def root(self) -> Array:
+        """Half the distance of the poles of each section."""
+        return np.sqrt(np.abs(self.square))
+
+    @cached_property
+    def p(self) -> ComplexArray:
+        """Poles, at their places."""
+        found = np.empty(len(np.unique(self.places)) + len(self.single), complex)
+        slow, fast = self.places.T
+        found[fast] = np.where(self.square > 0, -self.decay + 1j * self.root, -self.decay - self.root)
+        overdamped = self.square <= 0
+        found[slow[overdamped]] = (self.root - self.decay)[overdamped]
+        found[self.single] = -self.rates
+        return found
+
+    @cached_property
+    def pole_slopes(self) -> Array:
+        """Derivatives of imaginary, then real parts of the poles by the coordinates, shape (2n, len(x))."""
+        n, k = len(self.p), len(self.decay)
+        found, section = np.zeros((2 * n, len(self.x))), np.arange(k)
+        slow, fast = self.places.T
+        found[n + slow, section] = found[n + fast, section] = -1.0
+        half = 0.5 / self.root
+        complex_pair = self.square > 0
+        found[fast[complex_pair], (k + section)[complex_pair]] = half[complex_pair]
+        found[(n + slow)[~complex_pair], (k + section)[~complex_pair]] = -half[~complex_pair]
+        found[(n + fast)[~complex_pair], (k + section)[~complex_pair]] = half[~complex_pair]
+        found[n + self.single, 2 * k + np.arange(len(self.rates))] = -1.0
+        return found
+
+    def sizes(self, bin: float = 0.0) -> Array:
+        """Sizes of the coordinates."""
+        distance = np.maximum(np.hypot(self.decay, self.root), bin)
+        return np.concatenate([distance, distance**2, np.maximum(np.abs(self.rates), bin)])
+
+
+@dataclass(frozen=True)
+class PoleRegion:
+    """Where poles are looked for; `bin` is the distance in frequency within which the loss has one minimum.
+
+    No pole is beyond the `ceiling`, and none grows by more than a factor over the record.  Where the kinds of sections
+    may not change, those with complex poles are the `oscillating` ones (k,).
+    """
+
+    bin: float
+    ceiling: float
+    kinds_may_change: bool = True
+    oscillating: Mask | None = None
+
+    def about(self, sections: Sections) -> PoleRegion:
+        """The region of models that begin with some sections."""
+        return self if self.kinds_may_change else replace(self, oscillating=sections.square > 0)
+
+    @property
+    def _growth(self) -> float:
+        return TUNING.fastest_growth * self.bin
+
+    def inside(self, x: Array) -> Array:
+        """Coordinates brought to where poles are allowed, those of a section apart from one another."""
+        decay, square, rates = np.split(x, [len(x) // 2, 2 * (len(x) // 2)])
+        decay = np.clip(decay, -self._growth, self.ceiling)
+        least = self.least(decay)
+        square = np.where(np.abs(square) < least, np.where(square < 0, -least, least), square)
+        lowest = -np.maximum(np.minimum(decay + self._growth, 2 * self.ceiling - decay) ** 2, least)
+        highest = np.full(len(square), self.ceiling**2)
+        if self.oscillating is not None:
+            lowest = np.where(self.oscillating, least, lowest)
+            highest = np.where(self.oscillating, highest, -least)
+        return np.concatenate([
+            decay, np.clip(square, lowest, highest), np.clip(rates, -self._growth, self.ceiling)
+        ])  # fmt: skip
+
+    def least(self, decay: Array) -> Array:
+        """Squares below which poles of a section are too close to tell what each of them does."""
+        return (_APART * np.maximum(np.abs(decay), self.bin)) ** 2
+
+    def reach(self, sections: Sections) -> Array:
+        """Widths of the basins of the coordinates: a bin, and the half-width of a peak; of real poles their rate."""
+        width = self.bin + np.abs(sections.decay)
+        return np.concatenate([
+            width, width * (2 * sections.root + width), self.bin + np.abs(sections.rates)
+        ])  # fmt: skip
+
+    def held(self, x: Array, gradient: Array) -> Mask:
+        """Which numbers a descent would only push across the border that they are at."""
+        nudge = _NUDGE * Sections.from_coordinates(x).sizes(self.bin) * np.sign(gradient)
+        return np.asarray((self.inside(x - nudge) == x) & (gradient != 0))

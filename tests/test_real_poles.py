@@ -1,0 +1,153 @@
+"""Plants with real poles: lags, motors, circuits of resistors and capacitors, overdamped and critical masses."""
+
+import control as ct
+import numpy as np
+import pytest
+
+import ph_control as phc
+
+H, SAMPLES = 0.01, 1200
+
+# poles of the upper half-plane and real ones, with residues
+PLANTS = {
+    "lag": ([-4.0], [3.0]),
+    "motor": ([-1.5, -25.0], [2.0, -2.0]),
+    "network of resistors and capacitors": ([-0.8, -5.0, -40.0], [0.5, 2.0, 14.0]),
+    "lag beside a mode": ([-0.2 + 14.0j, -1.2], [0.4 - 0.2j, 1.0]),
+    "critically damped mass": ([-7.0, -7.0 - 1e-6], [1e6, -1e6]),
+    "integrator and lag": ([0.0, -4.0], [1.0, -1.0]),
+}
+
+
+def response(poles, residues, s):
+    """Transfer function at points."""
+    value = np.zeros(np.shape(s), complex)
+    for p, r in zip(poles, residues, strict=True):
+        value = value + r / (s - p) + (np.conj(r) / (s - np.conj(p)) if np.imag(p) else 0.0)
+    return value
+
+
+def held(poles, residues, u, h=H):
+    """Output of a plant at rest for an input held between samples, step by step."""
+    y = np.zeros(len(u))
+    for p, r in zip(poles, residues, strict=True):
+        x, step = 0.0, np.exp(p * h)
+        weight = h if p == 0 else (step - 1) / p
+        for k, value in enumerate(u):
+            y[k] += (2 if np.imag(p) else 1) * (r * x).real
+            x = step * x + weight * value
+    return y
+
+
+def steps(seed, samples=SAMPLES):
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.choice([-1.0, 1.0], samples // 12 + 1), 12)[:samples] + 0.3 * rng.standard_normal(samples), rng
+
+
+def recording(name, seed=3, noise=0.02):
+    poles, residues = PLANTS[name]
+    u, rng = steps(seed)
+    y = held(poles, residues, u)
+    return poles, residues, u, y + noise * np.std(y) * rng.standard_normal(len(u))
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_real_poles_are_estimated_with_errors_that_hold(name):
+    poles, residues, u, y = recording(name)
+    result = phc.pem((u, y), dt=H)
+    real = [p for p in poles if np.imag(p) == 0]
+    assert result.states == len(real) + 2 * (len(poles) - len(real)) == len(result.system.poles())
+    assert result.outcome.name == "CONSISTENT"
+    omega = np.array([0.3, 2.0, 9.0])
+    truth = response(poles, residues, 1j * omega)
+    assert np.allclose(result.observed_system(1j * omega), truth, rtol=0.03, atol=0.01 * np.abs(truth).max())
+    if name != "critically damped mass":  # whose poles go together or apart by chance
+        assert result.order == len(poles) - len(real)
+        errors = result.stderr["real_poles"]
+        assert np.all(np.abs(result.real_poles - np.sort(real)[::-1]) < 4 * errors)
+        assert np.allclose(result.time_constants * result.real_poles, -1.0)
+        assert np.allclose(result.stderr["time_constants"], errors / result.real_poles**2)
+
+
+def test_the_number_of_real_poles_may_be_given():
+    _, _, u, y = recording("motor")
+    (slow,) = phc.pem((u, y), dt=H, order="auto", real_poles=1, max_order=1, structure="free").real_poles
+    assert -3.0 < slow < -1.0
+    assert phc.pem((u, y), dt=H, real_poles=2).states == 2
+    for wrong in (-1, 1.5, "some"):
+        with pytest.raises(phc.StructureError, match="real_poles"):
+            phc.pem((u, y), dt=H, real_poles=wrong)
+
+
+def test_an_overdamped_mass_is_classical_and_a_network_of_relaxations_passive():
+    u, rng = steps(5)
+    mass = held([-4.0, -18.0], [1 / 14, -1 / 14], u)
+    result = phc.pem((u, mass + 0.02 * np.std(mass) * rng.standard_normal(len(u))), dt=H, quantity="displacement",
+                     intersample="zoh")  # fmt: skip
+    assert result.structure == "classical" and len(result.real_poles) == 2
+    assert isinstance(result.system, phc.PortHamiltonian) and result.system.nstates == 2
+    *_, u, y = recording("network of resistors and capacitors")
+    network = phc.pem((u, y), dt=H, intersample="zoh")
+    assert network.structure == "passive" and isinstance(network.system, phc.PortHamiltonian)
+    assert np.all(network.residues.real > 0)
+
+
+def test_outputs_share_a_real_pole():
+    u, rng = np.stack([steps(1)[0], steps(2)[0]]), np.random.default_rng(4)
+    poles, gains = [-0.3 + 9.0j, -2.0], rng.uniform(0.5, 1.0, (2, 2, 2))
+    y = np.array([sum(held(poles, gains[:, o, i], u[i]) for i in range(2)) for o in range(2)])
+    y += 0.02 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    result = phc.pem((u, y), dt=H, quantity="free")
+    assert (result.order, len(result.real_poles)) == (1, 1)
+    assert abs(result.real_poles[0] + 2.0) < 4 * result.stderr["real_poles"][0]
+    found, errors = result.residues[1].real, result.stderr["residues"][1].real
+    assert np.all(np.abs(found - gains[1]) < 4.5 * errors)
+
+
+def test_a_response_shows_real_poles():
+    poles, residues = [-3.0, -60.0], [2.0, 30.0]
+    omega, rng = np.geomspace(0.2, 500.0, 150), np.random.default_rng(0)
+    clean = response(poles, residues, 1j * omega)
+    measured = clean + 0.005 * np.abs(clean).max() * (rng.standard_normal((2, 150)) * [[1], [1j]]).sum(axis=0)
+    result = phc.pem(ct.frd(measured, omega), weights=np.ones(150))
+    assert result.order == 0 and len(result.real_poles) == 2
+    assert np.all(np.abs(result.real_poles - poles) < 4 * result.stderr["real_poles"])
+
+
+def test_a_fit_with_real_poles_predicts_and_comes_back_from_a_file(tmp_path):
+    poles, residues, u, y = recording("lag beside a mode")
+    result = phc.pem((u, y), dt=H)
+    fresh, _ = steps(11)
+    truth = held(poles, residues, fresh)
+    predicted = result.predict(fresh, initial_state="zero").outputs
+    assert np.linalg.norm(predicted - truth) < 0.02 * np.linalg.norm(truth)
+    assert phc.compare((fresh, truth), result, dt=H).fit_percent[0] > 98
+    assert np.allclose(result.predict((u, y), initial_state="fitted").outputs, result.predicted)
+    result.save(tmp_path / "fit.json")
+    again = phc.load(tmp_path / "fit.json")
+    assert np.array_equal(again.poles, result.poles) and str(again) == str(result)
+    assert "time constant" in str(result) and "1 mode and 1 real pole" in str(result)
+    result.report(tmp_path / "fit.html")
+    assert "time constant" in (tmp_path / "fit.html").read_text(encoding="utf-8")
+
+
+def test_draws_of_a_fit_with_real_poles_have_its_errors():
+    *_, u, y = recording("lag beside a mode")
+    result = phc.pem((u, y), dt=H, structure="free")
+    draws = result.sample(800, rng=0)
+    assert np.allclose(draws.poles[:, 1].imag, 0.0)
+    assert abs(np.std(draws.poles[:, 1].real) / result.stderr["real_poles"][0] - 1) < 0.15
+    low, high = draws.magnitude_band([0.5])[:, 0]
+    assert low < abs(result.observed_system(0.5j)) < high
+    assert all(len(one.poles()) == 3 for one in result.sample_systems(3, rng=0))
+
+
+def test_no_lag_is_seen_in_a_plant_without_any():
+    rng, t = np.random.default_rng(2), 0.1 * np.arange(1500)
+    plant = phc.ph(phc.modes([1.0, 2.5], [0.5, 0.4], damping=[0.01, 0.02]))
+    seen = 0
+    for _ in range(6):
+        u = rng.standard_normal(1500)
+        y = phc.forced_response(plant, t, u, intersample="zoh").outputs
+        seen += len(phc.pem((u, y + 0.05 * rng.standard_normal(1500)), dt=0.1).real_poles)
+    assert seen == 0
