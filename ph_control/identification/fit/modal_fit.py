@@ -28,7 +28,7 @@ from ..regression.prediction import FittedExperiment, Pairs, joint_percent, piec
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
 from ..search.formulation import Callback, reporter
-from ..search.modal_search import FreeFit, feedthrough_of, free_fit
+from ..search.modal_search import FreeFit, FreePath, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
 from ..structure.layout import ChannelLayout
@@ -105,7 +105,13 @@ def shows_real_poles(channels: Channels, asked: Asked, options: Options) -> bool
         return options.real_poles not in ("auto", 0)
     _refuse_still(channels)
     parts: Any = [cut(one, searched_part(one, not options.moving, _BEGINNING)) for one in channels]
+    path = FreePath.of(
+        parts, asked.quantities, options.intersample, int(bool(options.offset)), options.moving
+    )  # fmt: skip
     try:
+        # a first look, which most plants without real poles end with
+        if not path.carried or not np.any(path.grown(np.zeros(0, complex), options.max_order, True).p.imag == 0):
+            return False
         found = free_fit(
             parts, quantities=asked.quantities, intersample=options.intersample, offset=options.offset,
             moving=options.moving, max_order=options.max_order, criterion="bic",

@@ -91,11 +91,12 @@ class FreeSearch:
         """Whether what other modes leave of the data is not left to n poles."""
         return True
 
-    def lag(self, at: FreeProjection) -> complex:
-        """The real pole that explains most of what a model leaves."""
+    def lag(self, at: FreeProjection) -> tuple[complex, float]:
+        """The real pole that explains most of what a model leaves, and how much."""
         rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
-        gains = sum(explained_by_lags(rows, at.p, rates) for rows in at.experiments)
-        return complex(-rates[int(np.argmax(gains))])
+        gains = np.sum([explained_by_lags(rows, at.p, rates) for rows in at.experiments], axis=0)
+        best = int(np.argmax(gains))
+        return complex(-rates[best]), float(gains[best])
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All of the data, or what of them is about some modes."""

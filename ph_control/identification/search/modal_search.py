@@ -607,6 +607,11 @@ class FreePath:
             found += past_of_noise(int(count), foretold, each)
         return found
 
+    def _stands_out(self, model: FreeModel, gain: float, unknowns: int) -> bool:
+        """Whether noise would hardly let so many unknowns more explain as much of what a model leaves."""
+        loss = float(np.sum(model.losses * self.sizes**2))
+        return stands_out(gain, loss, int(self.counts.sum()), self.search.unknowns_of(model.p), unknowns)
+
     def gain(self, more: FreeModel, model: FreeModel) -> float:
         """By how much the criterion prefers a larger model, both in rows in which the noise of the larger one is white.
 
@@ -783,8 +788,13 @@ class FreePath:
             return None
         if not given and not self.search.shows_background(len(model.p) + 1):
             return None
-        p = np.append(model.p, self.scaled.lag(model.at))
+        pole, gain = self.scaled.lag(model.at)
+        p = np.append(model.p, pole)
         if self.search.unknowns_of(p) >= self.counts.sum() or np.all(model.losses <= self.floors):
+            return None
+        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(p)
+        modes = self.candidates(model)[1].max(initial=0.0)
+        if not given and (gain < TUNING.nearly_as_strong * modes or not self._stands_out(model, gain, then - now)):
             return None
         more = self.reweighted(self.model(p))
         if _modes(more.p) > most or (given and _real(more.p) <= _real(model.p)):
@@ -794,8 +804,7 @@ class FreePath:
         # a pole at the border stands for what is fed through
         fast = np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling)
         before, after = (float(np.sum(one.losses * self.sizes**2)) for one in (model, more))
-        now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(more.p)
-        shown = stands_out(before - after, before, int(self.counts.sum()), now, then - now)
+        shown = self._stands_out(model, before - after, self.search.unknowns_of(more.p) - now)
         return more if shown and not fast and self.gain(more, model) > 2 * TUNING.sure else None
 
     def with_modes(self, model: FreeModel, most: int, automatic: bool) -> FreeModel | None:
