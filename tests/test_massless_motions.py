@@ -39,7 +39,7 @@ def test_a_printed_mass_matrix_is_condensed_like_the_exact_one(n, massless, digi
     assert sys.n == n - massless
     for s in (0.3 + 0.7j, 0.1 + 2j):
         wanted = velocity(M, K, F, s)
-        np.testing.assert_allclose(sys(s), wanted, rtol=0, atol=10.0 ** (5 - min(digits, 13)) * np.abs(wanted))
+        np.testing.assert_allclose(sys(s), wanted, rtol=0, atol=10.0 ** (6 - min(digits, 13)) * np.abs(wanted))
 
 
 @pytest.mark.parametrize("digits", [9, 10, 12, 16])

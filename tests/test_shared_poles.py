@@ -8,7 +8,8 @@ from reference import EPS
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from ph_control.identification.regression.free import FreeProblem, FreeProjection, PoleRegion, refine_free
+from ph_control.identification.regression.free import FreeProblem, FreeProjection, refine_free
+from ph_control.identification.regression.sections import PoleRegion, Sections
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.regression.variable_projection import refine
 from ph_control.identification.search.free_search import Channels
@@ -87,9 +88,9 @@ def test_gradient_is_that_of_differences():
     rows, p, nudge = FreeRecord.by_observation(u, y, missing(), Hold(H, "exact", "foh")), P * 1.01, 1e-6
 
     def loss(x):
-        return FreeProjection(rows, x[2:] + 1j * x[:2]).loss
+        return FreeProjection(rows, Sections.from_coordinates(x).p).loss
 
-    x = np.concatenate([p.imag, p.real])
+    x = Sections.of(p).x
     differences = [(loss(x + nudge * one) - loss(x - nudge * one)) / (2 * nudge) for one in np.eye(4)]
     found = 2 * FreeProjection(rows, p).gradient
     assert np.allclose(found, differences, rtol=1e-5, atol=1e-6 * np.abs(differences).max())
@@ -113,11 +114,11 @@ def test_more_outputs_make_poles_surer_and_errors_hold():
     for seed in range(8):
         u, y, _ = record(noise=0.5, seed=seed)
         rows = FreeRecord.by_observation(u, y, np.ones((3, SAMPLES), bool), Hold(H))
-        end = refine(FreeProblem(rows, region), np.concatenate([P.imag, P.real]) * 1.01, rtol=1e-12)
+        end = refine(FreeProblem(rows, region), Sections.of(P * 1.01).x, rtol=1e-12)
         assert end.converged
         covariance = end.projection.covariance(0.25)
         errors = np.sqrt(np.diag(covariance)[:4])
-        scores.append((end.projection.x - np.concatenate([P.imag, P.real])) / errors)
+        scores.append((end.projection.pole_parts - np.concatenate([P.imag, P.real])) / errors)
         first = refine(FreeProblem([FreeRecord(u, y[:1], np.ones(SAMPLES, bool), Hold(H))], region), end.projection.x,
                        rtol=1e-12).projection  # fmt: skip
         assert np.all(np.sqrt(np.diag(first.covariance(0.25))[:4]) > errors)

@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 from scripts import ROOT
 
 import ph_control as phc
-from ph_control.identification.regression.free import FreeProjection, PoleRegion, refine_free
+from ph_control.identification.regression.free import FreeProjection, refine_free
 from ph_control.identification.regression.frequency_rows import FreeResponse
+from ph_control.identification.regression.sections import PoleRegion
 from ph_control.identification.regression.time_rows import FreeRecord
 from ph_control.identification.structure.constrained import ConstrainedProblem, constrained, coordinates_of
 from ph_control.identification.structure.hypothesis_tests import choose, structure_tests

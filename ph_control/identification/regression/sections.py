@@ -21,6 +21,7 @@ from .tuning import TUNING
 # of their distance from 0, or of a bin: two poles of a section are taken as that far apart. What is predicted changes
 # by the square of it, and keeps all but as many digits as it has
 _APART = 1e-4
+_LOWEST = 0.5  # bins: where modes stay modes, what does not swing half a time is a drift
 _NUDGE = 1e-6  # of the size of a coordinate: a step towards a border
 
 
@@ -144,7 +145,7 @@ class PoleRegion:
         lowest = -np.maximum(np.minimum(decay + self._growth, 2 * self.ceiling - decay) ** 2, least)
         highest = np.full(len(square), self.ceiling**2)
         if self.oscillating is not None:
-            lowest = np.where(self.oscillating, least, lowest)
+            lowest = np.where(self.oscillating, (_LOWEST * self.bin) ** 2, lowest)
             highest = np.where(self.oscillating, highest, -least)
         return np.concatenate([
             decay, np.clip(square, lowest, highest), np.clip(rates, -self._growth, self.ceiling)
