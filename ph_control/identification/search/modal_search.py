@@ -923,7 +923,8 @@ class FreePath:
     def vagueness(self, model: FreeModel) -> Array:
         """Errors of the widths of peaks, in units of what a resonance may have: beyond, it patches a background."""
         allowed = TUNING.vague * np.maximum(np.abs(model.at.sigma), self.search.region.bin)
-        return np.where((model.p.imag > 0) & ~_broad(model.p), self.decay_errors(model.at) / allowed, 0.0)
+        lag = (model.p.imag == 0) | (_broad(model.p) & self.search.kinds_may_change)
+        return np.where(lag, 0.0, self.decay_errors(model.at) / allowed)
 
     def pruned(self, model: FreeModel) -> FreeModel:
         """Modes dropped as long as the criterion gets better, or their widths are not known."""
