@@ -600,11 +600,7 @@ class FreePath:
             return found
         each = 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
         for output, count in enumerate(self.counts):
-            pairs = zip(self.search.data, model.left, strict=True)
-            seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
-            sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
-            foretold = autoregression(sums, min(length for length, _ in seen))[1]
-            found += past_of_noise(int(count), foretold, each)
+            found += past_of_noise(int(count), self._autoregression(model, output)[1], each)
         return found
 
     def _stands_out(self, model: FreeModel, gain: float, unknowns: int) -> bool:
@@ -640,13 +636,17 @@ class FreePath:
         if not isinstance(self.search, Records):
             return found
         for output, count in enumerate(self.counts):
-            pairs = zip(self.search.data, model.left, strict=True)
-            seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
-            sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
-            models, left = autoregression(sums, min(length for length, _ in seen))
+            models, left = self._autoregression(model, output)
             order = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(len(left))))
             found[output] = np.concatenate([[1.0], -models[order]])
         return found
+
+    def _autoregression(self, model: FreeModel, output: int) -> tuple[list[Array], Array]:
+        """Autoregressions of what a model leaves of an output of recordings, and the variances that these leave."""
+        pairs = zip(self.search.data, model.left, strict=True)
+        seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
+        sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
+        return autoregression(sums, min(length for length, _ in seen))
 
     @property
     def carried(self) -> int:
