@@ -13,11 +13,22 @@ it fixes more.  On what is left the inequality is a regular Riccati equation.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, block_diag, eigh, qr, solve_continuous_are, solve_continuous_lyapunov, svd
+from scipy.linalg import (
+    LinAlgError,
+    block_diag,
+    eigh,
+    qr,
+    schur,
+    solve_continuous_are,
+    solve_continuous_lyapunov,
+    solve_sylvester,
+    svd,
+)
 from scipy.optimize import brentq
 
 from .._checks import EPS
@@ -30,9 +41,11 @@ _NEW = 100.0  # times the root of that: what a direction has outside the known o
 _SINGULAR = 1e-12  # of its terms: an eigenvalue of `G + G^H` that is 0 at all frequencies
 _NEAR = 1e-2  # of them: one that may touch 0 between points looked at
 _TOUCHES = 1e-9  # of them: one that may be 0
-_ROUNDING, _GOOD = 1e-14, 1e-12  # of the system: a correction of `W` that is rounding, and one that is good enough
+_ROUNDING = 4.0  # roundings of the system, times the number of states: a correction of `W` that is none
+_GOOD = 1e-12  # of the system: a correction that is good enough
 _UNFED = 1e-13  # of `W`: a feedthrough of ports that is taken for none
 _FLOOR = 8.0  # roundings of its norm: the least eigenvalue of what is left
+_LARGE = 1e3  # times the norm of `a`: what a Hamiltonian matrix may lose by the weights it is divided by
 _REFINED = 3  # steps of Newton's method
 
 
@@ -66,10 +79,15 @@ def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Co
     system = A, B, C, D
     points = touching_frequencies(*system)
     best: Coordinates | None = None
+    tried = set()
     for null in _NULLS:
         try:
-            found = _first_coordinates(system, points, kind, null)
-            if found.correction > _ROUNDING:
+            known = _known_parts(system, points, null)
+            if known.counts in tried:
+                continue
+            tried.add(known.counts)
+            found = _coordinates(system, known, kind)
+            if found.correction > _ROUNDING * len(A) * EPS:
                 found = min(found, _again(system, points, kind, null, found), key=lambda one: one.correction)
         except (LinAlgError, ValueError):
             continue
@@ -85,29 +103,35 @@ def storage_coordinates(A: Array, B: Array, C: Array, D: Array, kind: str) -> Co
     return best
 
 
-def _first_coordinates(system: Matrices, points: list[float], kind: str, null: float) -> Coordinates:
-    """By the least storages of the system and of its dual, whose inverse is the largest storage.
+def _coordinates(system: Matrices, known: KnownParts, kind: str) -> Coordinates:
+    """By the least storage and the largest, which agree on the known directions.
 
-    Balanced, the two are `diag(s)` and its inverse, `s <= 1`; their geometric mean is the unit matrix.
+    With `X V = Y` known and `Y^T N = 0`, all storages are `diag(V^T Y, Z)` in the basis `[V, N]`.  Balanced, the least
+    and the largest `Z` are `diag(s)` and its inverse, `s <= 1`; their geometric mean is the unit matrix.
     """
-    A, B, C, D = system
-    R = _root(_least_storage(system, points, null))
-    S = _root(_least_storage((A.T, C.T, B.T, D.T), points, null))
+    V, Y = known.directions.V, known.directions.Y
+    n, k = V.shape
+    basis = np.hstack([V, qr(Y)[0][:, k:]]) if k else np.eye(n)
+    inverse = np.linalg.inv(basis)
+    fixed = _root(V.T @ Y)
+    R, S = (_root(X) for X in _extremes(system, known, basis, inverse))
     left: Any
     right: Any
-    U, s, V = svd(S @ R.T)
-    root = np.sqrt(np.maximum(s, EPS * s[0]))[:, None]
-    left, right = V @ R / root, U.T @ S / root
+    U, s, W = svd(S @ R.T)
+    root = np.sqrt(np.maximum(s, EPS * s.max(initial=0.0)))[:, None]
+    left, right = W @ R / root, U.T @ S / root
     if kind == "available":
         left, right = left * root, right / root
     if kind == "required":
         left, right = left / root, right * root
-    return _judged(system, left, right.T)
+    T = np.vstack([fixed @ inverse[:k], left @ inverse[k:]])
+    return _judged(system, T, np.hstack([basis[:, :k] @ np.linalg.inv(fixed), basis[:, k:] @ right.T]))
 
 
 def _again(system: Matrices, points: list[float], kind: str, null: float, before: Coordinates) -> Coordinates:
     """Once more in the coordinates found, in which the storage is the unit matrix but for rounding."""
-    step = _first_coordinates(_transformed(system, before), points, kind, null)
+    moved = _transformed(system, before)
+    step = _coordinates(moved, _known_parts(moved, points, null), kind)
     return _judged(system, step.T @ before.T, before.inverse @ step.inverse)
 
 
@@ -128,7 +152,7 @@ def _judged(system: Matrices, T: Array, inverse: Array) -> Coordinates:
 def _root(X: Array) -> Array:
     """`R` with `X = R^T R`, of what is positive definite but for rounding."""
     k, U = eigh(X)
-    return np.asarray(np.sqrt(np.maximum(k, EPS * k[-1]))[:, None] * U.T, float)
+    return np.asarray(np.sqrt(np.maximum(k, EPS * k.max(initial=0.0)))[:, None] * U.T, float)
 
 
 def dissipation(A: Array, B: Array, C: Array, D: Array) -> Array:
@@ -274,53 +298,92 @@ def _all_known(system: Matrices, points: list[float], null: float) -> KnownDirec
     return known
 
 
+@dataclass(frozen=True)
+class KnownParts:
+    """Directions on which all storages agree, and the combinations of them and of inputs that cost energy.
+
+    `weighed` (k + m, r) are these combinations, `weights` the eigenvalues of the known block of `W` there.
+    """
+
+    directions: KnownDirections
+    weighed: Array
+    weights: Array
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of directions and of weights, by which two choices are told apart."""
+        return self.directions.V.shape[1], len(self.weights)
+
+
+def _known_parts(system: Matrices, points: list[float], null: float) -> KnownParts:
+    known = _all_known(system, points, null)
+    _, weighed, weights = _null_space(*_block(known, system), null)
+    return KnownParts(known, weighed, weights)
+
+
 # --- the rest ------------------------------------------------------------------------------------------------------
 
 
-def _rest(a: Array, b: Array, q: Array, e: Array, k: Array) -> Array:
-    """Solution `Z` of the Riccati equation `W22 - W21 K^-1 W12 = 0`, the unknown block of `X`.
+def _extremes(system: Matrices, known: KnownParts, basis: Array, inverse: Array) -> tuple[Array, Array]:
+    """Least `Z`, and the inverse of the largest: the unknown block of the storages `diag(V^T Y, Z)`.
 
-    In the coordinates `[V, rest]`, `W22 = -(Z a + a^T Z) - q` and `W21 = -(e + Z b)` on inputs of weights `k`.  Steps
-    of Newton's method follow the solver, as long as the residual falls.
+    With the known block of `W` as weight of inputs `b`, scaled to 1, `Z` and its inverse solve
+
+        a^T Z + Z a + (e + Z b) (e + Z b)^T = 0,    a Z^-1 + Z^-1 a^T + (b + Z^-1 e) (b + Z^-1 e)^T = 0.
     """
-    if not len(k):
-        raise LinAlgError("no input weighs what is not known")
-
-    def residual(Z: Array) -> Array:
-        coupling, Za = e + Z @ b, Z @ a
-        return np.asarray(-(Za + Za.T) - q - coupling / k @ coupling.T, float)
-
-    Z = solve_continuous_are(a, b, q, -np.diag(k), s=e)
-    Z = 0.5 * (Z + Z.T)
-    left = residual(Z)
-    for _ in range(_REFINED):
-        closed = a + b / k @ (e + Z @ b).T
-        try:
-            step = solve_continuous_lyapunov(closed.T, left)
-        except (LinAlgError, ValueError):
-            break
-        again = Z + 0.5 * (step + step.T)
-        better = residual(again)
-        if not np.linalg.norm(better) < 0.5 * np.linalg.norm(left):
-            break
-        Z, left = again, better
-    return np.asarray(Z, float)
-
-
-def _least_storage(system: Matrices, points: list[float], null: float) -> Array:
-    known = _all_known(system, points, null)
-    n, k = known.V.shape
     A, B, C, _ = system
-    T = np.hstack([known.V, qr(known.V)[0][:, k:]]) if k else np.eye(n)
-    X1, X2 = known.V.T @ known.Y, known.Y.T @ T[:, k:]
-    Z = np.zeros((0, 0))
-    if k < n:
-        K, sizes = _block(known, system)
-        _, basis, weight = _null_space(K, sizes, null)
-        a, b, c = T.T @ A @ T, T.T @ B, C @ T
-        a11, a12, a21, a22 = a[:k, :k], a[:k, k:], a[k:, :k], a[k:, k:]
-        q = X2.T @ a12
-        e = np.hstack([X2.T @ a11 + a12.T @ X1 + a22.T @ X2.T, X2.T @ b[:k] - c[:, k:].T])
-        Z = _rest(a22, np.hstack([a21, b[k:]]) @ basis, q + q.T, e @ basis, weight)
-    X = T @ np.block([[X1, X2], [X2.T, Z]]) @ T.T
-    return 0.5 * (X + X.T)
+    V, Y = known.directions.V, known.directions.Y
+    n, k = V.shape
+    if k == n:
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    if not len(known.weights):
+        raise LinAlgError("no input weighs what is not known")
+    N, rows = basis[:, k:], inverse[k:]
+    root = np.sqrt(known.weights)
+    a, b = rows @ A @ N, rows @ np.hstack([A @ V, B]) @ known.weighed / root
+    e = N.T @ np.hstack([A.T @ Y, -C.T]) @ known.weighed / root
+    # a unit of energy in which both are of one size
+    unit = float(np.linalg.norm(e) / np.linalg.norm(b)) if e.any() and b.any() else 1.0
+    b, e = b * np.sqrt(unit), e / np.sqrt(unit)
+    least = inverse_largest = None
+    if np.linalg.norm(b) * np.linalg.norm(e) < _LARGE * np.linalg.norm(a):
+        with suppress(LinAlgError):  # eigenvalues on the axis by rounding
+            least, inverse_largest = _extreme_solutions(a, b, e)
+    if least is None or inverse_largest is None:
+        # of pencils, in which no weight is a divisor
+        least = solve_continuous_are(a, b * root, np.zeros_like(a), -np.diag(root**2), s=e * root)
+        inverse_largest = solve_continuous_are(a.T, e * root, np.zeros_like(a), -np.diag(root**2), s=b * root)
+    return unit * _refined(a, b, e, least), _refined(a.T, e, b, inverse_largest) / unit
+
+
+def _extreme_solutions(a: Array, b: Array, e: Array) -> tuple[Array, Array]:
+    """Least solution of the Riccati equation of `Z` and inverse of the largest one.
+
+    One Schur form of the Hamiltonian matrix has both: its stable subspace is that of the least one, and what a
+    Sylvester equation parts from it, the antistable one, that of the largest.
+    """
+    n, closed = len(a), a + b @ e.T
+    T, U, stable = schur(np.block([[closed, b @ b.T], [-e @ e.T, -closed.T]]), output="real", sort="lhp")
+    if stable != n:
+        raise LinAlgError("an eigenvalue lies on the axis")
+    antistable = U[:, :n] @ solve_sylvester(T[:n, :n], -T[n:, n:], -T[:n, n:]) + U[:, n:]
+    least = np.linalg.solve(U[:n, :n].T, U[n:, :n].T)
+    inverse_largest = np.linalg.solve(antistable[n:].T, antistable[:n].T)
+    return 0.5 * (least + least.T), 0.5 * (inverse_largest + inverse_largest.T)
+
+
+def _refined(a: Array, b: Array, e: Array, Z: Array) -> Array:
+    """Solution of the Riccati equation, by steps of Newton's method until its residual is rounding."""
+    for _ in range(_REFINED):
+        coupling, Za = e + Z @ b, Z @ a
+        residual = Za + Za.T + coupling @ coupling.T
+        size = np.linalg.norm(residual)
+        if not size > EPS * np.linalg.norm(Za):
+            break
+        step = solve_continuous_lyapunov((a + b @ coupling.T).T, -residual)
+        again = Z + 0.5 * (step + step.T)
+        coupling, Za = e + again @ b, again @ a
+        if not np.linalg.norm(Za + Za.T + coupling @ coupling.T) < 0.5 * size:
+            break
+        Z = again
+    return Z

@@ -181,6 +181,8 @@ class _Reducer:
         self.method, self.wanted = method, wanted
         self.m = system.ninputs
         self.parts = parts_of(system)
+        conversion = getattr(system, "conversion", None)
+        self.has_mean_storage = conversion is not None and conversion.energy == "mean"
         self.through = self.parts["sensor_feedthrough"]
         split = split_axis(*(np.array(M, float) for M in (system.A, system.B, system.C)))
         self.axis = split.axis
@@ -206,6 +208,8 @@ class _Reducer:
     @cached_property
     def _stored(self) -> Parts:
         """Balanced coordinates of the storages, the leading states first."""
+        if self.has_mean_storage and not self.axis:
+            return self.parts
         return stored_parts(PortRows(self.A, self.B, self.C, self.D), "mean")
 
     def _balanced(self, order: int) -> Parts:
