@@ -502,6 +502,8 @@ _POOLS |= {
     "EnergyBalance": lambda: [phc.energy_balance(pool("response")[3], _systems()[0])],
     "PortHamiltonianGroupoid": lambda: [phc.PortHamiltonianGroupoid.identity(_systems()[0])],
     "ReducedGroupoid": lambda: [phc.ReducedGroupoid.identity([1.0, 2.0], [1.0, 0.0, 0.5, 1.0])],
+    "SecondOrderSystem": lambda: [phc.SecondOrderSystem(np.eye(9), 2 * np.eye(9) - np.eye(9, k=1) - np.eye(9, k=-1),
+                                                        np.eye(9)[0], C=0.1 * np.eye(9))],
     "StructuralModes": lambda: [
         phc.from_second_order(np.eye(3), np.diag([1.0, 4.0, 9.0]), np.ones(3), modes=2).structural_modes
     ],

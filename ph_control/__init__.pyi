@@ -116,6 +116,7 @@ from .reduction.pymor_bridge import to_pymor as to_pymor
 from .reduction.reduce import reduce as reduce
 from .structures.modal_reduction import StructuralModes as StructuralModes
 from .structures.second_order import from_second_order as from_second_order
+from .structures.second_order_system import SecondOrderSystem as SecondOrderSystem
 from .symplectic.darboux_and_casimirs import CasimirSplit as CasimirSplit
 from .symplectic.darboux_and_casimirs import darboux as darboux
 from .symplectic.darboux_and_casimirs import split_casimirs as split_casimirs

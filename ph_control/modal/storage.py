@@ -112,7 +112,7 @@ def _coordinates(system: Matrices, known: KnownParts, kind: str) -> Coordinates:
     V, Y = known.directions.V, known.directions.Y
     n, k = V.shape
     basis = np.hstack([V, qr(Y)[0][:, k:]]) if k else np.eye(n)
-    inverse = np.linalg.inv(basis)
+    inverse = np.asarray(np.linalg.inv(basis), float)
     fixed = _root(V.T @ Y)
     R, S = (_root(X) for X in _extremes(system, known, basis, inverse))
     left: Any

@@ -259,6 +259,7 @@ class Selection(NamedTuple):
     counted: Count  # in the range that was asked for
     deflections: Array
     forces: Array
+    below: float  # all eigenvalues up to this one are among those found, if the count is met; 0 for none
 
 
 def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
@@ -280,15 +281,16 @@ def lowest_modes(pencil: Pencil, number: int, F: Array | None) -> Selection:
         static = _static(pencil, F, found.shapes[:, :last])
         wanted = np.arange(len(found.squares)) < last
         if last == pencil.finite:
-            return Selection(found, wanted, Count(last, True), *static)
+            return Selection(found, wanted, Count(last, True), *static, np.inf)
         pencil.release()
         kept, (low, high) = last, found.squares[last - 1 : last + 1]
         for part in (0.5, 0.35, 0.65):
-            counted = pencil.count(low + part * (high - low))
+            edge = low + part * (high - low)
+            counted = pencil.count(edge)
             if counted.certain:
                 break
         if counted.below <= last or not counted.certain:
-            return Selection(found, wanted, counted, *static)
+            return Selection(found, wanted, counted, *static, edge)
         _refuse_negative(pencil, found)
         found = pencil.more(found, counted.below - last, shift)
     raise _missing(pencil, counted.below, kept)
@@ -323,7 +325,7 @@ def modes_between(pencil: Pencil, low: float, high: float, F: Array | None) -> S
             )
     static = _static(pencil, F, found.shapes)
     pencil.release()
-    return Selection(found, np.ones(len(found.squares), bool), counted, *static)
+    return Selection(found, np.ones(len(found.squares), bool), counted, *static, high if low <= 0 else 0.0)
 
 
 def _vectors(k: int) -> int:

@@ -16,6 +16,7 @@ from .._threads import on_one_thread
 from .._types import Array
 from ..exceptions import StructureError
 from ..modal.positive_real import split_axis
+from ..structures.second_order_system import SecondOrderSystem, truncation_errors
 from ..systems.base import inherited_names
 from ..systems.dissipative import parts_of, restored
 from ..systems.passive_form import PortRows, joined, lossless_parts, minimal_part, stored_parts
@@ -27,6 +28,8 @@ from .optimal import Full, Matrices, best_passive, stationary_models
 METHODS = ("modal", "balanced", "h2")
 
 _TOLERANCE = 1e-8  # relative, of norms
+_UNDAMPED = 1e-12  # damping ratio of what is called undamped
+_BEYOND = 1.5  # times the end of the band: up to where modes of a large structure are computed
 
 
 @on_one_thread
@@ -43,7 +46,7 @@ def reduce(
 
     Parameters
     ----------
-    sys : PortHamiltonian, or any system that `ph` takes
+    sys : PortHamiltonian, SecondOrderSystem, or any system that `ph` takes
         The system; outputs after those of the ports are sensors.
     order : int, optional
         Number of states, at most; a pair of complex poles has two.
@@ -51,7 +54,7 @@ def reduce(
         The fewest states with `error_bound` at most this part of the largest gain of `sys`, its H-infinity norm.
     band : (float, float), optional
         Of the method 'modal': keep the modes with natural frequencies between these, rad per unit time; with `order`
-        the most important of them.
+        the most important of them.  Of a `SecondOrderSystem`, with any method: the frequencies of interest.
     method : {'modal', 'balanced', 'h2'}
         'modal' keeps poles: those in the band, or those with the highest resonances.  'balanced' is positive-real
         balanced truncation: it keeps what differs least between the least and the largest storage.  'h2' minimises
@@ -66,7 +69,8 @@ def reduce(
     PortHamiltonian
         Its `error_bound` is the largest difference of the transfer functions over all frequencies, computed as the
         H-infinity norm of the difference.  Lossless systems stay lossless; their difference is unbounded at poles left
-        out, and the bound is that over `band`, or from 0 to the highest frequency kept.
+        out, and the bound is that over `band`, or from 0 to the highest frequency kept.  Of a `SecondOrderSystem` it
+        holds for `band`, or up to the natural frequency number `order // 2` less the number of ports.
 
     Raises
     ------
@@ -83,6 +87,9 @@ def reduce(
     subspace for modes, of the leading states of the balanced storage, whose extremes are `diag(s)` and its inverse.
     'h2' takes the best stationary models of all, found by iterated projection from a dozen starts (seeded, so that
     calls repeat), moves their outputs until they are passive, and goes downhill in `J`, `R` and `G` by exact gradients.
+    Of a `SecondOrderSystem` a model is reduced that has residual modes and all modes up to 1.5 times the end of the
+    band, or `order` modes.  What it leaves out is bounded by its forces that are not in balance, in the norm of the
+    flexibility.  The bound is evaluated at some hundred frequencies of the band, dense at resonances.
     O(n^3) each, and O(n^2 r) a step of 'h2'.  Computed on one thread of BLAS, so that the number of threads changes
     nothing.
 
@@ -99,6 +106,8 @@ def reduce(
     """
     _checks.choice("method", method, METHODS)
     _checks.flags(residual_modes=residual_modes)
+    if isinstance(sys, SecondOrderSystem):
+        return _of_structure(sys, order, tolerance, band, method, residual_modes)
     wanted = _wanted(order, tolerance, band, method, residual_modes)
     system = sys if isinstance(sys, PortHamiltonian) else ph(sys)
     if wanted.order is not None and wanted.order >= system.nstates and band is None:
@@ -158,6 +167,49 @@ def _of_lossless(system: PortHamiltonian, wanted: Wanted, tolerance: float | Non
     small = ph(modes, **inherited_names(system, {}, "inputs", "outputs"))
     small.time_unit, small.error_bound = system.time_unit, error
     return small
+
+
+def _of_structure(
+    sys: SecondOrderSystem, order: Any, tolerance: Any, band: Any, method: str, residual_modes: bool
+) -> PortHamiltonian:
+    """By a model of more modes than are kept, whose difference from the structure is bounded below those left out."""
+    if tolerance is not None:
+        raise StructureError(
+            "a tolerance is not for a large structure, whose largest gain is not known: give its order"
+        )
+    wanted = _wanted(order, None, band if method == "modal" else None, method, residual_modes)
+    if band is None:
+        assert wanted.order is not None
+        modal = sys.modal_model(modes=min(wanted.order, int(np.count_nonzero(sys.M.diagonal()))))
+        frequencies = modal.structural_modes.natural_frequencies
+        number = max(wanted.order // 2 - sys.F.shape[1], 1)
+        low, high = 0.0, float(frequencies[min(number, len(frequencies)) - 1])
+    else:
+        low, high = _checks.band(band)
+        modal = sys.modal_model(band=(0.0, _BEYOND * high))
+    small = reduce(modal, order, band=wanted.band, method=method, residual_modes=residual_modes)
+    small.error_bound = _error_in_band(sys, modal, small, low, high)
+    return small
+
+
+def _error_in_band(
+    structure: SecondOrderSystem, modal: PortHamiltonian, small: PortHamiltonian, low: float, high: float
+) -> float:
+    """Largest difference of a reduced model from the structure in a band, by the model of modes between them."""
+    omega, left_out = truncation_errors(structure, modal.structural_modes, low, high)
+    shape = modal.noutputs, modal.ninputs, len(omega)
+    large, little = (np.reshape(system(1j * omega), shape) for system in (modal, small))
+    both = np.linalg.norm(np.moveaxis(large - little, 2, 0), 2, axis=(1, 2)) + left_out
+    return float(both.max()) if not _loses_undamped(modal, small, low, high) else np.inf
+
+
+def _loses_undamped(modal: PortHamiltonian, small: PortHamiltonian, low: float, high: float) -> bool:
+    """Whether the small model lacks a resonance without damping in a band."""
+    poles = modal.poles()
+    size, rounding = np.abs(poles), np.sqrt(_UNDAMPED)
+    undamped = poles[(np.abs(poles.real) <= _UNDAMPED * size) & (size >= max(low, rounding * high)) & (size <= high)]
+    distance = np.abs(undamped[:, None] - small.poles()).min(axis=1, initial=np.inf)
+    return bool((distance > rounding * np.abs(undamped)).any())
 
 
 def _smallest(made: Callable[[int], tuple[Parts, float]], most: int, allowed: float) -> tuple[Parts, float]:

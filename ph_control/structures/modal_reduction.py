@@ -52,6 +52,8 @@ class StructuralModes(Frozen):
         Modes in the range that was asked for, by the inertia of a factorisation.
     is_complete : bool
         Whether the count is certain and all of them were found.
+    complete_below : float
+        All natural frequencies below this one are among them; 0 where that is not certain, and for a band above zero.
 
     Notes
     -----
@@ -74,6 +76,7 @@ class StructuralModes(Frozen):
     residuals: Array
     count: int
     is_complete: bool
+    complete_below: float = 0.0
 
 
 def structural_modes(
@@ -108,8 +111,9 @@ def structural_modes(
             stacklevel=4,
         )
     return StructuralModes(
-        np.sqrt(squares), kept.shapes, np.sqrt(stiff), residual_shapes, residuals, chosen.counted.below, complete
-    )
+        np.sqrt(squares), kept.shapes, np.sqrt(stiff), residual_shapes, residuals, chosen.counted.below, complete,
+        float(np.sqrt(chosen.below)) if complete else 0.0,
+    )  # fmt: skip
 
 
 def _chosen(pencil: Pencil, modes: Any, band: Any, static: Array | None) -> Selection:

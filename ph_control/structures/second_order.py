@@ -200,7 +200,7 @@ def from_second_order(
         raise StructureError(f"M has shape {mass.shape} and K {stiffness.shape}; they must be the same")
     force = _checks.port_matrix(F, len(mass), name="F")
     damping, gyroscopic = _damping(C, len(mass)), _gyroscopic(G, len(mass))
-    measured = _measured(sensors, len(mass))
+    measured = measured_rows(sensors, len(mass))
     if rtol is not None:
         _checks.relative_tolerance(rtol)
     built = with_mass(mass, damping, gyroscopic, stiffness, force, condense)
@@ -223,7 +223,7 @@ def _of_few_modes(
     gyroscopic = None if G is None else sparse_skew_matrix("G", G, n)
     force = _checks.port_matrix(dense(F), n, name="F")
     given = {kind: dense(rows) for kind, rows in sensors.items()} if isinstance(sensors, Mapping) else dense(sensors)
-    measured = _measured(given, n)
+    measured = measured_rows(given, n)
     if rtol is not None:
         _checks.relative_tolerance(rtol)
     if options["eigensolver"] is not None and not callable(options["eigensolver"]):
@@ -300,7 +300,7 @@ def _damping(C: ArrayLike | None, n: int) -> Array | None:
     return array
 
 
-def _measured(sensors: Any, n: int) -> dict[str, Array]:
+def measured_rows(sensors: Any, n: int) -> dict[str, Array]:
     """Check rows of sensors by what they measure."""
     if sensors is None:
         return {}
