@@ -22,6 +22,7 @@ _GAP = 1e-6  # relative distance at which neighbouring eigenvalues are told apar
 _NOISE = 1e-3  # part of the shift below zero in which rigid modes are scattered by rounding
 _SOFT = 1e3  # times that shift: rigid modes, and others that are searched for first
 _STEPS = 3  # inverse iterations that show whether there are any
+_INVERSIONS = 3  # of many rigid modes together, each of which costs less than to part them
 _BODY = 8  # modes searched for then: the six of a free body, and two
 _ROUNDS = 6  # searches for modes that the count finds missing
 _SMALL = 0.1  # size of the relative error of a factorisation that cannot change a count, with a margin of ten
@@ -181,7 +182,7 @@ class Pencil:
     def _large_kernel(self, k: int) -> Eigenpairs | None:
         """All motions without stiffness, more than those of a free body; None where they are not set apart.
 
-        A factorisation counts them, and inverse iteration of as many vectors together finds them in two steps, where
+        A factorisation counts them, and inverse iteration of as many vectors together finds them in a few, where
         Lanczos vectors would show one after the other by rounding alone.
         """
         counted = self.count(-self.low)
@@ -190,7 +191,8 @@ class Pencil:
         lu, rng = self.factor(self.low), np.random.default_rng(2)
         shapes = rng.standard_normal((self.K.shape[0], counted.below))
         for _ in range(_STEPS):
-            shapes = lu.solve(self.M @ lu.solve(self.M @ shapes))
+            for _ in range(_INVERSIONS):
+                shapes = lu.solve(self.M @ shapes)
             found = _ritz(self, shapes)
             still = np.abs(found.squares).max() <= _NOISE * -self.low
             if still and self.residuals(found).max() <= RESIDUAL:
