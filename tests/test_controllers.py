@@ -206,9 +206,14 @@ def test_what_no_damper_reaches_is_refused_by_its_frequency():
         phc.optimal_damping(phc.ph([[1.0]], [1.0], J=[[0.0]], R=[[1.0]], S=[[1.0]]))
     with pytest.raises(phc.StructureError, match="positive"):
         phc.optimal_damping(CHAIN, mass=-1.0)
-    for outputs in (2.0, CHAIN):
+    for outputs in (2.0, CHAIN, np.array(0)):
         with pytest.raises(phc.StructureError, match="or a list of outputs of the plant by number or name"):
             phc.optimal_damping(CHAIN, outputs=outputs)
+
+
+def test_an_array_without_axes_names_no_port():
+    with pytest.raises(phc.StructureError, match=r"there is no input array\(1\)"):
+        phc.damping_injection(CHAIN, 0.5, ports=np.array(1))
     with pytest.raises(phc.StructureError, match="give their mass"):
         phc.optimal_damping(CHAIN, criterion="fixed points")
 

@@ -301,7 +301,7 @@ def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array,
             raise StructureError("the plant has a rigid mode, whose displacement has no mean; use outputs='velocity'")
         return np.linalg.solve(A.T, C.T).T
     rows = np.vstack([C, sensors[0]])
-    if not isinstance(outputs, Sequence | np.ndarray):
+    if not isinstance(outputs, Sequence | np.ndarray) or getattr(outputs, "shape", None) == ():
         raise StructureError(
             f"outputs is {_checks.shown(outputs)}; pass 'energy', 'displacement', 'velocity', or a list of outputs of "
             "the plant by number or name"
