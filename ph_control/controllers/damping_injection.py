@@ -74,11 +74,14 @@ def plant(sys: Any) -> None:
 def port_numbers(sys: PortHamiltonian, ports: Any) -> list[int]:
     """Numbers of ports, given by numbers or the names of their inputs; all by default."""
     if ports is None:
-        return list(range(sys.ninputs))
+        ports = range(sys.ninputs)
     # an array without axes has the method, but cannot be iterated
     if isinstance(ports, str) or not hasattr(type(ports), "__iter__") or getattr(ports, "shape", None) == ():
         ports = [ports]
-    return [_checks.signal_number("input", port, sys.input_labels) for port in ports]
+    numbers = [_checks.signal_number("input", port, sys.input_labels) for port in ports]
+    if not numbers:
+        raise StructureError("no port is named, or the plant has none; name at least one")
+    return numbers
 
 
 def controller_of(gain: Any, k: int) -> PortHamiltonian | Array:

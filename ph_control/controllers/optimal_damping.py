@@ -178,8 +178,6 @@ def optimal_damping(
     plant(sys)
     _checks.choice("criterion", criterion, CRITERIA)
     at = port_numbers(sys, ports)
-    if not at:
-        raise StructureError("there are no ports to put a device at; name at least one")
     masses = None if mass is None else _masses(mass, len(at))
     loop = _Loop.of(sys, at, masses, outputs, inputs)
     if criterion == "fixed points":
