@@ -278,6 +278,8 @@ def _harmless(name: str, value: Any) -> bool:
     if name in ("workers", "epochs", "max_order", "timepts_num", "omega_num"):
         try:
             return bool(-1 < float(value) < 50) and (name != "workers" or float(value) <= 1)
+        except OverflowError:  # an integer of hundreds of digits is as many processes as there are fits
+            return name != "workers"
         except Exception:
             return True
     if name == "callback":  # its own errors pass
