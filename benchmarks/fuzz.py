@@ -8,9 +8,11 @@ raise anything else, warn of arithmetic, give NaN, change or keep what it was gi
 from __future__ import annotations
 
 import argparse
+import codecs
 import contextlib
 import copy
 import dataclasses
+import encodings
 import importlib
 import inspect
 import io
@@ -147,7 +149,7 @@ def targets() -> tuple[Target, ...]:
             found.append(Target(name, "", value, "function", share))
         elif not issubclass(value, BaseException):
             found += _of_class(name, value)
-    for share, oracles in ((0.02, fuzz_oracles.ORACLES), (0.1, fuzz_scales.ORACLES)):
+    for share, oracles in ((0.02, fuzz_oracles.ORACLES), (0.5, fuzz_scales.ORACLES)):
         found += [Target(f"exact {name}", "", check, "oracle", share) for name, check in oracles.items()]
     found += [Target(f"ph-control {name}", "", _command, "command", COMMAND) for name in COMMANDS]
     return tuple(found)
@@ -276,6 +278,8 @@ def _harmless(name: str, value: Any) -> bool:
     if name in ("workers", "epochs", "max_order", "timepts_num", "omega_num"):
         try:
             return bool(-1 < float(value) < 50) and (name != "workers" or float(value) <= 1)
+        except OverflowError:  # an integer of hundreds of digits is as many processes as there are fits
+            return name != "workers"
         except Exception:
             return True
     if name == "callback":  # its own errors pass
@@ -612,7 +616,10 @@ def warm_up() -> None:
     for target in targets():
         if target.owner:
             pool(target.owner)
-    # the fonts may lie where nobody may look
+    # codecs and fonts may lie where nobody may look
+    for codec in pkgutil.iter_modules(encodings.__path__):
+        with contextlib.suppress(ImportError, LookupError):
+            codecs.lookup(codec.name)
     font = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
     font_manager.findfont = font_manager.fontManager.findfont = lambda *_, **__: str(font)
     font_manager.fontManager._find_fonts_by_props = lambda *_, **__: [str(font)]

@@ -6,6 +6,7 @@ the answers are is a closed form, 60 digits, or how the plant is built.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -20,6 +21,7 @@ import ph_control as phc
 
 DIGITS = 60
 ROUNDED = 1e-12  # relative, of what only rounds
+WAYS = ("modal", "balanced")
 FREE = 1e-7  # frequency of a rigid mode, of the largest one: the square root of rounding
 
 
@@ -111,6 +113,39 @@ def critical_damping(rng: Any) -> None:
         _share(phc.sample(plant, h, intersample=hold_).A, list(F), f"sampled, step {step:.2g}")
 
 
+def long_steps(rng: Any) -> None:
+    """Responses of chains in motion, lossy or not, free or grounded, for steps of 1e-3 to 50 radians of the fastest."""
+    scale, n = unit(rng), int(rng.integers(1, 5))
+    m, k = rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 4.0, n) * 10.0 ** rng.uniform(-3, 1, n)
+    if n > 1 and rng.random() < 0.3:
+        k[0] = 0.0
+    K = np.diag(k) + np.diag(np.r_[k[1:], 0.0]) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    C = K * 10 ** rng.uniform(-6, 0.5) + np.diag(rng.uniform(0, 1, n) * (rng.random(n) < 0.3))
+    Q = np.zeros((2 * n, 2 * n))
+    Q[:n, :n], Q[n:, n:] = K * scale * scale, np.diag(1 / m)
+    R = np.zeros((2 * n, 2 * n))
+    R[n:, n:] = C * scale
+    B = np.vstack([np.zeros((n, n)), np.eye(n)])[:, rng.permutation(n)[: int(rng.integers(1, min(n, 2) + 1))]]
+    plant = phc.ph(Q, B, **({} if rng.random() < 0.3 else {"R": R}))
+    h = 10 ** rng.uniform(-3, np.log10(50)) / (scale * float(np.sqrt(np.abs(K).max() / m.min())))
+    samples, hold_ = int(rng.integers(2, 10)), str(rng.choice(["zoh", "foh"]))
+    u, start = rng.standard_normal((B.shape[1], samples)), rng.standard_normal(2 * n) * (rng.random() < 0.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", phc.ResolutionWarning)  # steps are meant to be long
+        found = phc.forced_response(plant, h * np.arange(samples), u, start, intersample=hold_, squeeze=False)
+        sampled = phc.sample(plant, h, intersample=hold_)
+    with mp.workdps(DIGITS):
+        F, z = _motion(plant.A, plant.B, h, u, start, hold_)
+        rows = mp.matrix(plant.C.tolist())
+        right = np.array([[float(x) for x in rows * state] for state in z]).T
+        # rows and columns of the matrix have units of their own
+        size = np.r_[np.full(n, scale), np.ones(n)]
+        F = np.array([[float(F[i, j]) for j in range(2 * n)] for i in range(2 * n)]) * size[:, None] / size
+    text = f"{n} masses, {hold_}, step {h:.2g}, unit {scale:.1e}"
+    hold(found.outputs, right, f"response, {text}")
+    hold(sampled.A * size[:, None] / size, F, f"sampled, {text}")
+
+
 def long_records(rng: Any) -> None:
     """Critical damping over up to 100 000 samples: `t exp(-p t)` for a step."""
     p, h = float(rng.uniform(0.5, 3.0)), float(10 ** rng.uniform(-5, -1))
@@ -192,6 +227,31 @@ def responses_in_other_units(rng: Any) -> None:
         raise Wrong(f"passive by its matrices, and called active: unit of time {scale:.1e}")
 
 
+def models_in_other_units(rng: Any) -> None:
+    """A plain state space in other units of time, input and output: its form, verdict, and smaller models."""
+    parts, scale, into, out = _lossy(rng), unit(rng), unit(rng) ** 0.5, unit(rng) ** 0.5
+    base = phc.ph(**parts)
+    n, m = base.B.shape
+    T = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    A, B, C, D = T.T @ base.A @ T, T.T @ base.B, base.C @ T, np.eye(m) * float(rng.random() < 0.5)
+    plain = ct.ss(A, B, C, D)
+    other = ct.ss(scale * A, scale * into * B, out * C, into * out * D)
+    s = rng.uniform(0.3, 1, 3) + 1j * rng.uniform(0.1, 4, 3)
+    right = np.stack([C @ np.linalg.solve(x * np.eye(n) - A, B) + D for x in s], axis=-1) * into * out
+    text = f"unit of time {scale:.1e}, of the input {into:.1e}, of the output {out:.1e}"
+    if not phc.passivity(other).is_passive:
+        raise Wrong(f"called active: {text}")
+    form = phc.ph(other)
+    hold(form.horner(scale * s), right, f"form, {text}", 1e-8)
+    hold(np.sort_complex(np.round(form.poles() / scale, 8)), np.sort_complex(np.round(base.poles(), 8)), "poles", 1e-6)
+    small = {} if n < 4 else {f"reduce, {way}": lambda sys, way=way: phc.reduce(sys, 2, method=way) for way in WAYS}
+    for what, call in ({"minreal": phc.minreal} | small).items():
+        first, then = call(phc.ph(plain)), call(form)
+        if first.nstates != then.nstates:
+            raise Wrong(f"{what}: {then.nstates} states, {first.nstates} in plain units: {text}")
+        hold(then.horner(scale * s), first.horner(s) * into * out, f"{what}, {text}", 1e-6)
+
+
 def _terms(rng: Any) -> tuple[Any, Any, float]:
     """Sum of passive terms with a gap below it: numerator, denominator, least real part on the axis."""
     parts, floor = [], float(rng.uniform(0.1, 1.0))
@@ -270,7 +330,8 @@ def loose_masses(rng: Any) -> None:
 
 
 ORACLES: dict[str, Callable[[Any], None]] = {
-    "critical damping": critical_damping, "long records": long_records, "energy of a push": energy_of_a_push,
-    "other units": responses_in_other_units, "transfer functions": transfer_functions_in_other_units,
+    "critical damping": critical_damping, "long steps": long_steps, "long records": long_records,
+    "energy of a push": energy_of_a_push, "other units": responses_in_other_units,
+    "models in other units": models_in_other_units, "transfer functions": transfer_functions_in_other_units,
     "loose masses": loose_masses,
 }  # fmt: skip

@@ -575,7 +575,7 @@ def port_pairs(ports: Any, outputs: Sequence[str], inputs: Sequence[str]) -> tup
         listed = [(one, other) for one, other in (ports.items() if isinstance(ports, Mapping) else ports)]
         if any(isinstance(pair, str) for pair in ports) and not isinstance(ports, Mapping):
             raise TypeError
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OSError):  # python-control raises the last on being iterated
         raise StructureError(
             f"ports={shown(ports)} is not a list of pairs (output, input), such as [(0, 0), (2, 1)] or [('y1', 'u1')]"
         ) from None

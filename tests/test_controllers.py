@@ -97,6 +97,16 @@ def test_gains_that_do_not_fit_are_refused(gain, options, message):
         phc.damping_injection(plain(CHAIN), 1.0)
 
 
+def test_a_controller_without_ports_is_refused():
+    for call in (
+        lambda: phc.lqg(CHAIN, 0.1, ports=[]), lambda: phc.observer(CHAIN, ports=[]),
+        lambda: phc.damping_injection(CHAIN, 1.0, ports=[]), lambda: phc.optimal_damping(CHAIN, []),
+        lambda: phc.damping_plot(CHAIN, 1.0, ports=[]),
+    ):  # fmt: skip
+        with pytest.raises(phc.StructureError, match="no port"):
+            call()
+
+
 # --- optimal dampers -----------------------------------------------------------------------------------------------
 
 
@@ -206,9 +216,14 @@ def test_what_no_damper_reaches_is_refused_by_its_frequency():
         phc.optimal_damping(phc.ph([[1.0]], [1.0], J=[[0.0]], R=[[1.0]], S=[[1.0]]))
     with pytest.raises(phc.StructureError, match="positive"):
         phc.optimal_damping(CHAIN, mass=-1.0)
-    for outputs in (2.0, CHAIN):
+    for outputs in (2.0, CHAIN, np.array(0)):
         with pytest.raises(phc.StructureError, match="or a list of outputs of the plant by number or name"):
             phc.optimal_damping(CHAIN, outputs=outputs)
+
+
+def test_an_array_without_axes_names_no_port():
+    with pytest.raises(phc.StructureError, match=r"there is no input array\(1\)"):
+        phc.damping_injection(CHAIN, 0.5, ports=np.array(1))
     with pytest.raises(phc.StructureError, match="give their mass"):
         phc.optimal_damping(CHAIN, criterion="fixed points")
 
@@ -393,6 +408,21 @@ def test_damping_plot_shows_the_loop_at_each_factor():
     plt.close(plot.figure)
     with pytest.raises(phc.StructureError, match="ascend"):
         phc.damping_plot(CHAIN, 1.0, factors=[1.0, 0.5])
+
+
+def test_a_mode_that_a_gyroscopic_gain_makes_oscillate_has_no_mark_before():
+    Q, R, turn = np.diag([1.0, 2.0, 1.0, 1.0]), np.diag([0.0, 0.0, 4.0, 5.0]), np.array([[0.0, 20.0], [-20.0, 0.0]])
+    plant = phc.ph(Q, np.eye(4)[:, 2:], R=R)
+    plot = phc.damping_plot(plant, turn, factors=[1e-3, 1.0])
+    assert np.all(np.linalg.eigvals(plant.A - 1e-3 * plant.B @ turn @ plant.B.T @ Q).imag == 0)
+    p = np.linalg.eigvals(plant.A - plant.B @ turn @ plant.B.T @ Q)
+    marks = [
+        (line.get_marker(), *line.get_xydata()[0]) for line in plot.axes[0, 1].lines if line.get_marker() != "None"
+    ]
+    right = sorted(("o", abs(x), -100 * x.real / abs(x)) for x in p if x.imag > 0)
+    assert [mark[0] for mark in marks] == ["o"] * len(right) and right
+    np.testing.assert_allclose([mark[1:] for mark in sorted(marks)], [mark[1:] for mark in right], rtol=1e-9)
+    plt.close(plot.figure)
 
 
 def test_the_title_of_a_damping_plot_names_the_system():

@@ -127,6 +127,14 @@ def test_the_tolerances_are_kept_on_both_sides():
         assert stable_poles(poles, shapes, **dict(zip(keys, values, strict=True)))[0][1].tolist() == [level]
 
 
+@pytest.mark.parametrize("tolerance", [0.0, 5e-324])
+def test_a_tolerance_that_no_rounding_passes_holds_for_equal_frequencies_alone(tolerance):
+    poles = [damped_poles([1.0, 2.0], [0.01, 0.01]), damped_poles([1.5, 2.0, 3.0], [0.01, 0.01, 0.01])]
+    assert stable_poles(poles, frequency_tolerance=tolerance)[0][1].tolist() == [
+        Stability.NEW, Stability.DAMPING, Stability.NEW,
+    ]  # fmt: skip
+
+
 def test_a_pole_confirms_one_pole_only_the_one_of_the_same_shape():
     """Of close modes the shape tells which is which, not the distance of the frequencies."""
     poles = [damped_poles([1.0], [0.01]), damped_poles([1.001, 1.004], [0.01, 0.01])]

@@ -20,6 +20,7 @@ def record():
 
 def _calls(plant, u, y, folder):
     data, one = (u, y), phc.modes(1.0, 1.0)
+    fit = phc.pem(data, 2, dt=0.1)
     table = folder / "recording.csv"
     table.write_text("t,u,y\n" + "".join(f"{0.1 * k},{u[k]},{y[k]}\n" for k in range(9)))
     return {
@@ -28,7 +29,11 @@ def _calls(plant, u, y, folder):
             lambda v: phc.residual_analysis(data, plant, dt=0.1, offset=v),
             lambda v: phc.order_selection(data, 2, dt=0.1, offset=v),
         ],
-        "overwrite": [lambda v: phc.save(one, folder / "one.json", overwrite=v)],
+        "overwrite": [
+            lambda v: phc.save(one, folder / "one.json", overwrite=v),
+            lambda v: phc.netlist(plant).save(folder / "plant.cir", overwrite=v),
+            lambda v: fit.report(folder / "fit.html", overwrite=v),
+        ],
         "header": [lambda v: phc.read_csv(table, header=v if v is not None else 2)],
         "returnall": [lambda v: phc.stability_margins(plant, returnall=v)],
         "residual_modes": [

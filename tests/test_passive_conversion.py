@@ -280,6 +280,7 @@ def test_outputs_that_are_no_ports_become_sensors():
         ([(0, 0), (2, 1)], "numbered from 0 to 1"),
         ([0, 1], "not a list of pairs"),
         (3, "not a list of pairs"),
+        (ct.ss(-1.0, 1.0, 1.0, 0.0), "not a list of pairs"),
         ([("y", 0), (1, 1)], "no output 'y'"),
         (["ab", (1, 1)], "not a list of pairs"),
     ],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
-from .. import _checks
 from .._frozen import Frozen
 from ..io.files import as_path, write_atomically
 
@@ -128,5 +127,4 @@ class Netlist(Frozen):
         >>> phc.read_netlist(path).natural_frequencies
         array([2.])
         """
-        _checks.flags(overwrite=overwrite)
-        write_atomically(as_path(path), self.spice(), overwrite=bool(overwrite))
+        write_atomically(as_path(path), self.spice(), overwrite=overwrite)

@@ -74,10 +74,14 @@ def plant(sys: Any) -> None:
 def port_numbers(sys: PortHamiltonian, ports: Any) -> list[int]:
     """Numbers of ports, given by numbers or the names of their inputs; all by default."""
     if ports is None:
-        return list(range(sys.ninputs))
-    if isinstance(ports, str) or not hasattr(type(ports), "__iter__"):
+        ports = range(sys.ninputs)
+    # an array without axes has the method, but cannot be iterated
+    if isinstance(ports, str) or not hasattr(type(ports), "__iter__") or getattr(ports, "shape", None) == ():
         ports = [ports]
-    return [_checks.signal_number("input", port, sys.input_labels) for port in ports]
+    numbers = [_checks.signal_number("input", port, sys.input_labels) for port in ports]
+    if not numbers:
+        raise StructureError("no port is named, or the plant has none; name at least one")
+    return numbers
 
 
 def controller_of(gain: Any, k: int) -> PortHamiltonian | Array:
@@ -91,7 +95,7 @@ def controller_of(gain: Any, k: int) -> PortHamiltonian | Array:
         K = np.diag(np.broadcast_to(K, k))
     if K.shape != (k, k):
         raise StructureError(f"the gain has shape {K.shape}; it must be a number, or of shape ({k},) or ({k}, {k})")
-    _checks.finite("the gain", K)
+    _checks.in_range("the gain", K)
     least = float(np.linalg.eigvalsh(0.5 * (K + K.T)).min(initial=0.0))
     if least < -_ROUNDING * k * _checks.EPS * float(np.abs(K).max()):
         raise StructureError(

@@ -178,8 +178,6 @@ def optimal_damping(
     plant(sys)
     _checks.choice("criterion", criterion, CRITERIA)
     at = port_numbers(sys, ports)
-    if not at:
-        raise StructureError("there are no ports to put a device at; name at least one")
     masses = None if mass is None else _masses(mass, len(at))
     loop = _Loop.of(sys, at, masses, outputs, inputs)
     if criterion == "fixed points":
@@ -301,7 +299,7 @@ def _performance(sys: PortHamiltonian, A: Array, C: Array, sensors: tuple[Array,
             raise StructureError("the plant has a rigid mode, whose displacement has no mean; use outputs='velocity'")
         return np.linalg.solve(A.T, C.T).T
     rows = np.vstack([C, sensors[0]])
-    if not isinstance(outputs, Sequence | np.ndarray):
+    if not isinstance(outputs, Sequence | np.ndarray) or getattr(outputs, "shape", None) == ():
         raise StructureError(
             f"outputs is {_checks.shown(outputs)}; pass 'energy', 'displacement', 'velocity', or a list of outputs of "
             "the plant by number or name"

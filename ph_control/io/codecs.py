@@ -11,7 +11,6 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import _checks
 from .._units import checked_unit, with_unit
 from ..exceptions import FileFormatError, StructureError
 from ..modal.general_form import GeneralModalForm
@@ -209,7 +208,6 @@ def save(obj: Any, path: str | os.PathLike[str], *, overwrite: bool = False) -> 
     ...     phc.load(path)
     modes([1.0, 3.0], [0.5, 0.25])
     """
-    _checks.flags(overwrite=overwrite)
     target = as_path(path)
     if target.suffix.lower() in _NO_DOCUMENTS:
         raise StructureError(

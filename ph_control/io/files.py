@@ -86,6 +86,7 @@ def read_bytes(source: Any) -> bytes:
 
 def refuse_unwritable(path: Path, overwrite: bool) -> None:
     """Refuse a path that cannot be written, and a file that must not be overwritten."""
+    _checks.flags(overwrite=overwrite)
     if path.is_dir():
         raise OutputExistsError(f"{path} is a folder; pass the name of a file in it")
     if path.exists() and not path.is_file():

@@ -150,7 +150,6 @@ def write_uff(
     >>> found.output_labels, found.damping_ratios.round(4), found.shapes.real.round(3).tolist()
     (('1+Z', '2+Z'), array([0.01, 0.01]), [[1.0, 0.5], [0.5, -1.0]])
     """
-    _checks.flags(overwrite=overwrite)
     target = as_path(path)
     if not hasattr(result, "shapes") or not hasattr(result, "output_labels"):
         raise StructureError(

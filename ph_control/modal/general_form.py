@@ -335,6 +335,8 @@ def from_state_space(sys: ct.StateSpace) -> GeneralModalForm:
 
 def from_matrices(A: Array, B: Array, C: Array, D: Array) -> GeneralModalForm:
     """Split `C (s - A)^{-1} B + D` into modes, and into clusters where poles are not parted."""
+    for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
+        _checks.in_range(f"the state-space matrix {name}", matrix)
     if not len(A):
         return _of_single([], D, [])
     A, B, C = equilibrated(A, B, C)

@@ -105,7 +105,7 @@ def stable_poles(
         alike = mac(shapes[k], shapes[k - 1]) if seen and shapes is not None else np.full(level.shape, np.nan)
         level += in_damping & (alike >= least_mac)
         # one level outweighs any sum of distances, of which each counts less than its share of 1
-        near = distance / (frequency_tolerance or 1.0) / (2.0 * (len(d) + 1))
+        near = np.where(in_frequency, distance, 0.0) / (frequency_tolerance or 1.0) / (2.0 * (len(d) + 1))
         mine, its = linear_sum_assignment(np.where(in_frequency, near - level, 0.0))
         found[k][mine] = level[mine, its]
         assurance[k][mine] = np.where(in_frequency, alike, np.nan)[mine, its]

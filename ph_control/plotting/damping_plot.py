@@ -106,10 +106,9 @@ def damping_plot(
             drawn.lines[0, 0] += left.semilogx(scale, zeta, **line)
             drawn.lines[0, 1] += right.plot(size, zeta, **{**line, "label": None})
             color = drawn.lines[0, 1][-1].get_color()
-            right.plot(abs(first[column]) / unit, -100 * first[column].real / abs(first[column]), color=color, **_START)
-            if at_one[column].imag > 0:
-                chosen = -100 * at_one[column].real / abs(at_one[column])
-                right.plot(abs(at_one[column]) / unit, chosen, color=color, **_CHOSEN)
+            for pole, mark in ((first[column], _START), (at_one[column], _CHOSEN)):
+                if pole.imag > 0:
+                    right.plot(abs(pole) / unit, -100 * pole.real / abs(pole), color=color, **mark)
         left.axvline(1.0, color="0.5", linewidth=0.8, linestyle="--")
         left.set(xlabel="Factor of the controller", ylabel="Damping ratio [%]", ylim=(0, None))
         right.set(xlabel=labelled("Natural frequency", unit_name), ylabel="Damping ratio [%]", ylim=(0, None))

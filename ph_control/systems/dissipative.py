@@ -27,6 +27,7 @@ from .port_hamiltonian import PortHamiltonian
 _ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
 _COUPLED = 1e-9  # of the rates of the states: a coupling that is more than rounding of the matrices
 PARTS = ("Q", "G", "J", "R", "P", "S", "N", "sensor_rows", "sensor_feedthrough")
+_SHOWN = {"G": "B", "sensor_rows": "the matrix C of the sensors", "sensor_feedthrough": "the matrix D of the sensors"}
 
 
 def _lossless_only(name: str, what: str) -> Any:
@@ -113,6 +114,8 @@ class DissipativePortHamiltonian(PortHamiltonian):
         self._take(parts, names)
 
     def _take(self, parts: dict[str, Array], names: dict[str, Any]) -> None:
+        for name in PARTS:
+            _checks.in_range(_SHOWN.get(name, name), parts[name])
         self._parts = {name: _checks.readonly(parts[name]) for name in PARTS}
         self._given, self._modes = None, None
         n, m = self._parts["G"].shape
