@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -149,11 +149,30 @@ def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, 
 # --- with damping ---------------------------------------------------------------------------------------------------
 
 
+class Term(NamedTuple):
+    """A term `s^power` of a background with a real coefficient, or `j s^power` where it is `turned`."""
+
+    power: int
+    turned: bool = False
+
+
+# what is left of modes far below and above the band; of an accelerometer the former, as a constant, is fed through
+RESIDUAL_TERMS = {
+    "displacement": (Term(-2), Term(0)),
+    "velocity": (Term(-1), Term(1)),
+    "acceleration": (Term(2),),
+    "free": (Term(-2),),
+}
+FURTHER_TERMS = Term(0, True), Term(1), Term(1, True)  # of a complex constant and slope
+_TERMS_FROM = 30  # points: a background is looked for among fewer once there are modes
+
+
 @dataclass(frozen=True, eq=False)
 class FreeResponse:
-    """Frequency responses for modes with any damping and residues, on a background of what modes outside leave.
+    """Frequency responses for modes with any damping and residues, on a background of the `terms`.
 
-    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.
+    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.  The real
+    constant is none of the background but what is fed `through`, except of a displacement.
     """
 
     frequencies: Array
@@ -162,6 +181,8 @@ class FreeResponse:
     observed: Mask
     quantity: str = "velocity"
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
+    through: bool = False
+    terms: tuple[Term, ...] = ()
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)
@@ -170,7 +191,22 @@ class FreeResponse:
     def of(cls, rows: FrequencyRows) -> FreeResponse:
         """The response of one input and one output."""
         one = rows.record
-        return cls(one.omega, one.response[None], np.sqrt(one.weights), one.observed, rows.quantity)
+        found = cls(one.omega, one.response[None], np.sqrt(one.weights), one.observed, rows.quantity)
+        return found.on_background()
+
+    def on_background(self) -> FreeResponse:
+        """The same on what modes outside the band leave, with what is fed through, if points abound.
+
+        A force is felt by an accelerometer at once, whatever their number.
+        """
+        if len(self.omega) < _TERMS_FROM:
+            return replace(self, through=self.quantity == "acceleration")
+        return replace(self, through=self.quantity != "displacement", terms=RESIDUAL_TERMS[self.quantity])
+
+    def with_term(self, term: Term) -> FreeResponse:
+        """The same beside one more term, which a constant that is fed through may be."""
+        there = term in self.terms or (self.through and term == Term(0))
+        return self if there else replace(self, terms=(*self.terms, term))
 
     @cached_property
     def omega(self) -> Array:
@@ -192,11 +228,6 @@ class FreeResponse:
         """Largest frequency that is searched."""
         return float(self.omega[-1])
 
-    @property
-    def through(self) -> bool:
-        """A force is felt by an accelerometer at once."""
-        return self.quantity == "acceleration"
-
     @cached_property
     def weight(self) -> Array:
         """Factor of errors at the frequencies that were measured."""
@@ -214,17 +245,12 @@ class FreeResponse:
 
     def own_unknowns(self, n: int) -> int:
         """The background."""
-        return len(self.background(n))
+        return len(self.terms)
 
-    def background(self, n: int) -> ComplexArray:
-        """Modes far below the band act as a mass, those far above as a spring; only where points abound."""
-        omega = self.omega
-        lowest = omega[omega > 0].min(initial=np.inf)
-        if len(omega) < 10 + 4 * n or not np.isfinite(lowest):
-            return np.zeros((0, len(omega)), complex)
-        factor = differentiated(omega, self.quantity)
-        # of an accelerometer the mass is what is fed through
-        return factor[None] if self.through else np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
+    @cached_property
+    def background(self) -> ComplexArray:
+        """Columns (len(terms), K) of the background, in the scale of the weights."""
+        return self.weight * background_columns(self.terms, self.omega)
 
     def thinned(self, p: ComplexArray) -> FreeResponse:
         """The points about some modes as far as their peaks reach, and a few; of wide peaks a part, each for many."""
@@ -244,9 +270,8 @@ class FreeResponse:
 
     def columns(self, p: ComplexArray, poles: Pair | None = None) -> ComplexArray:
         """Columns of all unknowns, in the scale of the weights."""
-        through = np.ones((int(self.through), len(self.omega)))
-        columns = np.concatenate([self.background(len(p)), stacked(poles or self.poles(p)), through])
-        return np.asarray(columns * self.weight)
+        modes = self.weight * stacked(poles or self.poles(p))
+        return np.concatenate([self.background, modes, self.weight[None][: int(self.through)]])
 
     def poles(self, p: ComplexArray) -> Pair:
         """`1 / (s - p)` and `1 / (s - conj p)`."""
@@ -254,6 +279,14 @@ class FreeResponse:
         gap = s - poles
         gap = np.where(gap == 0, EPS * np.abs(poles), gap)
         return np.asarray(1.0 / gap), np.asarray(1.0 / (s - poles.conj()))
+
+
+def background_columns(terms: Sequence[Term], omega: Array) -> ComplexArray:
+    """Values (len(terms), K) of terms; at a frequency of 0 those of the lowest other."""
+    lowest = omega[omega > 0].min(initial=np.inf)
+    s = 1j * np.where(omega > 0, omega, lowest if np.isfinite(lowest) else 1.0)
+    columns = [(1j if one.turned else 1.0) * s**one.power for one in terms]
+    return np.asarray(columns, complex).reshape(len(terms), len(omega))
 
 
 class FreeResponseEvaluation(Evaluation):

@@ -18,7 +18,7 @@ from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.elimination import orthogonal, without
 from ..regression.free import FreeProjection, FreeRows
-from ..regression.frequency_rows import FreeResponse
+from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.modal_regressors import SampledModes
 from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
@@ -29,6 +29,7 @@ from .screening import highest_peaks
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
 _PEAKS = 200
+_ABOUNDING = 10  # points, and four for each pole: with fewer a real pole may stand for modes outside the band
 _COMPARED = 16
 _RATES = 30  # of real poles that are compared, from one
 _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
@@ -358,7 +359,20 @@ class Responses(FreeSearch):
 
     def shows_background(self, n: int) -> bool:
         """Whether points abound: of few of them a real pole may stand for modes outside the band."""
-        return all(one.own_unknowns(n) > 0 for one in self.data)
+        return all(len(one.omega) >= _ABOUNDING + 4 * n for one in self.data)
+
+    @property
+    def terms(self) -> list[Term]:
+        """Terms of the background of any entry."""
+        return sorted({term for one in self.data for term in one.terms})
+
+    def without_term(self, term: Term) -> Responses:
+        """The same beside a background that lacks a term."""
+        return replace(self, data=[replace(one, terms=tuple(t for t in one.terms if t != term)) for one in self.data])
+
+    def with_term(self, term: Term) -> Responses:
+        """The same beside a background with one more term."""
+        return replace(self, data=[one.with_term(term) for one in self.data])
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The points about the modes where there are many."""

@@ -22,7 +22,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.free import FreeProjection, refine_free
-from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
@@ -246,6 +246,7 @@ def free_fit(
 
     def again(channels: Experiments, start: ComplexArray, known: bool) -> FreeFit:
         path = posed(channels)
+        path.add_terms([one for one in found.projection.experiments if isinstance(one, FreeResponse)])
         model = path.model(start)
         if not known:
             model = path.chosen((path.cleaned(model) if automatic else model).p, most, automatic)
@@ -490,7 +491,7 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
     for one in channels:
         entries = one.response.reshape(-1, one.samples)
         weights, observed = one.weights.reshape(entries.shape), one.observed.reshape(entries.shape)
-        kinds = np.repeat(np.array(["displacement" if q == "free" else q for q in quantities]), one.response.shape[1])
+        kinds = np.repeat(np.array(quantities), one.response.shape[1])
         groups: dict[tuple[str, bytes, bytes], list[int]] = {}
         for e in np.flatnonzero(observed.any(axis=1)).tolist():
             shape = np.float32(np.where(observed[e], weights[e] / weights[e][observed[e]].mean(), 0.0))
@@ -499,7 +500,8 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
             at, seen = members[0], observed[members[0]]
             scale = np.sqrt(weights[at] / weights[at][seen].mean())
             response = np.where(seen, entries[members], 0.0)
-            found.append(FreeResponse(one.omega, response, scale, seen, kind, np.array(members)))
+            rows = FreeResponse(one.omega, response, scale, seen, kind, np.array(members))
+            found.append(rows.on_background())
     return found
 
 
@@ -578,6 +580,13 @@ class FreePath:
         """Losses of outputs without modes."""
         none = np.zeros(0, complex)
         return self.search.model(FreeProjection(self.search.rows(none), none)).losses
+
+    def add_terms(self, rows: Sequence[FreeResponse]) -> None:
+        """Take the terms of the backgrounds of other rows beside those there are."""
+        for term in Responses(rows).terms:
+            if isinstance(self.search, Responses):
+                self.search = self.search.with_term(term)
+        self.weigh(self.power)
 
     def weigh(self, losses: Array) -> None:
         """Give every output the weight of the variance that it is left with."""
@@ -956,7 +965,11 @@ class FreePath:
         """
         found: FreeFit | None = None
         try:
-            self.best = self.best or self.chosen(start, most, automatic)
+            if self.best is None:
+                self.best = self.chosen(start, most, automatic)
+                other = self.beside_further_terms(most, automatic)
+                if other is not None:
+                    return other.fit(start, most, automatic, channels, either_hold=either_hold)
             found = self.finished(self.best, channels, automatic)
             if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
                 return found
@@ -993,6 +1006,7 @@ class FreePath:
             fed = self.felt | self.stands_out(at)
             if not fed.all():
                 at, losses = self.settled(at.p, fed, interrupted)
+        at, losses = self.on_simplest_background(at, losses, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
         unknowns = self.search.unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
@@ -1002,6 +1016,45 @@ class FreePath:
         return FreeFit(
             at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted
         )
+
+    def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
+        """The search among responses on a background of further terms, where these explain more than real poles do."""
+        if self.best is None or not isinstance(self.search, Responses) or not self.search.shows_background(0):
+            return None
+        search = self.search
+        for term in FURTHER_TERMS:
+            search = search.with_term(term)
+        path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
+        path.weigh(self.best.losses)
+        # of what is no background itself
+        modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
+        model = path.model(modes, TUNING.rough)
+        at, _ = path.on_simplest_background(model.at, model.losses, None, True)
+        model = path.judged(FreeProjection(path.scaled.data, at.p))
+        limit = self.cost(self.best) - 2 * TUNING.sure
+        if path.cost(model) > limit:
+            return None
+        path.best = path.chosen(model.p, most, automatic)
+        return path if path.cost(path.best) <= limit else None
+
+    def on_simplest_background(
+        self, at: FreeProjection, losses: Array, fed: Mask | None, as_it_is: bool
+    ) -> tuple[FreeProjection, Array]:
+        """The minimum without the terms of the background that the criterion does not ask for."""
+        while isinstance(self.search, Responses) and self.search.terms:
+            variance = at.rows / max(1, at.rows - self.search.unknowns_of(at.p))
+            gains = term_gains(at, variance)
+            # what a parameter costs by the criterion, in squares of standard errors
+            less, more = (self.criteria(0.0, k).by_name(self.criterion) for k in (0, 1))
+            each = more - less
+            excess = {term: gain - count * each for term, (gain, count) in gains.items()}
+            weakest = min(excess, key=lambda term: excess[term])
+            if excess[weakest] >= 0:
+                break
+            self.search = self.search.without_term(weakest)
+            self.weigh(losses)
+            at, losses = self.settled(at.p, fed, as_it_is)
+        return at, losses
 
     def settled(self, p: ComplexArray, fed: Mask | None, as_it_is: bool) -> tuple[FreeProjection, Array]:
         """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
@@ -1049,6 +1102,20 @@ class FreePath:
         errors = np.sqrt(np.maximum(variances, 0.0))
         errors = errors.reshape(len(at.feedthrough), at.inputs, width)[:, :, -1]
         return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
+
+
+def term_gains(at: FreeProjection, variance: float) -> dict[Term, tuple[float, int]]:
+    """Squares of the terms of backgrounds of responses over their variances, and how many numbers each is, in all."""
+    found: dict[Term, tuple[float, int]] = {}
+    covariance = at.covariance(variance)
+    for k, rows in enumerate(at.experiments):
+        if isinstance(rows, FreeResponse) and rows.terms:
+            spread = np.array([np.diag(one) for one in at.own_covariances(k, covariance, variance)]).T
+            squares = at.own[k] ** 2 / np.where(spread > 0, spread, np.inf)
+            for term, each in zip(rows.terms, squares, strict=True):
+                gain, count = found.get(term, (0.0, 0))
+                found[term] = gain + float(each.sum()), count + len(each)
+    return found
 
 
 def _modes(p: ComplexArray) -> int:
