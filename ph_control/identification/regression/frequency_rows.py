@@ -172,7 +172,9 @@ class FreeResponse:
     """Frequency responses for modes with any damping and residues, on a background of the `terms`.
 
     Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.  The real
-    constant is none of the background but what is fed `through`, except of a displacement.
+    constant is none of the background but what is fed `through`, except of a displacement.  Residues are of any phase,
+    or those of `classical` damping: in place of their real parts stand real numbers `B` of `B s^k / (s - p) (s - p*)`,
+    k that of the quantity, in place of their imaginary parts zeros.
     """
 
     frequencies: Array
@@ -183,6 +185,7 @@ class FreeResponse:
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
     through: bool = False
     terms: tuple[Term, ...] = ()
+    classical: bool = False
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)
@@ -192,7 +195,7 @@ class FreeResponse:
         """The response of one input and one output."""
         one = rows.record
         found = cls(one.omega, one.response[None], np.sqrt(one.weights), one.observed, rows.quantity)
-        return found.on_background()
+        return replace(found.on_background(), through=rows.quantity == "acceleration")
 
     def on_background(self) -> FreeResponse:
         """The same on what modes outside the band leave, with what is fed through, if points abound.
@@ -201,6 +204,10 @@ class FreeResponse:
         """
         if len(self.omega) < _TERMS_FROM:
             return replace(self, through=self.quantity == "acceleration")
+        return self.beside_modes_outside()
+
+    def beside_modes_outside(self) -> FreeResponse:
+        """The same on what modes outside the band leave, with what is fed through."""
         return replace(self, through=self.quantity != "displacement", terms=RESIDUAL_TERMS[self.quantity])
 
     def with_term(self, term: Term) -> FreeResponse:
@@ -270,8 +277,26 @@ class FreeResponse:
 
     def columns(self, p: ComplexArray, poles: Pair | None = None) -> ComplexArray:
         """Columns of all unknowns, in the scale of the weights."""
-        modes = self.weight * stacked(poles or self.poles(p))
+        modes = self.weight * (self._classical(p)[0] if self.classical else stacked(poles or self.poles(p)))
         return np.concatenate([self.background, modes, self.weight[None][: int(self.through)]])
+
+    def slopes(self, p: ComplexArray, poles: Pair) -> ComplexArray:
+        """Derivatives of the columns by real, then imaginary parts of poles, in the scale of the weights."""
+        ahead, behind = poles
+        return self.weight * (self._classical(p)[1] if self.classical else stacked((ahead**2, behind**2)))
+
+    def classical_columns(self, p: ComplexArray) -> ComplexArray:
+        """`s^k / (s - p) (s - p*)`."""
+        ahead, behind = self.poles(p)
+        return np.asarray(differentiated(self.omega, self.quantity) * ahead * behind)
+
+    def _classical(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Columns of modes with classical damping, and their derivatives by real, then imaginary parts of poles."""
+        columns = self.classical_columns(p)
+        ahead, behind = self.poles(p)
+        turned = 2 * columns * ahead * behind
+        slopes = [turned * (1j * self.omega - p.real[:, None]), -turned * p.imag[:, None]]
+        return np.concatenate([columns, np.zeros_like(columns)]), np.concatenate(slopes)
 
     def poles(self, p: ComplexArray) -> Pair:
         """`1 / (s - p)` and `1 / (s - conj p)`."""
@@ -298,7 +323,7 @@ class FreeResponseEvaluation(Evaluation):
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
         ahead, behind = self._rows.poles(self._p)
-        slopes = self._rows.weight * stacked((ahead**2, behind**2))
+        slopes = self._rows.slopes(self._p, (ahead, behind))
         yield real_rows([self._rows.columns(self._p, (ahead, behind)), slopes, self._rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:

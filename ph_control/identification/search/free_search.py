@@ -21,7 +21,7 @@ from ..regression.free import FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.modal_regressors import SampledModes
 from ..regression.sections import PoleRegion
-from ..regression.spectral_rows import ChannelSpectra, FreeWindow
+from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .screening import highest_peaks
@@ -34,6 +34,8 @@ _COMPARED = 16
 _RATES = 30  # of real poles that are compared, from one
 _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
 _FASTEST = 0.5  # of the ceiling
+_PLACES = 8  # of a mode between two of few points, and half-widths in bins there
+_DECAYS = (0.01, 0.1, 0.5, 1.5)
 
 
 Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
@@ -70,6 +72,11 @@ class FreeSearch:
         """Where poles are looked for."""
         ends = min(one.bin for one in self.data), max(one.ceiling for one in self.data)
         return PoleRegion(*ends, self.kinds_may_change)
+
+    @property
+    def crowding(self) -> float:
+        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        return TUNING.damped_apart * self.region.bin
 
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
         """Parameters of a model: poles, residues and what is fed through of each output, nuisance parameters."""
@@ -115,8 +122,8 @@ class FreeSearch:
         """Sum of squares of each output."""
         raise NotImplementedError
 
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
-        """Poles of modes that explain most of what is left, the strongest first, and how much."""
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain most of what a model leaves, the strongest first, and how much."""
         raise NotImplementedError
 
     def model(self, at: FreeProjection) -> FreeModel:
@@ -204,10 +211,10 @@ class Records(FreeSearch):
             found[spectrum.record.outputs] += spectrum.energies(part)
         return found
 
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
         joined: list[tuple[ChannelSpectra, list[ComplexArray]]] = []
-        for spectrum, part in zip(self.spectra, left, strict=True):
+        for spectrum, part in zip(self.spectra, model.left, strict=True):
             if joined and joined[-1][0].record.u is spectrum.record.u:  # outputs of one experiment
                 joined[-1][1].append(part)
             else:
@@ -403,10 +410,12 @@ class Responses(FreeSearch):
             found[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
         return found
 
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
-        """Of windows of several widths, the poles that explain most."""
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
+        """Of windows of several widths, or of many places among few points, the poles that explain most."""
+        if self.classical:
+            return self._scanned(model.p)
         joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
-        for rows, part in zip(self.data, left, strict=True):
+        for rows, part in zip(self.data, model.left, strict=True):
             everywhere = np.zeros((len(part), len(rows.frequencies)), complex)
             everywhere[:, rows.observed] = part / rows.weight
             weights = np.where(rows.observed, rows.scale, 0.0)[None].repeat(len(part), axis=0)
@@ -418,6 +427,39 @@ class Responses(FreeSearch):
         found = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
                  for omega, parts, weights in joined]  # fmt: skip
         return strongest(found, self.region.bin)
+
+
+    @property
+    def classical(self) -> bool:
+        """Whether modes have one number for each entry, as with real shapes."""
+        return self.data[0].classical
+
+    @property
+    def crowding(self) -> float:
+        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        return self.region.bin if self.classical else super().crowding
+
+    def unknowns(self, modes: int, real_poles: int = 0) -> int:
+        """Parameters of a model; of modes with real shapes one number for each entry."""
+        entries = sum(len(one.outputs) for one in self.data)
+        return super().unknowns(modes, real_poles) - self.classical * modes * entries
+
+    def _scanned(self, p: ComplexArray) -> tuple[ComplexArray, Array]:
+        """Poles between all points that explain most of what modes leave."""
+        omega = np.unique(np.concatenate([one.omega for one in self.data]))
+        places = np.arange(_PLACES * (len(omega) - 1) + 1) / _PLACES
+        rates = self.region.bin * np.array(_DECAYS)
+        tried = (np.interp(places, np.arange(len(omega)), omega)[:, None] * 1j - rates).ravel()
+        tried = tried[tried.imag > 0]
+        gains = np.zeros(len(tried))
+        for rows in self.data:
+            known = next(rows.at(p).blocks())
+            q, n = len(rows.outputs), len(p)
+            basis, _ = orthogonal(known[: rows.own_unknowns(n) + 2 * n + rows.through].T)
+            columns = real_rows([rows.weight * rows.classical_columns(tried)])
+            free = without(columns.T, basis)
+            gains += np.sum((free.T @ without(known[-q:].T, basis)) ** 2, axis=1) / np.sum(free**2, axis=0)
+        return strongest([(tried, gains)], self.region.bin)
 
 
 def _modes_of_lines(omega: Array, left: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:

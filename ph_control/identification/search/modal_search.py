@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as f_law
 
 from ..._checks import EPS
 from ..._frozen import Frozen
@@ -48,6 +49,7 @@ _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
+_FEW_MODES = 5  # that few points of responses do not show beside a background
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
 
@@ -225,6 +227,8 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+    if automatic and real_poles in ("auto", 0) and not found.interrupted:
+        found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
     if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
         return found
     if not found.per_entry:
@@ -256,6 +260,28 @@ def free_fit(
         return _reweighted(found, again)
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
+
+
+def _of_few_lines(found: FreeFit, paths: Sequence[FreePath], most: int) -> FreeFit:
+    """The fit to few points of responses at the poles that real shapes of damping that decouples ask for, if likelier.
+
+    Where few points show as many residues of any phase, these are too many numbers for the criterion to grant.
+    """
+    best: FreeModel | None = None
+    cost = np.inf
+    try:
+        for few in paths:
+            model = few.significant(few.chosen(np.zeros(0, complex), most, True))
+            if few.cost(model) < min(cost, found.criteria.by_name(few.criterion)):
+                best, cost, path = model, few.cost(model), few
+        if best is None:
+            return found
+        rows = [replace(one, classical=False) for one in path.search.data]
+        free = FreePath(Responses(rows, False), path.felt, path.criterion, path.reports, None, 0)
+        judged = free.finished(free.model(best.p), found.channels)
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
+    return replace(judged, order_table=tuple(path.table[n] for n in sorted(path.table)))
 
 
 # --- long records ----------------------------------------------------------------------------------------------------
@@ -581,6 +607,18 @@ class FreePath:
         none = np.zeros(0, complex)
         return self.search.model(FreeProjection(self.search.rows(none), none)).losses
 
+    def of_few_lines(self) -> list[FreePath]:
+        """Searches for modes with real shapes among responses of few points, without and with a background."""
+        if not isinstance(self.search, Responses) or self.search.shows_background(_FEW_MODES):
+            return []
+        if any(one.quantity == "free" for one in self.search.data):
+            return []
+        rows = [replace(one, classical=True) for one in self.search.data]
+        return [
+            FreePath(Responses(each, False), self.felt, self.criterion, self.reports, None, 0)
+            for each in (rows, [one.beside_modes_outside() for one in rows])
+        ]
+
     def add_terms(self, rows: Sequence[FreeResponse]) -> None:
         """Take the terms of the backgrounds of other rows beside those there are."""
         for term in Responses(rows).terms:
@@ -731,8 +769,11 @@ class FreePath:
         """Poles that stand out of what is left, the strongest first."""
         if self._shown is not None and self._shown[0] is model:
             return self._shown[1]
-        p, gains = self.scaled.candidates(model.left)
+        p, gains = self.scaled.candidates(model)
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
+        if isinstance(self.search, Responses) and self.search.classical:
+            # beside modes that are missing nothing stands out of few points: all are doubted at the end
+            return p, gains
         loss = float(np.sum(model.losses * self.sizes**2))
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
         self._shown = model, (p, gains * np.array(shown, bool))
@@ -826,7 +867,7 @@ class FreePath:
         modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
         alone = automatic and len(self.counts) * max(1, model.at.inputs) == 1
         if alone:
-            needed = TUNING.damped_apart * band + np.abs(model.at.sigma)
+            needed = self.search.crowding + np.abs(model.at.sigma)
             modal &= np.all(np.abs(p.imag[:, None] - model.p.imag) > needed, axis=1)
         sure = p[modal]
         # beside modes of one channel that are still wrong, others that stand out may be no more than their shadows
@@ -863,7 +904,7 @@ class FreePath:
         So many as `lags` that have become pairs of complex poles may be broad.
         """
         broad = int(np.sum(_broad(model.p))) > lags
-        return not patching(model.at, self.search.region.bin) and not broad and not self.grows(model)
+        return not patching(model.at, self.search.crowding) and not broad and not self.grows(model)
 
     def cleaned(self, model: FreeModel, lags: int = 0) -> FreeModel:
         """A model without its modes that are none of the plant."""
@@ -871,7 +912,7 @@ class FreePath:
             at = model.at
             # what several channels see of a pair changes as others go
             alone = len(self.counts) * max(1, at.inputs) == 1
-            worst = patching(at, self.search.region.bin)[: None if alone else 1]
+            worst = patching(at, self.search.crowding)[: None if alone else 1]
             if not worst:
                 broad = np.where(_broad(at.p), np.abs(at.sigma) / at.d, 0.0)
                 worst = [int(np.argmax(broad) if broad.any() else np.argmin(at.sigma))]
@@ -949,6 +990,18 @@ class FreePath:
             model = self.reweighted(fewer)
         return model
 
+    def significant(self, model: FreeModel) -> FreeModel:
+        """A model without modes that noise alone might show somewhere, the weakest dropped first."""
+        each = self.search.unknowns(1) - self.search.unknowns(0)
+        while len(model.p):
+            evidence, loss = self.evidence(model), float(np.sum(model.losses * self.sizes**2))
+            weakest, spare = int(np.argmin(evidence)), self.counts.sum() - self.search.unknowns_of(model.p)
+            ratio = evidence[weakest] / loss * spare / each if loss > 0 else np.inf
+            if spare > 0 and f_law.sf(ratio, each, spare) * self.counts.sum() < TUNING.by_chance:
+                break
+            model = self.model(np.delete(model.p, weakest))
+        return model
+
     def _kept(self, p: ComplexArray) -> Mask:
         """Which poles stay in any case: the real ones of a number that was given."""
         given = self.real_poles != "auto"
@@ -967,9 +1020,9 @@ class FreePath:
         try:
             if self.best is None:
                 self.best = self.chosen(start, most, automatic)
-                other = self.beside_further_terms(most, automatic)
-                if other is not None:
-                    return other.fit(start, most, automatic, channels, either_hold=either_hold)
+                beside = self.beside_further_terms(most, automatic)
+                if beside is not None:
+                    return beside.fit(start, most, automatic, channels, either_hold=either_hold)
             found = self.finished(self.best, channels, automatic)
             if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
                 return found
@@ -1133,13 +1186,13 @@ def _broad(p: ComplexArray) -> Mask:
     return (p.imag > 0) & (np.abs(p.real) > TUNING.broadest * np.abs(p))
 
 
-def patching(at: FreeProjection, band: float) -> list[int]:
+def patching(at: FreeProjection, distance: float) -> list[int]:
     """The weaker mode of each pair that is too close, the closest first, no mode in two of them.
 
     Two modes that all channels see in different proportions may be as close as they like.
     """
     d, half_width = at.d, np.abs(at.sigma)
-    apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
+    apart = np.abs(d[:, None] - d) / (distance + half_width[:, None] + half_width)
     apart[~_alike(at)] = np.inf
     lag = (at.p.imag == 0) | _broad(at.p)
     apart[lag] = apart[:, lag] = np.inf
