@@ -265,9 +265,23 @@ class FreeResponse:
         first, last = (np.searchsorted(omega, end) for end in (p.imag - reach, p.imag + reach))
         widest = np.argsort(-reach)
         ranges = zip(first[widest], last[widest], (last - first)[widest] // (4 * TUNING.thinned), strict=True)
-        kept, counts = thinned_places(ranges, len(omega), 1 + len(omega) // TUNING.everywhere)
+        return self._part(*thinned_places(ranges, len(omega), 1 + len(omega) // TUNING.everywhere))
+
+    def spread(self, points: int) -> FreeResponse:
+        """About so many of the points, each for as many, and the first ones, which slow poles show in."""
+        count = len(self.omega)
+        ranges = [(0, count, count // points), (0, points // 4, 1)]
+        return self._part(*thinned_places(ranges, count, 1 + count // TUNING.everywhere))
+
+    def every(self, step: int) -> FreeResponse:
+        """Each of so many points, counted as it is."""
+        kept = np.arange(0, len(self.omega), step)
+        return self._part(kept, np.ones(len(kept)))
+
+    def _part(self, kept: Indices, counts: Array) -> FreeResponse:
+        """Some of the points, which errors count so much of."""
         observed, scale = self.observed.copy(), self.scale.copy()
-        observed[self.observed] = np.isin(np.arange(len(omega)), kept)
+        observed[self.observed] = np.isin(np.arange(len(self.omega)), kept)
         scale[observed] *= counts
         return replace(self, observed=observed, scale=scale)
 

@@ -102,9 +102,13 @@ class FreeSearch:
     def lag(self, at: FreeProjection) -> tuple[complex, float]:
         """The real pole that explains most of what a model leaves, and how much."""
         rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
-        gains = np.sum([explained_by_lags(rows, at.p, rates) for rows in at.experiments], axis=0)
+        gains = np.sum([explained_by_lags(rows, at.p, rates) for rows in self.spread(at.experiments)], axis=0)
         best = int(np.argmax(gains))
         return complex(-rates[best]), float(gains[best])
+
+    def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
+        """Rows, or as many of them all over as show what has no peak."""
+        return rows
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All of the data, or what of them is about some modes."""
@@ -381,6 +385,10 @@ class Responses(FreeSearch):
         """The same beside a background with one more term."""
         return replace(self, data=[one.with_term(term) for one in self.data])
 
+    def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
+        """A part of the points where there are many."""
+        return [one.spread(_EVERYWHERE // 2) if len(one.omega) > _EVERYWHERE else one for one in self.data]
+
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The points about the modes where there are many."""
         return [one.thinned(p) if len(one.omega) > _EVERYWHERE else one for one in self.data]
@@ -427,7 +435,6 @@ class Responses(FreeSearch):
         found = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
                  for omega, parts, weights in joined]  # fmt: skip
         return strongest(found, self.region.bin)
-
 
     @property
     def classical(self) -> bool:

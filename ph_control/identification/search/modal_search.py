@@ -248,16 +248,26 @@ def free_fit(
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
 
-    def again(channels: Experiments, start: ComplexArray, known: bool) -> FreeFit:
+    def weighted_path(channels: Experiments) -> FreePath:
         path = posed(channels)
         path.add_terms([one for one in found.projection.experiments if isinstance(one, FreeResponse)])
-        model = path.model(start)
-        if not known:
-            model = path.chosen((path.cleaned(model) if automatic else model).p, most, automatic)
+        return path
+
+    def refined(channels: Experiments, p: ComplexArray) -> FreeFit:
+        path = weighted_path(channels)
+        path.weigh(path.model(p).losses)
+        at = path.refined(p, TUNING.rough, None)
+        return replace(found, projection=at, channels=tuple(channels), scales=1.0 / path.sizes)
+
+    def again(channels: Experiments, p: ComplexArray, known: bool) -> FreeFit:
+        path = weighted_path(channels)
+        model = path.model(p)
+        if automatic and not known:
+            model = path.chosen(path.cleaned(model).p, most, automatic)
         return path.finished(model, channels, automatic)
 
     try:
-        return _reweighted(found, again)
+        return _reweighted(found, refined, again)
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
 
@@ -422,32 +432,41 @@ def _delayed(one: Recording, samples: int) -> Recording:
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
 
 
-def _reweighted(first: FreeFit, again: Callable[[Experiments, ComplexArray, bool], FreeFit]) -> FreeFit:
+def _reweighted(
+    first: FreeFit,
+    refined: Callable[[Experiments, ComplexArray], FreeFit],
+    again: Callable[[Experiments, ComplexArray, bool], FreeFit],
+) -> FreeFit:
     """The fit repeated with the weights of the noise of its entries, until both agree; as it was, if that is constant.
 
-    `again` begins with poles, and looks for others unless these are known.
+    `refined` keeps the poles but for what the weights move them by; `again` looks for others as well, unless these are
+    known.
     """
     laws, free = entry_laws(first.projection)
     if free and not any(law.share for law, _ in laws):
         return first
     # points of large gain, were they taken as equally sure, would draw the model through themselves
-    weights = balanced([one.response for one in first.channels])
-    judged, before = again(_with_weights(first.channels, weights), first.projection.p, True), weights
-    for place in range(ROUNDS):
-        laws, _ = entry_laws(judged.projection)
-        if not any(law.share for law, _ in laws):
-            return first
-        weights = _inverse_variances(judged, [law for law, _ in laws])
-        pairs = zip(weights, before, strict=True)
-        if place and all(np.nanmax(np.abs(new / old - 1)) <= SETTLED for new, old in pairs):
+    weights, p, known = balanced([one.response for one in first.channels]), first.projection.p, False
+    while True:
+        for place in range(ROUNDS):
+            before = weights
+            near = refined(_with_weights(first.channels, weights), p)
+            laws, _ = entry_laws(near.projection)
+            if not any(law.share for law, _ in laws):
+                return first
+            weights, p = _inverse_variances(near, [law for law, _ in laws]), near.projection.p
+            pairs = zip(weights, before, strict=True)
+            if place and all(np.nanmax(np.abs(new / old - 1)) <= SETTLED for new, old in pairs):
+                break
+        judged = again(_with_weights(first.channels, weights), p, known)
+        if known or judged.order == len(p):
             break
-        before = weights
-        finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
-        judged = again(_with_weights(first.channels, weights), judged.projection.p, place > 0)
-        judged = replace(judged, findings=(finding,))
+        # other modes leave other noise
+        p, known = judged.projection.p, True
+    finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
     # constant noise, at the points of large gain that balanced weights leave free, may seem to grow
     more = float(np.log(judged.projection.rows)) * sum(1 for law, _ in laws if law.share)
-    return judged if _weighted_bic(judged) + more < _weighted_bic(first) else first
+    return replace(judged, findings=(finding,)) if _weighted_bic(judged) + more < _weighted_bic(first) else first
 
 
 def _weighted_bic(fit: FreeFit) -> float:
@@ -1083,11 +1102,11 @@ class FreePath:
         modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
         model = path.model(modes, TUNING.rough)
         at, _ = path.on_simplest_background(model.at, model.losses, None, True)
-        model = path.judged(FreeProjection(path.scaled.data, at.p))
         limit = self.cost(self.best) - 2 * TUNING.sure
-        if path.cost(model) > limit:
+        left = path.search.terms if isinstance(path.search, Responses) else []
+        if not set(left) - set(self.search.terms) or path.cost(path.judged(at)) > limit:
             return None
-        path.best = path.chosen(model.p, most, automatic)
+        path.best = path.chosen(at.p, most, automatic)
         return path if path.cost(path.best) <= limit else None
 
     def on_simplest_background(
