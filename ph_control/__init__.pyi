@@ -72,6 +72,7 @@ from .identification.many.fit_table import FitTable as FitTable
 from .identification.many.tracking import ModeTracks as ModeTracks
 from .identification.regression.free_prediction import FittedChannels as FittedChannels
 from .identification.regression.prediction import FittedExperiment as FittedExperiment
+from .identification.regression.prediction import ResponseBackground as ResponseBackground
 from .identification.search.order_selection import OrderSelection as OrderSelection
 from .identification.search.order_selection import order_selection as order_selection
 from .identification.uncertainty.draws import ModeSamples as ModeSamples

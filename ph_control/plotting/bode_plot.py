@@ -74,7 +74,8 @@ def bode_plot(
     ----------
     sysdata : system, or list of systems
         `PortHamiltonian`, `ModalForm`, any other LTI system of python-control, `control.FrequencyResponseData`; a
-        `PEMResult` stands for the response of the quantity that was measured, which its `observed_system` has.
+        `PEMResult` stands for the response of the quantity that was measured: that of its `observed_system`, on the
+        `background` of a fit to a response.
     omega : array_like, shape (N,), optional
         Angular frequencies, rad per unit time, ascending and positive; two of them are limits.  By default every pole
         and zero of the systems is resolved.

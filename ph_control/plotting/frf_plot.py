@@ -79,7 +79,7 @@ def frf_plot(
     Parameters
     ----------
     model : PEMResult, modal form or linear system
-        Model of p outputs and m inputs; of a result the response of what was measured.
+        Model of p outputs and m inputs; of a result the response of what was measured, on its background.
     data : control.FrequencyResponseData, control.TimeResponseData, or list of them, optional
         Measurement to draw as dots: responses, or recordings, of which they are estimated; by default those that a
         result was fitted to.
@@ -236,12 +236,14 @@ def _source_of_fractions(given: Any) -> ModelSource:
         )
     D = np.asarray(given.feedthrough, float).reshape(residues.shape[1:])
     flat, pairs = residues.reshape(len(poles), -1), poles.imag != 0
+    background = getattr(given, "background", None)
 
     def response(omega: Array) -> ComplexArray:
         s = 1j * omega[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             found = (1.0 / (s - poles)) @ flat + (1.0 / (s - poles[pairs].conj())) @ flat[pairs].conj()
-        return found.T.reshape(*residues.shape[1:], -1) + D[:, :, None]
+        modes = found.T.reshape(*residues.shape[1:], -1) + D[:, :, None]
+        return modes if background is None else modes + background.response(omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
     return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({counted(len(poles), 'mode')})")

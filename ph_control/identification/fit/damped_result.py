@@ -25,7 +25,7 @@ from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels
 from ..diagnosis.verdict import HypothesisTest, Outcome
 from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
-from ..regression.prediction import FittedExperiment
+from ..regression.prediction import FittedExperiment, ResponseBackground
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
 from ..structure.layout import POWERS
@@ -73,6 +73,8 @@ class DampedResult(DampedReport, PEMResult):
     experiments : tuple of FittedChannels, or of FittedExperiment
         What the fit says of each experiment: data, free motions, offsets, prediction and residuals; of one input and
         one output as in a lossless fit, `initial_state` that of `observed_system`.
+    background : ResponseBackground or None
+        Of a frequency response: constant, slope, and what modes outside the band leave, with standard errors.
     loss : float
         Mean squared residual in units of the noise of each output.
     loglik, aic, bic : float
@@ -399,6 +401,14 @@ class DampedResult(DampedReport, PEMResult):
     def offsets(self) -> Array:
         """Constant added to each output in each experiment, shape (E, p); (E,) of one input and output."""
         return np.array([getattr(one, "offsets", getattr(one, "offset", 0.0)) for one in self.experiments])
+
+    @property
+    def background(self) -> ResponseBackground | None:
+        """What the response of the first experiment has beside modes and feedthrough; None without such terms.
+
+        Several experiments have a background each, `experiments[k].background`.
+        """
+        return self.experiments[0].background
 
     def predict(
         self, data: Any, *, initial_state: ArrayLike | str | None = None, dt: float | None = None

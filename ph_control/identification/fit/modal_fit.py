@@ -24,7 +24,8 @@ from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, natural_jacobian
-from ..regression.prediction import FittedExperiment, Pairs, joint_percent, pieces, shares_left
+from ..regression.frequency_rows import FreeResponse
+from ..regression.prediction import FittedExperiment, Pairs, ResponseBackground, joint_percent, pieces, shares_left
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
 from ..search.formulation import Callback, reporter
@@ -310,7 +311,7 @@ def _judged(
     modes = int(np.sum(poles.imag != 0))
     residues = fit.residues[rank] * np.where(poles.imag == 0, 2.0, 1.0)[:, None, None]
     covariance = _covariance(fit, free, rank)
-    experiments = _experiments(_in_data(fit, free), free, rank)
+    experiments = _experiments(_in_data(fit, free), free, rank, asked.quantities, fit)
     shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
     extra = fit.parameters - (len(free.projection.x) + int(free.projection.shown.sum()))
     unknowns = free.unknowns + min(0, extra) + len(free.scales)
@@ -422,10 +423,14 @@ def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
     return GivenResidues(at, fit.projection.shared)
 
 
-def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[FittedChannels, ...]:
-    """Predictions, free motions and offsets of each experiment, from the rows of its outputs."""
+def _experiments(
+    at: FreeProjection, free: FreeFit, rank: Indices, quantities: tuple[str, ...], fit: StructuredFit
+) -> tuple[FittedChannels, ...]:
+    """Predictions, free motions, offsets and backgrounds of each experiment, from the rows of its outputs."""
     n, found = len(at.p), []
-    rows = iter(zip(at.experiments, at.own, at.predictions() if n else [None] * len(at.experiments), strict=True))
+    predictions = at.predictions() if n or free.per_entry else [None] * len(at.experiments)
+    rows = iter(zip(at.experiments, at.own, predictions, strict=True))
+    place, covariance = 0, fit.covariance if free.per_entry else np.zeros((0, 0))
     for one in free.channels:
         p, m, outputs = len(one.output_labels), len(one.input_labels), len(free.scales)
         in_time = isinstance(one, Recording)
@@ -434,16 +439,22 @@ def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[Fitt
         predicted: NDArray[Any] = np.empty((outputs, one.samples), float if in_time else complex)
         predicted[~seen] = np.nan
         motion, offsets, drifts = np.zeros((n, outputs), complex), np.zeros(outputs), np.zeros(outputs)
+        terms = np.zeros((2, 5, outputs), complex)  # of the background, and their standard errors
         while left > 0:
             part, own, values = next(rows)
             which = part.outputs
             scale = free.scales[which]
             left -= len(which)
-            terms = getattr(part, "offset", 0)
+            constants = getattr(part, "offset", 0)
+            if isinstance(part, FreeResponse):
+                spread = np.array([np.diag(one) for one in at.own_covariances(place, covariance, free.variance)]).T
+                for term, *values_of in zip(part.terms, own, np.sqrt(np.maximum(spread, 0.0)), strict=True):
+                    terms[:, term.power + 2, which] += (1j if term.turned else 1.0) * scale * np.array(values_of)
+            place += 1
             if part.moving:
                 motion[:, which] = 2 * scale * (own[:n] + 1j * own[n : 2 * n])[rank]
-            offsets[which] = scale * own[-1] if terms else 0.0
-            drifts[which] = scale * own[-2] / one.dt if terms > 1 else 0.0
+            offsets[which] = scale * own[-1] if constants else 0.0
+            drifts[which] = scale * own[-2] / one.dt if constants > 1 else 0.0
             if values is None:
                 predicted[which] = offsets[which, None]
             elif len(which) == outputs:
@@ -454,7 +465,9 @@ def _experiments(at: FreeProjection, free: FreeFit, rank: Indices) -> tuple[Fitt
             found.append(FittedChannels(one, motion, offsets, drifts, predicted))
         else:
             nothing = np.zeros((n, 0), complex), np.zeros(p), np.zeros(p)
-            found.append(FittedChannels(one, *nothing, predicted.reshape(p, m, one.samples)))
+            coefficients, errors = terms.reshape(2, 5, p, m)
+            background = ResponseBackground(coefficients, errors, quantities) if terms.any() else None
+            found.append(FittedChannels(one, *nothing, predicted.reshape(p, m, one.samples), background))
     return tuple(found)
 
 
@@ -556,7 +569,8 @@ def _squeezed(one: FittedChannels, poles: ComplexArray) -> Any:
     kept_of = np.stack([poles == poles, poles.imag != 0], axis=1)
     kept = single(one.record)
     if isinstance(kept, FrequencyRecord):
-        return FittedExperiment(kept, np.zeros(0), np.zeros(0, complex), 0.0, one.predicted[0, 0])
+        nothing = np.zeros(0), np.zeros(0, complex), 0.0
+        return FittedExperiment(kept, *nothing, one.predicted[0, 0], background=one.background)
     motion = one.free_amplitudes[:, 0]
     state = np.stack([motion.real, motion.imag], axis=1)[kept_of]
     # among several experiments a free motion has an input of 0

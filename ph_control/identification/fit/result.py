@@ -452,6 +452,8 @@ class PEMResult(Report, Frozen):
             plant, data, whole = self, one.record.as_response(), self.residues.shape[1:] == (1, 1)
             if not whole:
                 plant, data = self.observed_system[place, source], data[place, source]
+                background = getattr(one, "background", None)
+                plant.background = background and background.entry(place, source)
             names = (parted(name)[0] for name in (self.input_labels[source], self.output_labels[place]))
             kwargs.setdefault("Hz", unit_for(kwargs.get("time_unit"), self) in SECONDS)
             kwargs.setdefault("title", "Frequency response, {} to {}".format(*names))

@@ -22,7 +22,7 @@ from ..data.frequency_record import FrequencyRecord
 from ..data.time_record import InTime, Record
 from ..regression.free_prediction import FittedChannels
 from ..regression.modal_regressors import QUANTITIES
-from ..regression.prediction import FittedExperiment
+from ..regression.prediction import FittedExperiment, ResponseBackground
 from ..search.formulation import REPRESENTATIONS
 from ..search.path import Start
 from ..search.response_noise import NoiseKind, NoiseLaw
@@ -37,7 +37,19 @@ _WORDS = {
     "time_unit": SECONDS, "structure": STRUCTURES,
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
-_MAY_LACK = {"drift", "outliers", "noise", "output", "experiment", "findings", "tests", "damped", "time_unit", "title"}
+_MAY_LACK = {
+    "drift",
+    "outliers",
+    "noise",
+    "output",
+    "experiment",
+    "findings",
+    "tests",
+    "damped",
+    "time_unit",
+    "title",
+    "background",
+}
 _MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response", "shape_stderr"}
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
@@ -232,7 +244,12 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
         p = len(record.output_labels)
         shapes = {"free_amplitudes": (n, p * in_time), "offsets": (p,), "drifts": (p,)}
     shapes = {**shapes, "outliers": (record.samples,)}
-    return _read(FittedExperiment if single else FittedChannels, fields, shapes, record=record, predicted=predicted)
+    known = {"record": record, "predicted": predicted}
+    if "background" in fields:
+        size = (5, 1, 1) if single else (5, *record.measured.shape[:2])
+        sizes: Shapes = {"coefficients": size, "stderr": size}
+        known["background"] = _read(ResponseBackground, fields.nested("background"), sizes)
+    return _read(FittedExperiment if single else FittedChannels, fields, shapes, **known)
 
 
 def _damped(fields: Fields, fitted: tuple[FittedExperiment, ...]) -> Any:

@@ -245,6 +245,17 @@ class FreeProjection(LinearProjection):
         n = len(self.p)
         return [one.at(self.p).predict(self.shared[np.ix_(places_of(one, n), one.outputs)], own) for one, own in pairs]
 
+    def own_covariances(self, experiment: int, covariance: Array, variance: float) -> list[Array]:
+        """Covariance of what belongs to an experiment, for each output, from that of poles and `shared`."""
+        rows, (inverse, above, _) = self.experiments[experiment], self._parts[experiment]
+        n, width, found = len(self.p), len(self.shared), []
+        for own, output in zip(self.own[experiment].T, rows.outputs.tolist(), strict=True):
+            by = by_poles(above.derivatives, rows, own, self.residues[:, output])
+            along = inverse @ np.concatenate([by, above.shared], axis=1)
+            places = np.append(np.arange(2 * n), 2 * n + output * width + np.arange(width))
+            found.append(variance * inverse @ inverse.T + along @ covariance[np.ix_(places, places)] @ along.T)
+        return found
+
     def motions(self, experiment: int) -> list[tuple[Array, Array]]:
         """Of what belongs to an experiment without inputs, for each output: inverse Gram matrix, derivatives by poles.
 

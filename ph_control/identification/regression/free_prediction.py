@@ -11,7 +11,7 @@ from ..._types import Array, ComplexArray, NDArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from .free import FreeProjection
-from .prediction import FittedData, shares_left
+from .prediction import FittedData, ResponseBackground, shares_left
 from .time_rows import FreeRecord
 
 
@@ -29,6 +29,8 @@ class FittedChannels(FittedData):
         Constant that is added to each output, and its change per unit time; 0 if not estimated.
     predicted : ndarray, shape (p, T) or (p, m, K)
         Predicted outputs; complex for a frequency response.
+    background : ResponseBackground, optional
+        What a frequency response has beside the modes.
     """
 
     record: Recording | ResponseMatrix
@@ -36,6 +38,7 @@ class FittedChannels(FittedData):
     offsets: Array
     drifts: Array
     predicted: NDArray[Any]
+    background: ResponseBackground | None = None
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

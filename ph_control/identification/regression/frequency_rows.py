@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -149,11 +149,32 @@ def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, 
 # --- with damping ---------------------------------------------------------------------------------------------------
 
 
+class Term(NamedTuple):
+    """A term `s^power` of a background with a real coefficient, or `j s^power` where it is `turned`."""
+
+    power: int
+    turned: bool = False
+
+
+# what is left of modes far below and above the band; of an accelerometer the former, as a constant, is fed through
+RESIDUAL_TERMS = {
+    "displacement": (Term(-2), Term(0)),
+    "velocity": (Term(-1), Term(1)),
+    "acceleration": (Term(2),),
+    "free": (Term(-2),),
+}
+FURTHER_TERMS = Term(0, True), Term(1), Term(1, True)  # of a complex constant and slope
+_TERMS_FROM = 30  # points: a background is looked for among fewer once there are modes
+
+
 @dataclass(frozen=True, eq=False)
 class FreeResponse:
-    """Frequency responses for modes with any damping and residues, on a background of what modes outside leave.
+    """Frequency responses for modes with any damping and residues, on a background of the `terms`.
 
-    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.
+    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.  The real
+    constant is none of the background but what is fed `through`, except of a displacement.  Residues are of any phase,
+    or those of `classical` damping: in place of their real parts stand real numbers `B` of `B s^k / (s - p) (s - p*)`,
+    k that of the quantity, in place of their imaginary parts zeros.
     """
 
     frequencies: Array
@@ -162,6 +183,9 @@ class FreeResponse:
     observed: Mask
     quantity: str = "velocity"
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
+    through: bool = False
+    terms: tuple[Term, ...] = ()
+    classical: bool = False
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)
@@ -170,7 +194,26 @@ class FreeResponse:
     def of(cls, rows: FrequencyRows) -> FreeResponse:
         """The response of one input and one output."""
         one = rows.record
-        return cls(one.omega, one.response[None], np.sqrt(one.weights), one.observed, rows.quantity)
+        found = cls(one.omega, one.response[None], np.sqrt(one.weights), one.observed, rows.quantity)
+        return replace(found.on_background(), through=rows.quantity == "acceleration")
+
+    def on_background(self) -> FreeResponse:
+        """The same on what modes outside the band leave, with what is fed through, if points abound.
+
+        A force is felt by an accelerometer at once, whatever their number.
+        """
+        if len(self.omega) < _TERMS_FROM:
+            return replace(self, through=self.quantity == "acceleration")
+        return self.beside_modes_outside()
+
+    def beside_modes_outside(self) -> FreeResponse:
+        """The same on what modes outside the band leave, with what is fed through."""
+        return replace(self, through=self.quantity != "displacement", terms=RESIDUAL_TERMS[self.quantity])
+
+    def with_term(self, term: Term) -> FreeResponse:
+        """The same beside one more term, which a constant that is fed through may be."""
+        there = term in self.terms or (self.through and term == Term(0))
+        return self if there else replace(self, terms=(*self.terms, term))
 
     @cached_property
     def omega(self) -> Array:
@@ -192,11 +235,6 @@ class FreeResponse:
         """Largest frequency that is searched."""
         return float(self.omega[-1])
 
-    @property
-    def through(self) -> bool:
-        """A force is felt by an accelerometer at once."""
-        return self.quantity == "acceleration"
-
     @cached_property
     def weight(self) -> Array:
         """Factor of errors at the frequencies that were measured."""
@@ -214,17 +252,12 @@ class FreeResponse:
 
     def own_unknowns(self, n: int) -> int:
         """The background."""
-        return len(self.background(n))
+        return len(self.terms)
 
-    def background(self, n: int) -> ComplexArray:
-        """Modes far below the band act as a mass, those far above as a spring; only where points abound."""
-        omega = self.omega
-        lowest = omega[omega > 0].min(initial=np.inf)
-        if len(omega) < 10 + 4 * n or not np.isfinite(lowest):
-            return np.zeros((0, len(omega)), complex)
-        factor = differentiated(omega, self.quantity)
-        # of an accelerometer the mass is what is fed through
-        return factor[None] if self.through else np.stack([factor / np.maximum(omega, lowest) ** 2, factor])
+    @cached_property
+    def background(self) -> ComplexArray:
+        """Columns (len(terms), K) of the background, in the scale of the weights."""
+        return self.weight * background_columns(self.terms, self.omega)
 
     def thinned(self, p: ComplexArray) -> FreeResponse:
         """The points about some modes as far as their peaks reach, and a few; of wide peaks a part, each for many."""
@@ -232,9 +265,23 @@ class FreeResponse:
         first, last = (np.searchsorted(omega, end) for end in (p.imag - reach, p.imag + reach))
         widest = np.argsort(-reach)
         ranges = zip(first[widest], last[widest], (last - first)[widest] // (4 * TUNING.thinned), strict=True)
-        kept, counts = thinned_places(ranges, len(omega), 1 + len(omega) // TUNING.everywhere)
+        return self._part(*thinned_places(ranges, len(omega), 1 + len(omega) // TUNING.everywhere))
+
+    def spread(self, points: int) -> FreeResponse:
+        """About so many of the points, each for as many, and the first ones, which slow poles show in."""
+        count = len(self.omega)
+        ranges = [(0, count, count // points), (0, points // 4, 1)]
+        return self._part(*thinned_places(ranges, count, 1 + count // TUNING.everywhere))
+
+    def every(self, step: int) -> FreeResponse:
+        """Each of so many points, counted as it is."""
+        kept = np.arange(0, len(self.omega), step)
+        return self._part(kept, np.ones(len(kept)))
+
+    def _part(self, kept: Indices, counts: Array) -> FreeResponse:
+        """Some of the points, which errors count so much of."""
         observed, scale = self.observed.copy(), self.scale.copy()
-        observed[self.observed] = np.isin(np.arange(len(omega)), kept)
+        observed[self.observed] = np.isin(np.arange(len(self.omega)), kept)
         scale[observed] *= counts
         return replace(self, observed=observed, scale=scale)
 
@@ -244,9 +291,26 @@ class FreeResponse:
 
     def columns(self, p: ComplexArray, poles: Pair | None = None) -> ComplexArray:
         """Columns of all unknowns, in the scale of the weights."""
-        through = np.ones((int(self.through), len(self.omega)))
-        columns = np.concatenate([self.background(len(p)), stacked(poles or self.poles(p)), through])
-        return np.asarray(columns * self.weight)
+        modes = self.weight * (self._classical(p)[0] if self.classical else stacked(poles or self.poles(p)))
+        return np.concatenate([self.background, modes, self.weight[None][: int(self.through)]])
+
+    def slopes(self, p: ComplexArray, poles: Pair) -> ComplexArray:
+        """Derivatives of the columns by real, then imaginary parts of poles, in the scale of the weights."""
+        ahead, behind = poles
+        return self.weight * (self._classical(p)[1] if self.classical else stacked((ahead**2, behind**2)))
+
+    def classical_columns(self, p: ComplexArray) -> ComplexArray:
+        """`s^k / (s - p) (s - p*)`."""
+        ahead, behind = self.poles(p)
+        return np.asarray(differentiated(self.omega, self.quantity) * ahead * behind)
+
+    def _classical(self, p: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Columns of modes with classical damping, and their derivatives by real, then imaginary parts of poles."""
+        columns = self.classical_columns(p)
+        ahead, behind = self.poles(p)
+        turned = 2 * columns * ahead * behind
+        slopes = [turned * (1j * self.omega - p.real[:, None]), -turned * p.imag[:, None]]
+        return np.concatenate([columns, np.zeros_like(columns)]), np.concatenate(slopes)
 
     def poles(self, p: ComplexArray) -> Pair:
         """`1 / (s - p)` and `1 / (s - conj p)`."""
@@ -254,6 +318,14 @@ class FreeResponse:
         gap = s - poles
         gap = np.where(gap == 0, EPS * np.abs(poles), gap)
         return np.asarray(1.0 / gap), np.asarray(1.0 / (s - poles.conj()))
+
+
+def background_columns(terms: Sequence[Term], omega: Array) -> ComplexArray:
+    """Values (len(terms), K) of terms; at a frequency of 0 those of the lowest other."""
+    lowest = omega[omega > 0].min(initial=np.inf)
+    s = 1j * np.where(omega > 0, omega, lowest if np.isfinite(lowest) else 1.0)
+    columns = [(1j if one.turned else 1.0) * s**one.power for one in terms]
+    return np.asarray(columns, complex).reshape(len(terms), len(omega))
 
 
 class FreeResponseEvaluation(Evaluation):
@@ -265,7 +337,7 @@ class FreeResponseEvaluation(Evaluation):
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
         ahead, behind = self._rows.poles(self._p)
-        slopes = self._rows.weight * stacked((ahead**2, behind**2))
+        slopes = self._rows.slopes(self._p, (ahead, behind))
         yield real_rows([self._rows.columns(self._p, (ahead, behind)), slopes, self._rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:

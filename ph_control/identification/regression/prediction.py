@@ -26,6 +26,7 @@ from .modal_regressors import output_weight
 from .time_rows import RecordRows
 from .variable_projection import Problem
 
+_POWERS = range(-2, 3)  # of s, in a background
 Pairs = Sequence[tuple[Any, NDArray[Any]]]  # records, and what a model predicts of each
 
 
@@ -51,6 +52,70 @@ class FittedData(Report, Frozen):
         return joint_percent(shares_left([(self.record, self.predicted)]))
 
 
+@dataclass(frozen=True, eq=False)
+class ResponseBackground(Frozen):
+    """What a fit of frequency responses has beside modes and feedthrough, `sum_k coefficients[k + 2] s^k`, `s = j w`.
+
+    Only terms that the criterion asks for are there, each with a parameter of its own; all others are 0.  `predicted`
+    and pictures of a result contain them, its systems do not.
+
+    Attributes
+    ----------
+    coefficients : ndarray of complex, shape (5, p, m)
+        Of `s^-2` to `s^2`, of each output and input.
+    stderr : ndarray of complex, shape (5, p, m)
+        Standard errors of their real and imaginary parts; 0 where there is no term.
+    quantities : tuple of str
+        What each output is, as in the result.
+    """
+
+    coefficients: ComplexArray
+    stderr: ComplexArray
+    quantities: tuple[str, ...]
+
+    @property
+    def constant(self) -> ComplexArray:
+        """Constant of each entry, shape (p, m): of fixtures or losses; a real one is `feedthrough` of the result.
+
+        Of a displacement it is here, and is what modes above the band leave as well.
+        """
+        return self.coefficients[2]
+
+    @property
+    def slope(self) -> ComplexArray:
+        """Coefficient of `s` of each entry, shape (p, m): of an impedance the inductance in series, if it is real."""
+        return self.coefficients[3]
+
+    @property
+    def lower_residual(self) -> Array:
+        """What modes below the band leave, `lower_residual / s^2` of a displacement, shape (p, m).
+
+        The reciprocal of a mass; of an acceleration it is `feedthrough` of the result, and 0 here.
+        """
+        return self._of_displacement(-2)
+
+    @property
+    def upper_residual(self) -> Array:
+        """What modes above the band leave, the constant of a displacement, shape (p, m): a reciprocal stiffness."""
+        return self._of_displacement(0)
+
+    def _of_displacement(self, power: int) -> Array:
+        differentiated = {"velocity": 1, "acceleration": 2}
+        places = [power + differentiated.get(one, 0) + 2 for one in self.quantities]
+        return np.asarray(self.coefficients[places, np.arange(len(places))].real)
+
+    def response(self, omega: Array) -> ComplexArray:
+        """Values at frequencies, shape (p, m, K); terms that are infinite at 0 are left out there."""
+        s = 1j * np.asarray(omega, float)
+        powers = np.array([np.where(s == 0, float(k == 0), np.where(s == 0, 1.0, s) ** k) for k in _POWERS])
+        return np.asarray(np.tensordot(self.coefficients, powers, (0, 0)))
+
+    def entry(self, output: int, input: int) -> ResponseBackground:
+        """That of one output and input."""
+        part = np.s_[:, output : output + 1, input : input + 1]
+        return ResponseBackground(self.coefficients[part], self.stderr[part], (self.quantities[output],))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class FittedExperiment(FittedData):
     """What a fit by `pem` says of one experiment.
@@ -72,6 +137,8 @@ class FittedExperiment(FittedData):
         Change of that constant per unit time; 0 if it was not estimated.
     outliers : tuple of int
         Samples, counted from 0, whose residuals stand out of the noise of all others.
+    background : ResponseBackground, optional
+        What a frequency response has beside the modes.
     """
 
     record: Record | FrequencyRecord
@@ -81,6 +148,7 @@ class FittedExperiment(FittedData):
     predicted: NDArray[Any]
     drift: float = 0.0
     outliers: tuple[int, ...] = ()
+    background: ResponseBackground | None = None
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

@@ -18,10 +18,10 @@ from ..._types import Array, ComplexArray, Indices
 from ...modal.discretization import Hold
 from ..regression.elimination import orthogonal, without
 from ..regression.free import FreeProjection, FreeRows
-from ..regression.frequency_rows import FreeResponse
+from ..regression.frequency_rows import FreeResponse, Term
 from ..regression.modal_regressors import SampledModes
 from ..regression.sections import PoleRegion
-from ..regression.spectral_rows import ChannelSpectra, FreeWindow
+from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from .screening import highest_peaks
@@ -29,10 +29,13 @@ from .screening import highest_peaks
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
 _PEAKS = 200
+_ABOUNDING = 10  # points, and four for each pole: with fewer a real pole may stand for modes outside the band
 _COMPARED = 16
 _RATES = 30  # of real poles that are compared, from one
 _SLOWEST = 0.03  # bins: a fifth of the reciprocal of the length
 _FASTEST = 0.5  # of the ceiling
+_PLACES = 8  # of a mode between two of few points, and half-widths in bins there
+_DECAYS = (0.01, 0.1, 0.5, 1.5)
 
 
 Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
@@ -70,6 +73,11 @@ class FreeSearch:
         ends = min(one.bin for one in self.data), max(one.ceiling for one in self.data)
         return PoleRegion(*ends, self.kinds_may_change)
 
+    @property
+    def crowding(self) -> float:
+        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        return TUNING.damped_apart * self.region.bin
+
     def unknowns(self, modes: int, real_poles: int = 0) -> int:
         """Parameters of a model: poles, residues and what is fed through of each output, nuisance parameters."""
         n, states = modes + real_poles, 2 * modes + real_poles
@@ -94,9 +102,13 @@ class FreeSearch:
     def lag(self, at: FreeProjection) -> tuple[complex, float]:
         """The real pole that explains most of what a model leaves, and how much."""
         rates = np.geomspace(_SLOWEST * self.region.bin, _FASTEST * self.region.ceiling, _RATES)
-        gains = np.sum([explained_by_lags(rows, at.p, rates) for rows in at.experiments], axis=0)
+        gains = np.sum([explained_by_lags(rows, at.p, rates) for rows in self.spread(at.experiments)], axis=0)
         best = int(np.argmax(gains))
         return complex(-rates[best]), float(gains[best])
+
+    def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
+        """Rows, or as many of them all over as show what has no peak."""
+        return rows
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """All of the data, or what of them is about some modes."""
@@ -114,8 +126,8 @@ class FreeSearch:
         """Sum of squares of each output."""
         raise NotImplementedError
 
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
-        """Poles of modes that explain most of what is left, the strongest first, and how much."""
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
+        """Poles of modes that explain most of what a model leaves, the strongest first, and how much."""
         raise NotImplementedError
 
     def model(self, at: FreeProjection) -> FreeModel:
@@ -203,10 +215,10 @@ class Records(FreeSearch):
             found[spectrum.record.outputs] += spectrum.energies(part)
         return found
 
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
         """Of windows of all widths, the poles that explain most."""
         joined: list[tuple[ChannelSpectra, list[ComplexArray]]] = []
-        for spectrum, part in zip(self.spectra, left, strict=True):
+        for spectrum, part in zip(self.spectra, model.left, strict=True):
             if joined and joined[-1][0].record.u is spectrum.record.u:  # outputs of one experiment
                 joined[-1][1].append(part)
             else:
@@ -358,7 +370,24 @@ class Responses(FreeSearch):
 
     def shows_background(self, n: int) -> bool:
         """Whether points abound: of few of them a real pole may stand for modes outside the band."""
-        return all(one.own_unknowns(n) > 0 for one in self.data)
+        return all(len(one.omega) >= _ABOUNDING + 4 * n for one in self.data)
+
+    @property
+    def terms(self) -> list[Term]:
+        """Terms of the background of any entry."""
+        return sorted({term for one in self.data for term in one.terms})
+
+    def without_term(self, term: Term) -> Responses:
+        """The same beside a background that lacks a term."""
+        return replace(self, data=[replace(one, terms=tuple(t for t in one.terms if t != term)) for one in self.data])
+
+    def with_term(self, term: Term) -> Responses:
+        """The same beside a background with one more term."""
+        return replace(self, data=[one.with_term(term) for one in self.data])
+
+    def spread(self, rows: Sequence[FreeRows]) -> Sequence[FreeRows]:
+        """A part of the points where there are many."""
+        return [one.spread(_EVERYWHERE // 2) if len(one.omega) > _EVERYWHERE else one for one in self.data]
 
     def rows(self, p: ComplexArray) -> Sequence[FreeRows]:
         """The points about the modes where there are many."""
@@ -389,10 +418,12 @@ class Responses(FreeSearch):
             found[rows.outputs] += np.sum(np.abs(part) ** 2, axis=1)
         return found
 
-    def candidates(self, left: Left) -> tuple[ComplexArray, Array]:
-        """Of windows of several widths, the poles that explain most."""
+    def candidates(self, model: FreeModel) -> tuple[ComplexArray, Array]:
+        """Of windows of several widths, or of many places among few points, the poles that explain most."""
+        if self.classical:
+            return self._scanned(model.p)
         joined: list[tuple[Array, list[ComplexArray], list[Array]]] = []
-        for rows, part in zip(self.data, left, strict=True):
+        for rows, part in zip(self.data, model.left, strict=True):
             everywhere = np.zeros((len(part), len(rows.frequencies)), complex)
             everywhere[:, rows.observed] = part / rows.weight
             weights = np.where(rows.observed, rows.scale, 0.0)[None].repeat(len(part), axis=0)
@@ -404,6 +435,38 @@ class Responses(FreeSearch):
         found = [_modes_of_lines(omega, np.concatenate(parts), np.concatenate(weights).mean(axis=0))
                  for omega, parts, weights in joined]  # fmt: skip
         return strongest(found, self.region.bin)
+
+    @property
+    def classical(self) -> bool:
+        """Whether modes have one number for each entry, as with real shapes."""
+        return self.data[0].classical
+
+    @property
+    def crowding(self) -> float:
+        """Distance within which a mode, half-widths apart, only mends the shape of another."""
+        return self.region.bin if self.classical else super().crowding
+
+    def unknowns(self, modes: int, real_poles: int = 0) -> int:
+        """Parameters of a model; of modes with real shapes one number for each entry."""
+        entries = sum(len(one.outputs) for one in self.data)
+        return super().unknowns(modes, real_poles) - self.classical * modes * entries
+
+    def _scanned(self, p: ComplexArray) -> tuple[ComplexArray, Array]:
+        """Poles between all points that explain most of what modes leave."""
+        omega = np.unique(np.concatenate([one.omega for one in self.data]))
+        places = np.arange(_PLACES * (len(omega) - 1) + 1) / _PLACES
+        rates = self.region.bin * np.array(_DECAYS)
+        tried = (np.interp(places, np.arange(len(omega)), omega)[:, None] * 1j - rates).ravel()
+        tried = tried[tried.imag > 0]
+        gains = np.zeros(len(tried))
+        for rows in self.data:
+            known = next(rows.at(p).blocks())
+            q, n = len(rows.outputs), len(p)
+            basis, _ = orthogonal(known[: rows.own_unknowns(n) + 2 * n + rows.through].T)
+            columns = real_rows([rows.weight * rows.classical_columns(tried)])
+            free = without(columns.T, basis)
+            gains += np.sum((free.T @ without(known[-q:].T, basis)) ** 2, axis=1) / np.sum(free**2, axis=0)
+        return strongest([(tried, gains)], self.region.bin)
 
 
 def _modes_of_lines(omega: Array, left: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:

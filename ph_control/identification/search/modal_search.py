@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as f_law
 
 from ..._checks import EPS
 from ..._frozen import Frozen
@@ -22,7 +23,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.free import FreeProjection, refine_free
-from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
@@ -48,6 +49,7 @@ _LARGE = 0.01  # of the power of all outputs: with less no mode is taken to grow
 _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
+_FEW_MODES = 5  # that few points of responses do not show beside a background
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 
 
@@ -225,6 +227,8 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+    if automatic and real_poles in ("auto", 0) and not found.interrupted:
+        found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
     if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
         return found
     if not found.per_entry:
@@ -244,17 +248,50 @@ def free_fit(
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
 
-    def again(channels: Experiments, start: ComplexArray, known: bool) -> FreeFit:
+    def weighted_path(channels: Experiments) -> FreePath:
         path = posed(channels)
-        model = path.model(start)
-        if not known:
-            model = path.chosen((path.cleaned(model) if automatic else model).p, most, automatic)
+        path.add_terms([one for one in found.projection.experiments if isinstance(one, FreeResponse)])
+        return path
+
+    def refined(channels: Experiments, p: ComplexArray) -> FreeFit:
+        path = weighted_path(channels)
+        path.weigh(path.model(p).losses)
+        at = path.refined(p, TUNING.rough, None)
+        return replace(found, projection=at, channels=tuple(channels), scales=1.0 / path.sizes)
+
+    def again(channels: Experiments, p: ComplexArray, known: bool) -> FreeFit:
+        path = weighted_path(channels)
+        model = path.model(p)
+        if automatic and not known:
+            model = path.chosen(path.cleaned(model).p, most, automatic)
         return path.finished(model, channels, automatic)
 
     try:
-        return _reweighted(found, again)
+        return _reweighted(found, refined, again)
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
+
+
+def _of_few_lines(found: FreeFit, paths: Sequence[FreePath], most: int) -> FreeFit:
+    """The fit to few points of responses at the poles that real shapes of damping that decouples ask for, if likelier.
+
+    Where few points show as many residues of any phase, these are too many numbers for the criterion to grant.
+    """
+    best: FreeModel | None = None
+    cost = np.inf
+    try:
+        for few in paths:
+            model = few.significant(few.chosen(np.zeros(0, complex), most, True))
+            if few.cost(model) < min(cost, found.criteria.by_name(few.criterion)):
+                best, cost, path = model, few.cost(model), few
+        if best is None:
+            return found
+        rows = [replace(one, classical=False) for one in path.search.data]
+        free = FreePath(Responses(rows, False), path.felt, path.criterion, path.reports, None, 0)
+        judged = free.finished(free.model(best.p), found.channels)
+    except KeyboardInterrupt:
+        return replace(found, interrupted=True)
+    return replace(judged, order_table=tuple(path.table[n] for n in sorted(path.table)))
 
 
 # --- long records ----------------------------------------------------------------------------------------------------
@@ -395,32 +432,41 @@ def _delayed(one: Recording, samples: int) -> Recording:
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
 
 
-def _reweighted(first: FreeFit, again: Callable[[Experiments, ComplexArray, bool], FreeFit]) -> FreeFit:
+def _reweighted(
+    first: FreeFit,
+    refined: Callable[[Experiments, ComplexArray], FreeFit],
+    again: Callable[[Experiments, ComplexArray, bool], FreeFit],
+) -> FreeFit:
     """The fit repeated with the weights of the noise of its entries, until both agree; as it was, if that is constant.
 
-    `again` begins with poles, and looks for others unless these are known.
+    `refined` keeps the poles but for what the weights move them by; `again` looks for others as well, unless these are
+    known.
     """
     laws, free = entry_laws(first.projection)
     if free and not any(law.share for law, _ in laws):
         return first
     # points of large gain, were they taken as equally sure, would draw the model through themselves
-    weights = balanced([one.response for one in first.channels])
-    judged, before = again(_with_weights(first.channels, weights), first.projection.p, True), weights
-    for place in range(ROUNDS):
-        laws, _ = entry_laws(judged.projection)
-        if not any(law.share for law, _ in laws):
-            return first
-        weights = _inverse_variances(judged, [law for law, _ in laws])
-        pairs = zip(weights, before, strict=True)
-        if place and all(np.nanmax(np.abs(new / old - 1)) <= SETTLED for new, old in pairs):
+    weights, p, known = balanced([one.response for one in first.channels]), first.projection.p, False
+    while True:
+        for place in range(ROUNDS):
+            before = weights
+            near = refined(_with_weights(first.channels, weights), p)
+            laws, _ = entry_laws(near.projection)
+            if not any(law.share for law, _ in laws):
+                return first
+            weights, p = _inverse_variances(near, [law for law, _ in laws]), near.projection.p
+            pairs = zip(weights, before, strict=True)
+            if place and all(np.nanmax(np.abs(new / old - 1)) <= SETTLED for new, old in pairs):
+                break
+        judged = again(_with_weights(first.channels, weights), p, known)
+        if known or judged.order == len(p):
             break
-        before = weights
-        finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
-        judged = again(_with_weights(first.channels, weights), judged.projection.p, place > 0)
-        judged = replace(judged, findings=(finding,))
+        # other modes leave other noise
+        p, known = judged.projection.p, True
+    finding = Finding(Cause.GAIN_NOISE, tuple(law.share for law, _ in laws), sum(gain for _, gain in laws))
     # constant noise, at the points of large gain that balanced weights leave free, may seem to grow
     more = float(np.log(judged.projection.rows)) * sum(1 for law, _ in laws if law.share)
-    return judged if _weighted_bic(judged) + more < _weighted_bic(first) else first
+    return replace(judged, findings=(finding,)) if _weighted_bic(judged) + more < _weighted_bic(first) else first
 
 
 def _weighted_bic(fit: FreeFit) -> float:
@@ -490,7 +536,7 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
     for one in channels:
         entries = one.response.reshape(-1, one.samples)
         weights, observed = one.weights.reshape(entries.shape), one.observed.reshape(entries.shape)
-        kinds = np.repeat(np.array(["displacement" if q == "free" else q for q in quantities]), one.response.shape[1])
+        kinds = np.repeat(np.array(quantities), one.response.shape[1])
         groups: dict[tuple[str, bytes, bytes], list[int]] = {}
         for e in np.flatnonzero(observed.any(axis=1)).tolist():
             shape = np.float32(np.where(observed[e], weights[e] / weights[e][observed[e]].mean(), 0.0))
@@ -499,7 +545,8 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
             at, seen = members[0], observed[members[0]]
             scale = np.sqrt(weights[at] / weights[at][seen].mean())
             response = np.where(seen, entries[members], 0.0)
-            found.append(FreeResponse(one.omega, response, scale, seen, kind, np.array(members)))
+            rows = FreeResponse(one.omega, response, scale, seen, kind, np.array(members))
+            found.append(rows.on_background())
     return found
 
 
@@ -578,6 +625,25 @@ class FreePath:
         """Losses of outputs without modes."""
         none = np.zeros(0, complex)
         return self.search.model(FreeProjection(self.search.rows(none), none)).losses
+
+    def of_few_lines(self) -> list[FreePath]:
+        """Searches for modes with real shapes among responses of few points, without and with a background."""
+        if not isinstance(self.search, Responses) or self.search.shows_background(_FEW_MODES):
+            return []
+        if any(one.quantity == "free" for one in self.search.data):
+            return []
+        rows = [replace(one, classical=True) for one in self.search.data]
+        return [
+            FreePath(Responses(each, False), self.felt, self.criterion, self.reports, None, 0)
+            for each in (rows, [one.beside_modes_outside() for one in rows])
+        ]
+
+    def add_terms(self, rows: Sequence[FreeResponse]) -> None:
+        """Take the terms of the backgrounds of other rows beside those there are."""
+        for term in Responses(rows).terms:
+            if isinstance(self.search, Responses):
+                self.search = self.search.with_term(term)
+        self.weigh(self.power)
 
     def weigh(self, losses: Array) -> None:
         """Give every output the weight of the variance that it is left with."""
@@ -722,8 +788,11 @@ class FreePath:
         """Poles that stand out of what is left, the strongest first."""
         if self._shown is not None and self._shown[0] is model:
             return self._shown[1]
-        p, gains = self.scaled.candidates(model.left)
+        p, gains = self.scaled.candidates(model)
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(np.append(model.p, 1j))
+        if isinstance(self.search, Responses) and self.search.classical:
+            # beside modes that are missing nothing stands out of few points: all are doubted at the end
+            return p, gains
         loss = float(np.sum(model.losses * self.sizes**2))
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
         self._shown = model, (p, gains * np.array(shown, bool))
@@ -817,7 +886,7 @@ class FreePath:
         modal = (gains > 0) & (np.nan_to_num(np.abs(p.real)) <= TUNING.broadest * np.abs(p.imag))
         alone = automatic and len(self.counts) * max(1, model.at.inputs) == 1
         if alone:
-            needed = TUNING.damped_apart * band + np.abs(model.at.sigma)
+            needed = self.search.crowding + np.abs(model.at.sigma)
             modal &= np.all(np.abs(p.imag[:, None] - model.p.imag) > needed, axis=1)
         sure = p[modal]
         # beside modes of one channel that are still wrong, others that stand out may be no more than their shadows
@@ -854,7 +923,7 @@ class FreePath:
         So many as `lags` that have become pairs of complex poles may be broad.
         """
         broad = int(np.sum(_broad(model.p))) > lags
-        return not patching(model.at, self.search.region.bin) and not broad and not self.grows(model)
+        return not patching(model.at, self.search.crowding) and not broad and not self.grows(model)
 
     def cleaned(self, model: FreeModel, lags: int = 0) -> FreeModel:
         """A model without its modes that are none of the plant."""
@@ -862,7 +931,7 @@ class FreePath:
             at = model.at
             # what several channels see of a pair changes as others go
             alone = len(self.counts) * max(1, at.inputs) == 1
-            worst = patching(at, self.search.region.bin)[: None if alone else 1]
+            worst = patching(at, self.search.crowding)[: None if alone else 1]
             if not worst:
                 broad = np.where(_broad(at.p), np.abs(at.sigma) / at.d, 0.0)
                 worst = [int(np.argmax(broad) if broad.any() else np.argmin(at.sigma))]
@@ -940,6 +1009,18 @@ class FreePath:
             model = self.reweighted(fewer)
         return model
 
+    def significant(self, model: FreeModel) -> FreeModel:
+        """A model without modes that noise alone might show somewhere, the weakest dropped first."""
+        each = self.search.unknowns(1) - self.search.unknowns(0)
+        while len(model.p):
+            evidence, loss = self.evidence(model), float(np.sum(model.losses * self.sizes**2))
+            weakest, spare = int(np.argmin(evidence)), self.counts.sum() - self.search.unknowns_of(model.p)
+            ratio = evidence[weakest] / loss * spare / each if loss > 0 else np.inf
+            if spare > 0 and f_law.sf(ratio, each, spare) * self.counts.sum() < TUNING.by_chance:
+                break
+            model = self.model(np.delete(model.p, weakest))
+        return model
+
     def _kept(self, p: ComplexArray) -> Mask:
         """Which poles stay in any case: the real ones of a number that was given."""
         given = self.real_poles != "auto"
@@ -956,7 +1037,11 @@ class FreePath:
         """
         found: FreeFit | None = None
         try:
-            self.best = self.best or self.chosen(start, most, automatic)
+            if self.best is None:
+                self.best = self.chosen(start, most, automatic)
+                beside = self.beside_further_terms(most, automatic)
+                if beside is not None:
+                    return beside.fit(start, most, automatic, channels, either_hold=either_hold)
             found = self.finished(self.best, channels, automatic)
             if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
                 return found
@@ -993,6 +1078,7 @@ class FreePath:
             fed = self.felt | self.stands_out(at)
             if not fed.all():
                 at, losses = self.settled(at.p, fed, interrupted)
+        at, losses = self.on_simplest_background(at, losses, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
         unknowns = self.search.unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
@@ -1002,6 +1088,45 @@ class FreePath:
         return FreeFit(
             at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted
         )
+
+    def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
+        """The search among responses on a background of further terms, where these explain more than real poles do."""
+        if self.best is None or not isinstance(self.search, Responses) or not self.search.shows_background(0):
+            return None
+        search = self.search
+        for term in FURTHER_TERMS:
+            search = search.with_term(term)
+        path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
+        path.weigh(self.best.losses)
+        # of what is no background itself
+        modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
+        model = path.model(modes, TUNING.rough)
+        at, _ = path.on_simplest_background(model.at, model.losses, None, True)
+        limit = self.cost(self.best) - 2 * TUNING.sure
+        left = path.search.terms if isinstance(path.search, Responses) else []
+        if not set(left) - set(self.search.terms) or path.cost(path.judged(at)) > limit:
+            return None
+        path.best = path.chosen(at.p, most, automatic)
+        return path if path.cost(path.best) <= limit else None
+
+    def on_simplest_background(
+        self, at: FreeProjection, losses: Array, fed: Mask | None, as_it_is: bool
+    ) -> tuple[FreeProjection, Array]:
+        """The minimum without the terms of the background that the criterion does not ask for."""
+        while isinstance(self.search, Responses) and self.search.terms:
+            variance = at.rows / max(1, at.rows - self.search.unknowns_of(at.p))
+            gains = term_gains(at, variance)
+            # what a parameter costs by the criterion, in squares of standard errors
+            less, more = (self.criteria(0.0, k).by_name(self.criterion) for k in (0, 1))
+            each = more - less
+            excess = {term: gain - count * each for term, (gain, count) in gains.items()}
+            weakest = min(excess, key=lambda term: excess[term])
+            if excess[weakest] >= 0:
+                break
+            self.search = self.search.without_term(weakest)
+            self.weigh(losses)
+            at, losses = self.settled(at.p, fed, as_it_is)
+        return at, losses
 
     def settled(self, p: ComplexArray, fed: Mask | None, as_it_is: bool) -> tuple[FreeProjection, Array]:
         """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
@@ -1051,6 +1176,20 @@ class FreePath:
         return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
 
 
+def term_gains(at: FreeProjection, variance: float) -> dict[Term, tuple[float, int]]:
+    """Squares of the terms of backgrounds of responses over their variances, and how many numbers each is, in all."""
+    found: dict[Term, tuple[float, int]] = {}
+    covariance = at.covariance(variance)
+    for k, rows in enumerate(at.experiments):
+        if isinstance(rows, FreeResponse) and rows.terms:
+            spread = np.array([np.diag(one) for one in at.own_covariances(k, covariance, variance)]).T
+            squares = at.own[k] ** 2 / np.where(spread > 0, spread, np.inf)
+            for term, each in zip(rows.terms, squares, strict=True):
+                gain, count = found.get(term, (0.0, 0))
+                found[term] = gain + float(each.sum()), count + len(each)
+    return found
+
+
 def _modes(p: ComplexArray) -> int:
     """Number of pairs of complex poles."""
     return int(np.sum(p.imag > 0))
@@ -1066,13 +1205,13 @@ def _broad(p: ComplexArray) -> Mask:
     return (p.imag > 0) & (np.abs(p.real) > TUNING.broadest * np.abs(p))
 
 
-def patching(at: FreeProjection, band: float) -> list[int]:
+def patching(at: FreeProjection, distance: float) -> list[int]:
     """The weaker mode of each pair that is too close, the closest first, no mode in two of them.
 
     Two modes that all channels see in different proportions may be as close as they like.
     """
     d, half_width = at.d, np.abs(at.sigma)
-    apart = np.abs(d[:, None] - d) / (TUNING.damped_apart * band + half_width[:, None] + half_width)
+    apart = np.abs(d[:, None] - d) / (distance + half_width[:, None] + half_width)
     apart[~_alike(at)] = np.inf
     lag = (at.p.imag == 0) | _broad(at.p)
     apart[lag] = apart[:, lag] = np.inf

@@ -35,6 +35,7 @@ _RATIOS = 49  # of a to b that are tried first,
 _SOME = 4000  # over so many points, or twice as many
 _FREE = 0.5  # of the noise of a point that modes leave, where they do not follow it
 _TURNS = 30  # of a fixed point, at most
+_MANY = 1 << 13  # points that a law is estimated from, at most about
 _SAME = 1e-12  # relative change at which it is found
 
 
@@ -141,14 +142,16 @@ def entry_laws(at: FreeProjection) -> tuple[list[tuple[NoiseLaw, float]], bool]:
 
     Then whether no point draws the modes through itself, so that all tell of their noise.
     """
-    search = Responses([one for one in at.experiments if isinstance(one, FreeResponse)])
+    every = [one for one in at.experiments if isinstance(one, FreeResponse)]
+    steps = [1 + len(one.omega) // _MANY for one in every]
+    search = Responses([one.every(step) for one, step in zip(every, steps, strict=True)])
     parts: list[list[_Points]] = [[] for _ in range(at.shared.shape[1])]
-    for rows, left in zip(search.data, search.left(at), strict=True):
+    for rows, left, step in zip(search.data, search.left(at), steps, strict=True):
         q, slopes = len(rows.outputs), 2 * len(at.p)
         columns = next(rows.at(at.p).blocks())[:-q]
         # poles are fitted to all entries, of which each feels its share
         alone, together = _spare(columns[:-slopes]), _spare(columns)
-        spare = alone + (together - alone) / len(parts)
+        spare = 1 - (1 - alone - (together - alone) / len(parts)) / step  # of all points each takes less
         for output, each, target in zip(rows.outputs.tolist(), left, rows.target, strict=True):
             parts[output].append(_points(each, target, rows.weight, spare))
     free = all(spare.min(initial=1.0) > _FREE for one in parts for _, spare, _ in one)

@@ -44,7 +44,7 @@ class ResponseSearch(Search):
 
     def _candidates(self, damped: FreeModel) -> tuple[Array, Array]:
         """Frequencies of modes that explain most of what is left; of few points the middles between these."""
-        poles, gains = self.damped_search.candidates(damped.left)
+        poles, gains = self.damped_search.candidates(damped)
         if len(poles):
             return poles.imag, gains
         pairs = [(one.omega, np.abs(left) ** 2) for one, (left,) in zip(self.experiments, damped.left, strict=True)]
