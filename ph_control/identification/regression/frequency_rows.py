@@ -153,7 +153,8 @@ def modal_columns(d: Array, omega: Array, quantity: str) -> tuple[ComplexArray, 
 class FreeResponse:
     """Frequency responses for modes with any damping and residues, on a background of what modes outside leave.
 
-    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.
+    Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.  Where they
+    have a `delay`, rows are those of the responses without it.
     """
 
     frequencies: Array
@@ -162,6 +163,7 @@ class FreeResponse:
     observed: Mask
     quantity: str = "velocity"
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
+    delay: float | None = None
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)
@@ -205,7 +207,12 @@ class FreeResponse:
     @cached_property
     def target(self) -> ComplexArray:
         """Responses (q, K) that were measured, in the scale of their weights."""
-        return np.asarray(self.response[:, self.observed] * self.weight)
+        early = 1.0 if not self.delay else np.exp(1j * self.omega * self.delay)
+        return np.asarray(self.response[:, self.observed] * (self.weight * early))
+
+    def delayed(self, time: float, least: float | None = None, most: float | None = None) -> FreeResponse:
+        """Responses that come so much later."""
+        return replace(self, delay=time)
 
     @property
     def largest(self) -> Array:
@@ -264,9 +271,13 @@ class FreeResponseEvaluation(Evaluation):
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
-        ahead, behind = self._rows.poles(self._p)
-        slopes = self._rows.weight * stacked((ahead**2, behind**2))
-        yield real_rows([self._rows.columns(self._p, (ahead, behind)), slopes, self._rows.target])
+        rows, n = self._rows, len(self._p)
+        ahead, behind = rows.poles(self._p)
+        slopes = [rows.weight * stacked((ahead**2, behind**2))]
+        if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
+            s, felt = 1j * rows.omega, np.ones((1, len(rows.omega)))
+            slopes.append(rows.weight * np.concatenate([s * felt if rows.through else felt, s * rows.background(n)]))
+        yield real_rows([rows.columns(self._p, (ahead, behind)), *slopes, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""
@@ -274,5 +285,6 @@ class FreeResponseEvaluation(Evaluation):
         everywhere = np.full((shared.shape[1], len(rows.frequencies)), np.nan, complex)
         # other entries may be fed through, and these not
         weights = np.concatenate([own, shared[: 2 * len(self._p) + rows.through]])
-        everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) / rows.weight
+        late = 1.0 if not rows.delay else np.exp(-1j * rows.omega * rows.delay)
+        everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) * (late / rows.weight)
         return everywhere
