@@ -97,10 +97,14 @@ class DampedResult(DampedReport, PEMResult):
         What it rests on, in sentences.
     intersample : str
         Input between the samples: 'zoh' or 'foh'.
+    delay, delay_stderr : ndarray, shape (p,)
+        Time by which each output comes later than the response to the inputs, 0 where none was found, and its standard
+        error: 0 of a delay that was given, NaN of one that is known to a sample only.  Predictions have it, `system`
+        not.
     stderr : mapping
         Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
-        'time_constants', 'residues', 'shapes' and 'feedthrough'; those of complex numbers are complex, of real and
-        imaginary part.
+        'time_constants', 'residues', 'shapes', 'feedthrough' and 'delay'; those of complex numbers are complex, of
+        real and imaginary part.
     """
 
     structure: str
@@ -130,9 +134,14 @@ class DampedResult(DampedReport, PEMResult):
     outcome: Outcome
     message: str
     intersample: str
+    delay: Array = field(default_factory=lambda: np.zeros(1))
+    delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
+        for name in ("delay", "delay_stderr"):
+            value = np.array(np.broadcast_to(getattr(self, name), len(self.output_labels)), float)
+            object.__setattr__(self, name, _checks.readonly(value))
         n, count, shape = self.order, len(self.poles), self.residues.shape
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         real, imaginary = np.split(deviation[2 * count : 2 * (count + self.residues.size)], 2)
@@ -148,6 +157,7 @@ class DampedResult(DampedReport, PEMResult):
             "residues": _complex(real, imaginary, shape),
             "shapes": self.shape_stderr,
             "feedthrough": deviation[2 * (count + self.residues.size) :].reshape(shape[1:]),
+            "delay": self.delay_stderr,
         }
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
         super().__post_init__()

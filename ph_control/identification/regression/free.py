@@ -203,6 +203,20 @@ class FreeProjection(LinearProjection):
         return found
 
     @property
+    def shared_errors(self) -> Array:
+        """Standard errors of `shared` for known poles and rows of variance 1."""
+        found = np.zeros(self.shared.shape)
+        for one in self._groups:
+            found[:, one.outputs] = np.linalg.norm(one.solve, axis=1)[:, None]
+        return found
+
+    @property
+    def fed_through(self) -> Mask:
+        """Which entries (outputs, inputs) are fed through."""
+        every = np.ones((self.shared.shape[1], self.inputs), bool)
+        return every & self.has_feedthrough if self.fed is None else self.fed
+
+    @property
     def residues(self) -> ComplexArray:
         """Residues `rho`, shape (n, outputs, inputs)."""
         n = len(self.p)
@@ -335,7 +349,15 @@ class GivenResidues(FreeProjection):
     @cached_property
     def loss(self) -> float:
         """Sum of squares of what is left."""
-        return float(sum(np.sum(self._left(one) ** 2) for one in self._groups))
+        return float(self.losses.sum())
+
+    @cached_property
+    def losses(self) -> Array:
+        """That of each output."""
+        found = np.zeros(sum(len(one.outputs) for one in self._groups))
+        for one in self._groups:
+            found[one.outputs] = np.sum(self._left(one) ** 2, axis=0)
+        return found
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:

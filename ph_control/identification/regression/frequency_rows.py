@@ -215,6 +215,15 @@ class FreeResponse:
         return replace(self, delay=time)
 
     @property
+    def delay_time(self) -> float:
+        """The delay per unit time."""
+        return self.delay or 0.0
+
+    def among_outputs(self, kept: Mask) -> FreeResponse:
+        """Some of the responses."""
+        return replace(self, response=self.response[kept], outputs=self.outputs[kept])
+
+    @property
     def largest(self) -> Array:
         """Largest value of each entry, in the scale of its weights."""
         return np.abs(self.target).max(axis=1, initial=0.0)

@@ -424,6 +424,11 @@ class FreeWindow(SpectralRows[ChannelSpectra]):
         return self.spectrum.record.outputs
 
     @property
+    def delay_time(self) -> float:
+        """Delay of the outputs."""
+        return self.spectrum.record.delay_time
+
+    @property
     def through(self) -> bool:
         """Whether there are columns for what is fed through."""
         return self.spectrum.record.through

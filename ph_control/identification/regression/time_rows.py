@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -254,22 +255,21 @@ class FreeRecord(SampledRecord):
         last = max(known.last, -int(np.floor(min(ends))))
         if not samples and not first and not last:
             return self
+        moving = self.moving or samples < 0
         shift = int(np.floor(samples))
         late = samples - shift
         seen = slice(first, known.u.shape[-1] - last)
         u, ahead = (_shifted(known.u, seen, shift + back) for back in (late > 0, 0))
         return replace(
-            self, u=u, y=known.y[:, seen], observed=known.observed[seen], delay=samples, late=late,
+            self, u=u, y=known.y[:, seen], observed=known.observed[seen], delay=samples, late=late, moving=moving,
             ahead=ahead if late and self.hold.intersample == "foh" else None,
             whole_record=replace(known, first=first, last=last),
         )  # fmt: skip
 
-    def by_delay(self, delays: Array, least: float | None = None, most: float | None = None) -> list[FreeRecord]:
-        """Records of the outputs of each delay, of the `delays` of all outputs."""
-        each = delays[self.outputs]
-        if np.all(each == each[0]):
-            return [self.delayed(float(each[0]), least, most)]
-        return [self.among_outputs(each == one).delayed(float(one), least, most) for one in np.unique(each)]
+    @property
+    def delay_time(self) -> float:
+        """The delay per unit time."""
+        return self.delay * self.hold.h
 
     def among_outputs(self, kept: Mask) -> FreeRecord:
         """The record of some of the outputs."""
@@ -277,6 +277,14 @@ class FreeRecord(SampledRecord):
         return replace(
             self, y=self.y[kept], outputs=self.outputs[kept], scale=scale,
             whole_record=None if whole is None else replace(whole, y=whole.y[kept]),
+        )  # fmt: skip
+
+    def in_units(self, size: float) -> FreeRecord:
+        """The record with all signals so many times as large."""
+        known = self.whole_record
+        return replace(
+            self, u=self.u * size, y=self.y * size, ahead=None if self.ahead is None else self.ahead * size,
+            whole_record=known and replace(known, u=known.u * size, y=known.y * size),
         )  # fmt: skip
 
     def placed(self, values: Array) -> Array:
@@ -288,10 +296,40 @@ class FreeRecord(SampledRecord):
         found[..., known.first : known.u.shape[-1] - known.last] = values
         return found
 
+    def motion_at_start(self, p: ComplexArray, residues: ComplexArray, own: Array) -> ComplexArray:
+        """Free motions (n, q) at the first sample of the whole record, if all inputs before were 0.
+
+        Of `own` unknowns, which have those at the first sample that is not left out, and `residues` (n, q, m).
+        """
+        n, known = len(p), self.whole_record
+        motion = (own[:n] + 1j * own[n : 2 * n]) if self.moving else np.zeros((n, len(self.outputs)), complex)
+        if known is None or not self.moving:
+            return motion
+        # what the inputs of the samples that are left out have done to the state
+        shift, first = int(np.floor(self.delay)) + (self.late > 0), known.first
+        modes, start = self.modes(p), min(0, shift) - 1
+        u = np.array([self.among_inputs(known.u, k - shift) for k in range(start, first + 1)]).reshape(-1, self.inputs)
+        state, lam = np.zeros((n, self.inputs), complex), modes.multiplier[:, None]
+        for now, then in pairwise(u):
+            state = lam * state + np.outer(modes.b0, now) + np.outer(modes.b1, then)
+        forced = np.einsum("lqi,li->lq", residues[:, :, self.acting], state)
+        return np.asarray((motion - forced) * np.exp(-p * first * self.hold.h)[:, None])
+
+    def among_inputs(self, u: Array, sample: int) -> Array:
+        """Inputs at a sample, 0 before the first."""
+        return np.asarray(u[: self.inputs, sample] if sample >= 0 else np.zeros(self.inputs), float)
+
+    def offset_at_start(self, own: Array) -> tuple[Array, Array]:
+        """Constant of each output at the first sample of the whole record, and its change per unit time."""
+        none = np.zeros(own.shape[1])
+        first = 0 if self.whole_record is None else self.whole_record.first
+        drift = own[-2] if self.offset > 1 else none
+        return (own[-1] - first * drift if self.offset else none), drift / self.hold.h
+
     def held(self, intersample: str) -> FreeRecord:
         """The record with inputs that behave otherwise between the samples."""
         found = replace(self, hold=replace(self.hold, intersample=intersample))
-        return found.delayed(self.delay * self.hold.h)
+        return found.delayed(self.delay_time)
 
     @property
     def direct(self) -> Array:
@@ -317,8 +355,7 @@ class FreeRecord(SampledRecord):
             whole = replace(
                 self, u=known.u, y=known.y, observed=known.observed, delay=0.0, late=0.0, ahead=None, whole_record=None
             )
-            delay = self.delay * self.hold.h
-            return [one.delayed(delay) for one in whole.filtered(innovations)]
+            return [one.delayed(self.delay_time) for one in whole.filtered(innovations)]
         found = []
         for row, output in enumerate(self.outputs.tolist()):
             b = innovations[output]
