@@ -296,6 +296,9 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     grid = grid if nyquist is None else grid[grid <= nyquist]
     s = 1j * grid
     response = _balanced(sys)(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
+    delay = getattr(subject.given, "delay", None)
+    if delay is not None and np.any(delay):
+        response = response * np.exp(-np.multiply.outer(np.asarray(delay), s))[:, None]
     power = _power_of_s(subject)
     if power:
         # a zero without sign leaves the phase of a lossless response at one side of half a turn
