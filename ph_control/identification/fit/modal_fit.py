@@ -262,7 +262,8 @@ def _with_delay(best: _Chosen, other: FreeFit | None, asked: Asked, with_delay: 
     if _explains(trial, best):
         # modes too many may have stood for the delay
         anew = trial.free if with_delay is None else with_delay(trial.free.delay[_places(free)])
-        frees = [trial.free, replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)]
+        anew = replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)
+        frees = [trial.free, anew.with_delay_open(True)]
         found = [_in_rows_of(one, asked) for one in frees if one.order and not one.interrupted]
         chosen = min(found, key=_cost)
         if _explains(chosen, best) and (_stands(chosen, asked) or _gain(chosen, best) > TUNING.sure):
@@ -316,9 +317,12 @@ def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, asked: Asked, settle
 
 
 def _refined(best: _Chosen, hypothesis: str, asked: Asked) -> _Chosen:
-    """The same with delays that are no whole samples, and their errors; as it is where whole ones explain more."""
+    """The same with delays that are no whole samples, and their errors; as it is where the data do not tell them."""
     found = _delayed(best.free, best, hypothesis, asked, True)
-    return best if found is None or _cost(found) > _cost(best) + 2 * TUNING.sure else found
+    if found is None or found.fit.delays is None:
+        return best
+    # free residues and what is fed through say the same for all delays within a sample
+    return found if np.all(found.fit.delay_errors < np.pi * found.fit.delays.step) else best
 
 
 def _stands(best: _Chosen, asked: Asked) -> bool:

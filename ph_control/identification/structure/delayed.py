@@ -151,8 +151,8 @@ def beside_real_shapes(at: FreeProjection, layout: ChannelLayout, output: int, d
     errors, _ = layout.split(at.shared_errors * np.sqrt(at.loss / max(1, at.rows - at.unknowns)), len(at.p))
     modes = at.p.imag > 0
     p, rho, error = at.p[modes], residues[modes, output], np.abs(errors[modes, output]) / np.sqrt(2)
-    shape = rho / (p ** POWERS[layout.quantities[output]] / (2j * p.imag))[:, None]
-    size = np.where(error > 0, np.abs(shape) * error / np.where(rho != 0, np.abs(rho), 1.0), np.inf)
+    factor = (p ** POWERS[layout.quantities[output]] / (2j * p.imag))[:, None]
+    shape, size = rho / factor, np.where(error > 0, error, np.inf) / np.abs(factor)
     turned = shape[None] * np.exp(1j * np.multiply.outer(delays, p.imag))[:, :, None]
     beside: Array = (turned.imag / size) ** 2
     for one, source in layout.ports:
