@@ -22,7 +22,7 @@ _FIT = (
 _LOSSLESS = ("active", "unseen", "rank_deficiency", "method", "representation")
 _MODAL = (
     "poles", "residues", "feedthrough", "shapes", "participation", "shapes_scaled", "phase_collinearity",
-    "noise_variance", "quantities",
+    "noise_variance", "quantities", "delay",
 )  # fmt: skip
 _DAMPED = ("order", "fit_percent", "natural_frequencies", "damping_ratios", "residues", "feedthrough", "loss", "loglik",
            "damped", "negative")  # fmt: skip

@@ -10,7 +10,7 @@ no digits.  What is here is the only home of these numbers, and of those of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -165,6 +165,47 @@ class Hold:
             inverse = self._inverse(z)
             return *self._split(h * inverse), *self._split(0.5 * h * h * inverse**2)
         return *self._split(np.full_like(z, h)), *self._split(np.zeros_like(z))
+
+    def late_weights(self, p: ComplexArray, late: float) -> tuple[ComplexArray, ComplexArray]:
+        """Weights in one step of what a state was a part of a step before, and their derivatives by the pole.
+
+        Parameters
+        ----------
+        p : ndarray of complex, shape (n,)
+            Poles of `x' = p x + u`.
+        late : float
+            Part of a step, between 0 and 1, by which the state is seen late; steps are exact.
+
+        Returns
+        -------
+        weights, slopes : ndarray of complex, shape (3, n)
+            Of `u_(k-1)`, `u_k` and `u_(k+1)` in `x((k+1-late) h) = lambda x((k-late) h) + ..`.
+
+        Notes
+        -----
+        Between the two instants lie the end of one interval between samples and the beginning of the next.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from ph_control.modal.discretization import Hold
+        >>> Hold(1.0).late_weights(np.array([0.0 + 0j]), 0.25)[0].real.ravel()
+        array([0.25, 0.75, 0.  ])
+        """
+        early, h = 1.0 - late, self.h
+        end, start = replace(self, h=late * h), replace(self, h=early * h)
+        turn, (before, now, before_slope, now_slope) = start.multiplier(p), end.weights_and_derivatives(p)
+        first, then, first_slope, then_slope = start.weights_and_derivatives(p)
+        if self.intersample == "foh":
+            # of the line through two samples a part: what it is at the ends of the part mixes both
+            before, now = late * before, early * before + now
+            before_slope, now_slope = late * before_slope, early * before_slope + now_slope
+            first, then = first + late * then, early * then
+            first_slope, then_slope = first_slope + late * then_slope, early * then_slope
+        slope = early * h * turn
+        weights = np.stack([turn * before, turn * now + first, then])
+        slopes = np.stack([turn * before_slope, turn * now_slope + first_slope, then_slope])
+        return weights, slopes + slope * np.stack([before, now, np.zeros_like(now)])
 
     def log_derivative(self, p: ComplexArray) -> ComplexArray:
         """Derivative of `log lambda` by the pole."""

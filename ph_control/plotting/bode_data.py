@@ -296,9 +296,11 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     grid = grid if nyquist is None else grid[grid <= nyquist]
     s = 1j * grid
     response = _balanced(sys)(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
-    background = getattr(subject.given, "background", None)
+    background, delay = (getattr(subject.given, name, None) for name in ("background", "delay"))
     if background is not None:
         response = response + background.response(grid)
+    if delay is not None and np.any(delay):
+        response = response * np.exp(-np.multiply.outer(np.asarray(delay), s))[:, None]
     power = _power_of_s(subject)
     if power:
         # a zero without sign leaves the phase of a lossless response at one side of half a turn

@@ -197,8 +197,9 @@ def model_source(given: Any) -> ModelSource:
     """Response of a result, a modal form, or a linear system."""
     if hasattr(given, "residues") and hasattr(given, "poles") and not isinstance(given, ModalForm | ct.lti.LTI):
         return _source_of_fractions(given)
-    label = "model"
+    label, delay = "model", np.zeros(1)
     if hasattr(given, "observed_system"):
+        delay = np.asarray(getattr(given, "delay", delay))
         label, given = f"fit ({counted(len(given.d), 'mode')})", given.observed_system
     if isinstance(given, ModalForm):
         shape = given.noutputs, given.ninputs
@@ -214,8 +215,14 @@ def model_source(given: Any) -> ModelSource:
     poles = poles_of(given)
     if discrete:
         poles = np.log(poles[poles != 0]) / step
+
+    def response(omega: Array) -> ComplexArray:
+        points = np.exp(1j * omega * step) if discrete else 1j * omega
+        found = np.asarray(given(points, squeeze=False, warn_infinite=False))
+        return found * np.exp(-1j * np.multiply.outer(delay, omega))[:, None] if delay.any() else found
+
     return ModelSource(
-        lambda omega: given(np.exp(1j * omega * step) if discrete else 1j * omega, squeeze=False, warn_infinite=False),
+        response,
         _upper(poles), (given.noutputs, given.ninputs), given.output_labels, given.input_labels, label,
         np.pi / step if discrete else np.inf,
     )  # fmt: skip

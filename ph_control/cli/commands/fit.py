@@ -94,6 +94,11 @@ def add_fitted(parser: Parser) -> None:
     )  # fmt: skip
     parser.set_defaults(offset="auto")
     model.add_argument(
+        "--delay", type=delays, default="auto", metavar="LIST",
+        help="time by which all outputs, or each of them, come later than the response to the inputs (default auto: "
+        "estimated where the data show it)",
+    )  # fmt: skip
+    model.add_argument(
         "--representation", choices=REPRESENTATIONS, default="observable",
         help="allow free motion of modes with zero weight (observable, default) or not (controllable)",
     )  # fmt: skip
@@ -116,9 +121,20 @@ def keywords_of(options: Namespace) -> dict[str, Any]:
             raise StructureError(f"--guess: {error}") from None
     same = (
         "order", "method", "intersample", "initial_state", "offset", "quantity", "representation", "criterion",
-        "max_order", "structure", "ports",
+        "max_order", "structure", "ports", "delay",
     )  # fmt: skip
     return {name: getattr(options, name) for name in same} | {"initial_guess": guess, "rng": options.seed}
+
+
+def delays(text: str) -> str | float | list[float]:
+    """Delay of all outputs, or one of each between commas; or auto."""
+    if text == "auto":
+        return text
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no delay; write auto, 0, 0.05 or 0.05,0.06") from None
+    return found[0] if len(found) == 1 else found
 
 
 def ports(text: str) -> list[tuple[str | int, str | int]]:

@@ -64,7 +64,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     for one in rows:
         counts[one.outputs] += one.samples
     sizes = np.sqrt(counts / found.losses)[:, None]
-    rows = [replace(one, u=one.u * sizes[one.outputs], y=one.y * sizes[one.outputs]) for one in rows]
+    rows = [one.in_units(float(sizes[one.outputs[0], 0])) for one in rows]
     return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=at)
 
 
@@ -145,7 +145,7 @@ def _gains(at: FreeProjection, rows: FreeRecord) -> Array:
     """Squared gains (q, bins) of the outputs of a record, of inputs of their size."""
     found = np.zeros((len(rows.outputs), rows.length // 2 + 1))
     phase = np.asarray(2 * np.pi / rows.length * np.arange(found.shape[1]), float)
-    step = SampledModes.of(rows.hold, at.p)
+    step = SampledModes.of(rows.hold, at.p)  # a delay changes no gain
     for u, i in zip(rows.u[: rows.inputs], rows.acting.tolist(), strict=True):
         for k, o in enumerate(rows.outputs.tolist()):
             gain = sampled_response(step, at.residues[:, o, i], float(at.feedthrough[o, i]), phase)

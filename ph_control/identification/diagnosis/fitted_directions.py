@@ -66,24 +66,29 @@ def of_record(
     return Directions(np.concatenate([by_d, forced[:, weighted]], axis=1), np.concatenate(parts, axis=1))
 
 
-def of_damped_response(record: FrequencyRecord, p: ComplexArray, rho: ComplexArray) -> Directions:
+def of_damped_response(
+    record: FrequencyRecord, p: ComplexArray, rho: ComplexArray, delay: float = 0.0
+) -> Directions:
     """Of a frequency response and damped modes with residues (n,), complex."""
-    s = 1j * record.omega
-    ahead, behind = 1 / (s - p[:, None]), 1 / (s - p[:, None].conj())
-    slopes, mirrored = rho[:, None] * ahead**2, rho.conj()[:, None] * behind**2
+    s, late = 1j * record.omega, np.exp(-1j * record.omega * delay)
+    ahead, behind = late / (s - p[:, None]), late / (s - p[:, None].conj())
+    slopes, mirrored = rho[:, None] * ahead**2 / late, rho.conj()[:, None] * behind**2 / late
     pairs = ((ahead, behind), (slopes, mirrored))
     columns = [part for one, other in pairs for part in (one + other, 1j * (one - other))]
     return Directions(np.concatenate(columns).T, np.zeros((record.samples, 0)))
 
 
 def of_damped_record(
-    record: Record, p: ComplexArray, rho: ComplexArray, free: ComplexArray, hold: Hold, offset: int, through: bool
-) -> Directions:
+    record: Record, p: ComplexArray, rho: ComplexArray, free: ComplexArray, hold: Hold, offset: int, through: bool,
+    delay: float = 0.0,
+) -> Directions:  # fmt: skip
     """Of a record in time and damped modes with residues and free amplitudes (n,); O(T n), and as much memory."""
     u, everywhere, n = record.u[None], np.ones(record.samples, bool), len(p)
-    rows = FreeRecord(u, 0 * u, everywhere, hold, offset=offset, through=through, driven=record.driven)
-    columns = np.concatenate(list(rows.at(p).blocks()), axis=1)
+    whole = FreeRecord(u, 0 * u, everywhere, hold, offset=offset, through=through, driven=record.driven)
+    rows = whole.delayed(delay)
+    # what is not predicted depends on nothing
+    columns = np.nan_to_num(rows.placed(np.concatenate(list(rows.at(p).blocks()), axis=1)))
     own, shared = rows.own_unknowns(n), rows.inputs * (2 * n + through)
     motion = np.concatenate([0.5 * free.real, 0.5 * free.imag])
-    moved = by_poles(columns[own + shared : -1].T, rows, motion, rho[:, None])
+    moved = by_poles(columns[own + shared : -1].T, rows, motion, rho[:, None])  # motions at the first sample, nearly
     return Directions(np.concatenate([columns[own : own + shared].T, moved], axis=1), columns[:own].T)

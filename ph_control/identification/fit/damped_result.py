@@ -24,7 +24,13 @@ from ...systems.port_hamiltonian import PortHamiltonian, ph
 from ..data.channels import Recording, ResponseMatrix
 from ..data.experiments import as_channels
 from ..diagnosis.verdict import HypothesisTest, Outcome
-from ..regression.free_prediction import FittedChannels, estimated_motion, predicted_outputs
+from ..regression.free_prediction import (
+    FittedChannels,
+    estimated_motion,
+    moved_freely,
+    predicted_outputs,
+    unknown_samples,
+)
 from ..regression.prediction import FittedExperiment, ResponseBackground
 from ..search.circumstances import Finding
 from ..search.modal_search import orders_about
@@ -99,10 +105,14 @@ class DampedResult(DampedReport, PEMResult):
         What it rests on, in sentences.
     intersample : str
         Input between the samples: 'zoh' or 'foh'.
+    delay, delay_stderr : ndarray, shape (p,)
+        Time by which each output comes later than the response to the inputs, 0 where none was found, and its standard
+        error: 0 of a delay that was given, NaN of one that is known to a sample only.  Predictions have it, `system`
+        not.
     stderr : mapping
         Standard errors under the keys 'natural_frequencies', 'hertz', 'damping_ratios', 'real_poles',
-        'time_constants', 'residues', 'shapes' and 'feedthrough'; those of complex numbers are complex, of real and
-        imaginary part.
+        'time_constants', 'residues', 'shapes', 'feedthrough' and 'delay'; those of complex numbers are complex, of
+        real and imaginary part.
     """
 
     structure: str
@@ -132,9 +142,14 @@ class DampedResult(DampedReport, PEMResult):
     outcome: Outcome
     message: str
     intersample: str
+    delay: Array = field(default_factory=lambda: np.zeros(1))
+    delay_stderr: Array = field(default_factory=lambda: np.zeros(1))
     stderr: Mapping[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
+        for name in ("delay", "delay_stderr"):
+            value = np.array(np.broadcast_to(getattr(self, name), len(self.output_labels)), float)
+            object.__setattr__(self, name, _checks.readonly(value))
         n, count, shape = self.order, len(self.poles), self.residues.shape
         deviation = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         real, imaginary = np.split(deviation[2 * count : 2 * (count + self.residues.size)], 2)
@@ -150,6 +165,7 @@ class DampedResult(DampedReport, PEMResult):
             "residues": _complex(real, imaginary, shape),
             "shapes": self.shape_stderr,
             "feedthrough": deviation[2 * (count + self.residues.size) :].reshape(shape[1:]),
+            "delay": self.delay_stderr,
         }
         object.__setattr__(self, "stderr", ReadOnlyMapping(parts))
         super().__post_init__()
@@ -258,6 +274,55 @@ class DampedResult(DampedReport, PEMResult):
             return with_unit(ph(plant, ports=[(k, k) for k in range(len(inputs))]), self.time_unit)
         except (NotPassiveError, StructureError):
             return self.observed_system
+
+    def with_delay(self, pade: int = 3) -> ct.StateSpace:
+        """`observed_system` with the delay of each output, by a rational approximation.
+
+        Parameters
+        ----------
+        pade : int
+            Order of the approximation of Pade, and number of states for each output with a delay.
+
+        Returns
+        -------
+        control.StateSpace
+            Linear system from the inputs to what was measured.
+
+        Raises
+        ------
+        StructureError
+            If an output comes earlier than the response to the inputs, which no system does.
+
+        Notes
+        -----
+        The phase is right up to frequencies of about `pade / delay`.
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> rng = np.random.default_rng(0)
+        >>> plant, u = phc.ph(phc.modes(1.0, 1.0, damping=0.02)), rng.standard_normal(500)
+        >>> y = phc.forced_response(plant, 0.1 * np.arange(500), u, intersample="zoh").outputs
+        >>> result = phc.pem((u[3:], y[:-3]), 1, dt=0.1, quantity="free")
+        >>> result.delay.round(6), result.with_delay(2).nstates
+        (array([0.3]), 4)
+        """
+        order = _checks.whole_number("pade", pade, 1)
+        early = np.flatnonzero(self.delay < 0)
+        if early.size:
+            name = self.output_labels[int(early[0])]
+            raise StructureError(
+                f"{name!r} comes {-self.delay[early[0]]:.3g} before the response to the inputs, and a system has no "
+                "negative delay: shift the inputs of the record, or use observed_system"
+            )
+        parts = [
+            ct.ss(ct.tf(*ct.pade(late, order))) if late else ct.ss([], [], [], [[1.0]]) for late in self.delay.tolist()
+        ]
+        plant = self.observed_system
+        found = ct.ss(ct.append(*parts) * plant)
+        A, B, C, D = found.A, found.B, found.C, found.D
+        names = {"inputs": list(plant.input_labels), "outputs": list(plant.output_labels)}
+        return with_unit(ct.StateSpace(A, B, C, D, remove_useless_states=False, **names), self.time_unit)
 
     # --- uncertainty -----------------------------------------------------------------------------------------------
 
@@ -379,7 +444,7 @@ class DampedResult(DampedReport, PEMResult):
         moving = any(bool(np.any(one.free_amplitudes)) for one in self.experiments)
         rows = orders_about(
             records, self.poles, most, quantities=self.quantities, intersample=self.intersample,
-            offset=bool(self.offsets.any()), moving=moving,
+            offset=bool(self.offsets.any()), moving=moving, delay=self.delay,
         )  # fmt: skip
         return [
             (self.poles[: self.order], self.shapes) if len(poles) == self.order
@@ -438,7 +503,8 @@ class DampedResult(DampedReport, PEMResult):
 
         Notes
         -----
-        A constant is estimated along with the motion if one was in the fit.  O(T n (m + p)).
+        A constant is estimated along with the motion if one was in the fit.  Outputs have their `delay`; what an output
+        that comes late is before inputs of the record reach it is a guess, from what it is then.  O(T n (m + p)).
 
         Examples
         --------
@@ -479,7 +545,7 @@ class DampedResult(DampedReport, PEMResult):
         name = initial_state or ("estimate" if seen else "zero")
         _checks.choice("initial_state", name, ("estimate", "fitted", "zero"))
         hold = Hold(record.dt, "exact", self.intersample)
-        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
+        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
         if name == "zero":
             return forced
         if name == "fitted":
@@ -493,7 +559,7 @@ class DampedResult(DampedReport, PEMResult):
             return self._outputs_from(one.free_amplitudes, record) + background
         if not seen:
             raise StructureError("the record has no outputs to estimate the motion from; pass initial_state='zero'")
-        return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()))
+        return forced + estimated_motion(self.poles, record, forced, hold, bool(self.offsets.any()), self.delay)
 
     def _motion_of(self, state: Any) -> ComplexArray:
         """Motions (n,) of a state of `observed_system`."""
@@ -504,9 +570,11 @@ class DampedResult(DampedReport, PEMResult):
 
     def _outputs_from(self, motion: ComplexArray, record: Recording) -> Array:
         """Outputs from free motions (n,) or (n, p)."""
-        hold, t = Hold(record.dt, "exact", self.intersample), record.dt * np.arange(record.samples)
-        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold)
-        return np.asarray(forced + (motion.reshape(len(self.poles), -1).T @ np.exp(np.outer(self.poles, t))).real)
+        hold, outputs = Hold(record.dt, "exact", self.intersample), len(self.output_labels)
+        forced = predicted_outputs(self.poles, self.residues, self.feedthrough, record.u, hold, self.delay)
+        motion = np.broadcast_to(motion.reshape(len(self.poles), -1), (len(self.poles), outputs))
+        first = unknown_samples(self.delay, record.dt)
+        return np.asarray(forced + moved_freely(self.poles, motion, record.dt, record.samples, first))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from ... import _checks
 from ..._display import counted, p_value
-from ..._types import Array, ComplexArray, Indices, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import INTERSAMPLE
 from ...modal.modal_form import ModalForm
@@ -26,12 +26,14 @@ from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.frequency_rows import FreeResponse
 from ..regression.prediction import FittedExperiment, Pairs, ResponseBackground, joint_percent, pieces, shares_left
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import REJECTED, Cause, Finding, sentence_of, worth_telling
 from ..search.formulation import Callback, reporter
 from ..search.modal_search import FreeFit, FreePath, feedthrough_of, free_fit
 from ..structure.constrained import StructuredFit, constrained
-from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
+from ..structure.delayed import cost_of, with_delays
+from ..structure.hypothesis_tests import LEVEL, choose, likelihood_test, structure_tests
 from ..structure.layout import ChannelLayout
 from ..uncertainty.residual_tests import ljung_box
 from .damped_result import DampedResult
@@ -39,6 +41,7 @@ from .result import STRUCTURES, OrderRow, PEMResult, cut_short
 from .scaled_shapes import ModeShapes, shape_errors
 
 _BEGINNING = 1 << 15  # numbers of a part of a record that is asked for real poles
+_NEARLY = 0.02  # of the likelihood ratio that rejects a structure: what delays may leave of it
 _CERTAIN = 3.0  # standard errors beyond which a mode is said to grow
 
 Channels = tuple[Recording, ...] | tuple[ResponseMatrix, ...]
@@ -67,6 +70,7 @@ class Options:
     moving: bool  # whether records may start in motion
     weighted: bool  # whether weights were given
     real_poles: int | str = "auto"
+    delay: Any = "auto"
 
 
 def fit_channels(
@@ -87,7 +91,7 @@ def fit_channels(
     search = partial(
         free_fit, channels, quantities=asked.quantities, intersample=options.intersample, offset=offset,
         max_order=most, criterion=options.criterion, weighted=options.weighted,
-        real_poles=options.real_poles,
+        real_poles=options.real_poles, delay=checked_delay(options.delay, len(channels[0].output_labels)),
         reports=reporter(most if isinstance(wanted, str) else wanted, options.callback),
     )  # fmt: skip
     # before a hammer hits, few samples show the motion there was, and what is unknown of it hides the residues
@@ -96,8 +100,13 @@ def fit_channels(
     if resting and free.order and not free.interrupted:
         other = search(free.order, start=free.projection.p, moving=True)
         if other.criteria.bic < free.criteria.bic:
+            resting = False
             free = search(wanted, start=start, moving=True)
-    return under_either_hold(free, asked, findings)
+
+    def with_delay(delay: Array) -> FreeFit:
+        return search(wanted, start=start, moving=options.moving and not resting, delay=delay)
+
+    return under_either_hold(free, asked, findings, with_delay)
 
 
 def shows_real_poles(channels: Channels, asked: Asked, options: Options) -> bool:
@@ -131,19 +140,40 @@ def checked_real_poles(value: int | str) -> int | str:
     return _checks.whole_number("real_poles", value, 0)
 
 
+def checked_delay(value: Any, outputs: int) -> Array | None:
+    """Check the delay of each output that is asked for; None where it is left to the data."""
+    if isinstance(value, str):
+        _checks.choice("delay", value, ("auto",))
+        return None
+    found = _checks.real_array("delay", value)
+    if found.shape not in ((), (outputs,)):
+        raise StructureError(
+            f"delay has shape {found.shape}; it must be 'auto', a number, or one for each of the {outputs} outputs"
+        )
+    return np.broadcast_to(found, outputs).copy()
+
+
 def begin_at_rest(channels: Channels) -> bool:
     """Whether all experiments are recordings that begin at rest, by what is seen of the outputs."""
     return all(isinstance(one, Recording) and one.begins_at_rest for one in channels)
 
 
-def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = ()) -> DampedResult:
+WithDelay = Callable[[Array], FreeFit]  # searches in rows with a delay of each output
+
+
+def under_either_hold(
+    free: FreeFit, asked: Asked, findings: tuple[Finding, ...] = (), with_delay: WithDelay | None = None
+) -> DampedResult:
     """The structure of a fit, with the inputs held as it tells; in rows of white noise where that of the data is not.
 
-    Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.
+    Free residues and a feedthrough are the same models under either hold; only structures tell the two apart.  So it is
+    with delays of the outputs that are left to the data.
     """
-    found = _under_either_hold(free, asked, findings)
+    best, found = _chosen(free, asked, findings, with_delay)
     if found.whiteness >= WHITE or not found.success:
         return found
+    late = best is not None and best.free.delay_open and bool(best.free.delay.any())
+    free = best.free if best is not None and late else free
     try:
         whitened = beside_coloured_noise(free)
         if whitened is free:
@@ -151,38 +181,177 @@ def under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]
         rival = None if free.rival is None else beside_coloured_noise(free.rival)
     except KeyboardInterrupt:
         return cut_short(found)
-    return _under_either_hold(replace(whitened, rival=rival), asked, findings)
+    return _chosen(replace(whitened, rival=rival), asked, findings)[1]
 
 
-def _under_either_hold(free: FreeFit, asked: Asked, findings: tuple[Finding, ...]) -> DampedResult:
-    """The same in the rows there are.
+def _chosen(
+    free: FreeFit, asked: Asked, findings: tuple[Finding, ...], with_delay: WithDelay | None = None
+) -> tuple[_Chosen | None, DampedResult]:
+    """Choose hold, delays and structure in the rows there are, and make the result; without a choice if interrupted.
 
     Where no structure stands under either hold, as neither is exact, it is the one under which shapes are more nearly
     real.
     """
     try:
-        first = _structure_of(free, asked)
+        best = _Chosen(free, *_structure_of(free, asked))
     except KeyboardInterrupt:
-        return structured(replace(free, interrupted=True), asked, findings)
-    anew = {one.cause for one in free.findings}
-    findings = (*(one for one in findings if one.cause not in anew), *free.findings)
-    settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
-    if free.rival is None or first[0].structure in settled:
-        return _result(free, *first, asked, findings)
+        return None, structured(replace(free, interrupted=True), asked, findings)
     try:
-        if asked.structure == "auto":
-            simpler = STRUCTURES[: STRUCTURES.index(first[0].structure)]
-            chosen, tests = _tested(free.rival, asked, simpler)
-            gain = _classical_cost(free, first[1]) - _classical_cost(free.rival, tests)
-            if chosen.structure not in simpler and (first[0].structure != "free" or gain <= 2 * TUNING.sure):
-                return _result(free, *first, asked, findings)
-        second = _structure_of(free.rival, asked)
+        best = _of_either_hold(best, asked)
+        best = _with_delay(best, free.rival if best.free is free else free, asked, with_delay)
     except KeyboardInterrupt:
-        return cut_short(_result(free, *first, asked, findings))
+        return None, cut_short(_result(*best.parts, asked, _beside(findings, best.free)))
+    return best, _result(*best.parts, asked, _beside(findings, best.free))
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """A free fit, the structure that was chosen for it, and the tests of all."""
+
+    free: FreeFit
+    fit: StructuredFit
+    tests: tuple[HypothesisTest, ...]
+
+    @property
+    def parts(self) -> tuple[FreeFit, StructuredFit, tuple[HypothesisTest, ...]]:
+        """All three."""
+        return self.free, self.fit, self.tests
+
+
+def _beside(findings: tuple[Finding, ...], free: FreeFit) -> tuple[Finding, ...]:
+    """Findings of the data, those of the fit in place of others of the same cause."""
+    anew = {one.cause for one in free.findings}
+    return (*(one for one in findings if one.cause not in anew), *free.findings)
+
+
+def _of_either_hold(first: _Chosen, asked: Asked) -> _Chosen:
+    """The structure under the hold with which it is simpler, or likelier."""
+    free = first.free
+    settled = STRUCTURES[:2] if asked.structure == "auto" else ("free",)
+    if free.rival is None or first.fit.structure in settled:
+        return first
+    rival = replace(free.rival, findings=free.findings)
     if asked.structure == "auto":
-        return _result(free.rival, *second, asked, findings)
-    found, other = _result(free, *first, asked, findings), _result(free.rival, *second, asked, findings)
-    return other if other.loglik > found.loglik + TUNING.sure else found
+        simpler = STRUCTURES[: STRUCTURES.index(first.fit.structure)]
+        chosen, tests = _tested(rival, asked, simpler)
+        gain = _classical_cost(free, first.tests) - _classical_cost(rival, tests)
+        if chosen.structure not in simpler and (first.fit.structure != "free" or gain <= 2 * TUNING.sure):
+            return first
+    second = _Chosen(rival, *_structure_of(rival, asked))
+    if asked.structure == "auto":
+        return second
+    logliks = [_result(*one.parts, asked, ()).loglik for one in (first, second)]
+    return second if logliks[1] > logliks[0] + TUNING.sure else first
+
+
+def _with_delay(best: _Chosen, other: FreeFit | None, asked: Asked, with_delay: WithDelay | None) -> _Chosen:
+    """The structure with delays of the outputs, where these explain more; those of whole samples are refined.
+
+    The `other` fit has the inputs held otherwise.
+    """
+    free = best.free
+    if not (free.delay_open and free.order and free.projection.inputs) or free.interrupted:
+        return best
+    late, stands = bool(free.delay.any()), _stands(best, asked)
+    if asked.structure == "passive" or (stands and not late):
+        return best
+    if stands:
+        return _refined(best, best.fit.hypothesis, asked)
+    hypothesis = "classical" if asked.structure == "auto" else asked.structure
+    trials = [_delayed(one, best, hypothesis, asked, False) for one in (free, other) if one is not None]
+    trial = min((one for one in trials if one is not None), key=_cost, default=best)
+    if _explains(trial, best):
+        # modes too many may have stood for the delay
+        anew = trial.free if with_delay is None else with_delay(trial.free.delay[_places(free)])
+        anew = replace(anew, findings=free.findings, delay_gain=trial.free.delay_gain)
+        frees = [trial.free, anew.with_delay_open(True)]
+        found = [_in_rows_of(one, asked) for one in frees if one.order and not one.interrupted]
+        chosen = min(found, key=_cost)
+        if _explains(chosen, best) and (_stands(chosen, asked) or _gain(chosen, best) > TUNING.sure):
+            return chosen
+    return _refined(best, "free", asked) if late and best.fit.structure == "free" else best
+
+
+def _explains(trial: _Chosen, best: _Chosen) -> bool:
+    """Whether a structure with delays is likelier than the best without, or nearly so.
+
+    Held and linear inputs are models of what goes on between samples, and of smooth inputs that come late free residues
+    absorb a little of what is wrong with them.  That must not decide where delays explain nearly all that rejects the
+    structure, of more than one mode.
+    """
+    if trial is best:
+        return False
+    refused = [one.likelihood_ratio for one in best.tests if one.hypothesis == trial.fit.hypothesis]
+    spare = (best.fit.parameters - trial.fit.parameters) * float(np.log(trial.fit.projection.rows))
+    nearly = np.sum(trial.fit.p.imag > 0) > 1 and spare - 2 * _gain(trial, best) < _NEARLY * max([*refused, 0.0])
+    return bool(_gain(trial, best) > TUNING.sure or nearly)
+
+
+def _gain(trial: _Chosen, best: _Chosen) -> float:
+    """By how much the criterion prefers a structure, as a log-likelihood."""
+    return 0.5 * (_cost(best) - _cost(trial))
+
+
+def _in_rows_of(free: FreeFit, asked: Asked) -> _Chosen:
+    """The structure in rows with delays, which are refined with it."""
+    first = _of_either_hold(_Chosen(free, *_structure_of(free, asked)), asked)
+    if _stands(first, asked) or asked.structure != "auto":
+        return _refined(first, first.fit.hypothesis, asked)
+    classical = _delayed(first.free, first, "classical", asked, True)
+    wider = _refined(first, "free", asked) if first.fit.structure == "free" else first
+    return min((one for one in (classical, wider) if one is not None), key=_cost)
+
+
+def _delayed(free: FreeFit, best: _Chosen, hypothesis: str, asked: Asked, settled: bool) -> _Chosen | None:
+    """A structure with delays, in the rows of a free fit."""
+    layout = _layout(free, asked)
+    found = with_delays(free.projection, layout, hypothesis, free.region, _felt(free, asked), settled=settled)
+    if found is None or found.fit.delays is None:
+        return None
+    at, late = found.free, _Chosen(free, found.fit, best.tests)
+    gain = free.delay_gain if settled else _gain(late, best)
+    now = replace(
+        free, projection=at, unknowns=at.unknowns, delay=found.fit.delays.each, delay_gain=gain, rival=None,
+        delay_open=True, findings=best.free.findings,
+    )  # fmt: skip
+    return replace(late, free=now)
+
+
+def _refined(best: _Chosen, hypothesis: str, asked: Asked) -> _Chosen:
+    """The same with delays that are no whole samples, and their errors; as it is where the data do not tell them."""
+    found = _delayed(best.free, best, hypothesis, asked, True)
+    if found is None or found.fit.delays is None:
+        return best
+    # free residues and what is fed through say the same for all delays within a sample
+    return found if np.all(found.fit.delay_errors < np.pi * found.fit.delays.step) else best
+
+
+def _stands(best: _Chosen, asked: Asked) -> bool:
+    """Whether the structure is one that is not rejected within the free model."""
+    if asked.structure == "auto":
+        return best.fit.structure in STRUCTURES[:2]
+    at = best.free.projection
+    unknowns = len(at.x) + int(at.shown.sum())
+    return likelihood_test(at, best.fit, max(0, unknowns - best.fit.parameters)).p >= LEVEL
+
+
+def _places(free: FreeFit) -> slice:
+    """Where an output of the data is first among those of the projection."""
+    return slice(None, None, len(free.channels[0].input_labels) if free.per_entry else 1)
+
+
+def _cost(one: _Chosen) -> float:
+    """BIC of a structure with its delays, for as many rows as the data have without them."""
+    rows = sum(int(record.observed.sum()) for record in one.free.channels) * (1 + one.free.per_entry)
+    found = rows * cost_of(one.fit, one.free.scales)
+    return found + (0.0 if one.fit.delays else len(np.unique(one.free.delay[one.free.delay != 0])) * np.log(rows))
+
+
+def _felt(free: FreeFit, asked: Asked) -> Mask:
+    """What is fed through in any case (outputs of the projection, inputs): to an accelerometer."""
+    felt = np.array([one == "acceleration" for one in asked.quantities])
+    inputs = len(free.channels[0].input_labels)
+    return felt.repeat(inputs)[:, None] if free.per_entry else felt[:, None].repeat(inputs, axis=1)
 
 
 def _classical_cost(free: FreeFit, tests: tuple[HypothesisTest, ...]) -> float:
@@ -313,8 +482,10 @@ def _judged(
     covariance = _covariance(fit, free, rank)
     experiments = _experiments(_in_data(fit, free), free, rank, asked.quantities, fit)
     shapes, errors = _shapes(fit, free, asked, poles, residues, covariance, experiments, rank)
-    extra = fit.parameters - (len(free.projection.x) + int(free.projection.shown.sum()))
-    unknowns = free.unknowns + min(0, extra) + len(free.scales)
+    delays = 0 if fit.delays is None else fit.delays.count
+    extra = fit.parameters - delays - (len(free.projection.x) + int(free.projection.shown.sum()))
+    unknowns = free.unknowns + min(0, extra) + delays + len(free.scales)
+    delay, delay_stderr = _delays(fit, free)
     predicted = [(one.record, one.predicted) for one in experiments]
     counts, losses = _losses(predicted, free.per_entry)
     floor = np.maximum(losses, np.finfo(float).tiny * np.maximum(counts, 1))
@@ -327,7 +498,8 @@ def _judged(
     whiteness = 1.0 if free.rounding else ljung_box(rows, TUNING.lags)
     fitted = joint_percent(shares_left(predicted))
     told = (one for one in findings if one.cause is not Cause.HOLD)  # of lossless models
-    findings = (*told, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
+    found_late = _lateness(free, delay, delay_stderr) if free.delay_open else ()
+    findings = (*told, *found_late, *(_rejection(one) for one in tests if one.hypothesis in REJECTED and one.p < LEVEL))
     findings = (*findings, *_saturated(experiments))
     if whiteness >= WHITE and not (free.rounding or free.interrupted):
         findings = (*findings, *_outliers(experiments, spare))
@@ -372,6 +544,8 @@ def _judged(
         outcome=outcome,
         message=_message(free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome),
         intersample="zoh" if free.per_entry else free.intersample,
+        delay=delay,
+        delay_stderr=delay_stderr,
     )  # fmt: skip
 
 
@@ -415,11 +589,34 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     return found
 
 
+def _delays(fit: StructuredFit, free: FreeFit) -> tuple[Array, Array]:
+    """Delay of each output and its standard error: NaN where it is known to a sample only, 0 where it was given."""
+    places = _places(free)
+    if fit.delays is not None:
+        return fit.delays.each[places], fit.delay_errors[fit.delays.groups][places]
+    late = np.broadcast_to(free.delay, free.scales.shape)[places]
+    return late.copy(), np.where(late != 0, np.nan if free.delay_open else 0.0, 0.0)
+
+
+def _lateness(free: FreeFit, delay: Array, errors: Array) -> tuple[Finding, ...]:
+    """What is found of delays: one of all outputs, or of each."""
+    labels = free.channels[0].output_labels
+    if not delay.any():
+        return ()
+    if np.ptp(delay) == 0:
+        return (Finding(Cause.DELAY, (float(delay[0]), float(errors[0])), free.delay_gain),)
+    each = zip(labels, delay.tolist(), errors.tolist(), strict=True)
+    return tuple(Finding(Cause.DELAY, (late, error), free.delay_gain, label) for label, late, error in each if late)
+
+
 def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
     """The data as they were measured at a model, also at one that was fitted in other rows."""
     if free.measured is None:
         return fit.projection
-    at = FreeProjection(free.measured.experiments, fit.p, free.measured.fed)
+    rows = free.measured.experiments
+    if fit.delays is not None:
+        rows = fit.delays.rows(rows)  # type: ignore[type-var]
+    at = FreeProjection(rows, fit.p, free.measured.fed)
     return GivenResidues(at, fit.projection.shared)
 
 
@@ -445,16 +642,16 @@ def _experiments(
             which = part.outputs
             scale = free.scales[which]
             left -= len(which)
-            constants = getattr(part, "offset", 0)
             if isinstance(part, FreeResponse):
                 spread = np.array([np.diag(one) for one in at.own_covariances(place, covariance, free.variance)]).T
                 for term, *values_of in zip(part.terms, own, np.sqrt(np.maximum(spread, 0.0)), strict=True):
                     terms[:, term.power + 2, which] += (1j if term.turned else 1.0) * scale * np.array(values_of)
             place += 1
-            if part.moving:
-                motion[:, which] = 2 * scale * (own[:n] + 1j * own[n : 2 * n])[rank]
-            offsets[which] = scale * own[-1] if constants else 0.0
-            drifts[which] = scale * own[-2] / one.dt if constants > 1 else 0.0
+            residues = at.residues[:, which] if n else np.zeros((0, len(which), m), complex)
+            if isinstance(part, FreeRecord):
+                motion[:, which] = 2 * scale * part.motion_at_start(at.p, residues, own)[rank]
+                offsets[which], drifts[which] = scale * part.offset_at_start(own)
+                values = None if values is None else part.placed(values)
             if values is None:
                 predicted[which] = offsets[which, None]
             elif len(which) == outputs:
@@ -473,7 +670,7 @@ def _experiments(
 
 def _losses(predicted: Pairs, per_entry: bool) -> tuple[Array, Array]:
     """Real residuals, and sums of their weighted squares, of each output or entry."""
-    counts = sum(record.observed.sum(axis=-1) * (1 + per_entry) for record, _ in predicted)
+    counts = sum((record.observed & ~np.isnan(values)).sum(axis=-1) * (1 + per_entry) for record, values in predicted)
     losses = sum(np.sum(weights * np.abs(left) ** 2, axis=-1) for weights, _, left in pieces(predicted))
     return np.ravel(counts), np.ravel(losses)
 

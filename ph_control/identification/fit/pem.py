@@ -72,6 +72,7 @@ def pem(
     structure: str = "auto",
     ports: Any = None,
     real_poles: int | str = "auto",
+    delay: Any = "auto",
 ) -> PEMResult:
     """Fit modes and real poles to recordings or frequency responses, by prediction-error minimisation.
 
@@ -135,6 +136,10 @@ def pem(
     real_poles : int or 'auto'
         Number of real poles beside the modes, as of a lag, a motor or an RC circuit; 'auto' takes that which
         `criterion` prefers, and none beside a number of modes that is given.  A lossless model has none.
+    delay : 'auto', or float, or sequence of float, one for each output
+        Time by which outputs come later than the response to the inputs, or earlier where it is negative: that of an
+        anti-aliasing filter, of sampling one channel after the other, or dead time.  'auto' estimates one of all
+        outputs, or one of each, where a structure or the first samples of the answer show it.
 
     Returns
     -------
@@ -208,6 +213,7 @@ def pem(
         initial_state == "estimate",
         weights is not None,
         checked_real_poles(real_poles),
+        delay,
     )
     fit = partial(
         _fitted, options=options, method=method, initial_state=initial_state, quantity=quantity,

@@ -208,10 +208,27 @@ class DampedReport(FitReport):
             f"  structure       {self.structure}",
             *_channel_lines(self),
             *[f"  ports           {_listed(ports)}"] * bool(ports),
+            *_delay_line(self),
             *[f"  mode shapes     {scale}"] * (len(outputs) > 1),
             f"  fit             {self.fit_percent:.2f} %",
             _criteria_line(self),
         ]
+
+
+def _delay_line(result: Any) -> list[str]:
+    """Delays of the outputs, in predictions and not in `system`."""
+    delay, errors = result.delay, result.stderr["delay"]
+    if not delay.any():
+        return []
+    pairs = list(zip(result.output_labels, delay.tolist(), errors.tolist(), strict=True))
+    if np.ptp(delay) == 0:
+        pairs = pairs[:1]
+    shown = [to_its_error(late, error) + f" +- {to_its_error(error, error)}" * (error > 0) for _, late, error in pairs]
+    if len(pairs) > 1:
+        shown = [f"{label!r} {text}" for (label, *_), text in zip(pairs, shown, strict=True)]
+    unit = f" {result.time_unit}" * (result.time_unit is not None)
+    more = f" and {len(shown) - _NAMED} more" * (len(shown) > _NAMED)
+    return [f"  delay           {', '.join(shown[:_NAMED])}{more}{unit}, in predictions and not in system"]
 
 
 def counted_poles(result: Any) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import control as ct
 import numpy as np
 
 from ... import _checks
@@ -451,7 +452,7 @@ class PEMResult(Report, Frozen):
             source = _checks.whole_number("input", 0 if input is None else input, 0, len(self.input_labels) - 1)
             plant, data, whole = self, one.record.as_response(), self.residues.shape[1:] == (1, 1)
             if not whole:
-                plant, data = self.observed_system[place, source], data[place, source]
+                plant, data = self._entry(place, source, one.record.omega), data[place, source]
                 background = getattr(one, "background", None)
                 plant.background = background and background.entry(place, source)
             names = (parted(name)[0] for name in (self.input_labels[source], self.output_labels[place]))
@@ -467,6 +468,14 @@ class PEMResult(Report, Frozen):
         y, predicted = (np.atleast_2d(part)[place] for part in (one.measured, one.predicted))
         fitted = joint_percent(np.ravel(shares_left([(one.record, one.predicted)]))[place])
         return fit_plot(one.record.time, y, predicted, fit_percent=fitted, **kwargs)
+
+    def _entry(self, output: int, input: int, omega: Array) -> Any:
+        """Model of one output and input, with its delay at some frequencies only."""
+        plant, delay = self.observed_system[output, input], np.asarray(getattr(self, "delay", np.zeros(output + 1)))
+        if not delay[output]:
+            return plant
+        values = plant(1j * omega, warn_infinite=False) * np.exp(-1j * omega * delay[output])
+        return ct.frd(values, omega, inputs=plant.input_labels, outputs=plant.output_labels)
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the result as JSON; `load` gives it back.

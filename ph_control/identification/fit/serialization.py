@@ -38,19 +38,10 @@ _WORDS = {
 }  # fmt: skip
 # older files do not have them, or they are left out where there is nothing to say
 _MAY_LACK = {
-    "drift",
-    "outliers",
-    "noise",
-    "output",
-    "experiment",
-    "findings",
-    "tests",
-    "damped",
-    "time_unit",
-    "title",
-    "background",
-}
-_MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response", "shape_stderr"}
+    "drift", "outliers", "noise", "output", "experiment", "findings", "tests", "damped", "time_unit", "title", "delay",
+    "delay_stderr", "background",
+}  # fmt: skip
+_MAY_BE_NAN = {"covariance", "offset_stderr", "y", "response", "shape_stderr", "delay_stderr"}
 
 # the length of each array, None where the file decides it; of places in a list, how many there are
 Shapes = Mapping[str, tuple[int | None, ...]]
@@ -237,7 +228,7 @@ def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     in_time, single = isinstance(record, InTime), isinstance(record, Record | FrequencyRecord)
     # damped modes do not predict a response where nothing was measured
     predicted = (fields.array if in_time else fields.complex_array)(
-        "predicted", record.measured.shape, finite=in_time and single
+        "predicted", record.measured.shape, finite=False
     )
     shapes: Shapes = {"initial_state": (states * in_time,), "free_amplitudes": (n * in_time,)}
     if not single:
@@ -282,6 +273,7 @@ def _modal_from_dict(fields: Fields, records: Sequence[Any] = ()) -> Any:
         "residues": (n, outputs, inputs), "feedthrough": (outputs, inputs),
         "shapes": (modes, outputs), "shape_stderr": (modes, outputs), "participation": (modes, inputs),
         "noise_variance": (outputs, inputs) if per_entry else (outputs,),
+        "delay": (outputs,), "delay_stderr": (outputs,),
     }  # fmt: skip
     pairs = zip(_places(ports, "output", outputs), _places(ports, "input", inputs), strict=True)
     rows, columns = np.triu_indices(size)

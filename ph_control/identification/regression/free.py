@@ -142,9 +142,10 @@ class FreeProjection(LinearProjection):
             return found  # fewer modes leave unknowns to others
         found.factors = []
         for rows, factor in zip(self.experiments, self.factors, strict=True):
-            width, own, last = 2 * n + rows.through, rows.own_unknowns(n), factor.shape[1] - len(rows.outputs)
+            width, own = 2 * n + rows.through, rows.own_unknowns(n)
             starts = [0] * rows.moving + [own + width * one for one in range(rows.inputs)]
-            starts += list(range(own + width * rows.inputs, last, 2 * n))
+            slopes = own + width * rows.inputs
+            starts += list(range(slopes, slopes + 2 * n * (rows.moving + rows.inputs), 2 * n))
             dropped = [start + place for start in starts for place in (k, n + k)]
             found.factors.append(reduced(np.asfortranarray(np.delete(factor, dropped, axis=1))))
         return found
@@ -200,6 +201,20 @@ class FreeProjection(LinearProjection):
         for one in self._groups:
             found[:, one.outputs] = one.solve @ (one.basis.T @ one.targets)
         return found
+
+    @property
+    def shared_errors(self) -> Array:
+        """Standard errors of `shared` for known poles and rows of variance 1."""
+        found = np.zeros(self.shared.shape)
+        for one in self._groups:
+            found[:, one.outputs] = np.linalg.norm(one.solve, axis=1)[:, None]
+        return found
+
+    @property
+    def fed_through(self) -> Mask:
+        """Which entries (outputs, inputs) are fed through."""
+        every = np.ones((self.shared.shape[1], self.inputs), bool)
+        return every & self.has_feedthrough if self.fed is None else self.fed
 
     @property
     def residues(self) -> ComplexArray:
@@ -276,6 +291,16 @@ class FreeProjection(LinearProjection):
             found.append(by_poles(self._parts[k][2].derivatives, rows, own, self.residues[:, output]))
         return np.concatenate(found)
 
+    def delay_slopes(self, output: int) -> Array:
+        """Derivative of an output by its delay, per unit time, in the rows of its group."""
+        (group,) = (one for one in self._groups if output in one.outputs)
+        found = []
+        for k in group.experiments:
+            own = self.own[k][:, self._places(k, [output])[0]]
+            parts = self._parts[k][2], self.experiments[k], self.p
+            found.append(by_delay(*parts, own, self.residues[:, output], self.feedthrough[output]))
+        return np.concatenate(found)
+
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
         """Residual and its Jacobian by the coordinates, all else moving along."""
@@ -335,7 +360,15 @@ class GivenResidues(FreeProjection):
     @cached_property
     def loss(self) -> float:
         """Sum of squares of what is left."""
-        return float(sum(np.sum(self._left(one) ** 2) for one in self._groups))
+        return float(self.losses.sum())
+
+    @cached_property
+    def losses(self) -> Array:
+        """That of each output."""
+        found = np.zeros(sum(len(one.outputs) for one in self._groups))
+        for one in self._groups:
+            found[one.outputs] = np.sum(self._left(one) ** 2, axis=0)
+        return found
 
     @cached_property
     def condensed(self) -> tuple[Array, Array]:
@@ -379,6 +412,28 @@ def by_poles(derivatives: Array, rows: FreeRows, own: Array, residues: ComplexAr
         # derivative along the real axis; along the imaginary one the coefficient turns by a quarter
         found += first * one.real + second * one.imag + 1j * (second * one.real - first * one.imag)
     return np.concatenate([found.imag, found.real], axis=1)
+
+
+def by_delay(
+    columns: _ExperimentColumns, rows: FreeRows, p: ComplexArray, own: Array, residues: ComplexArray, through: Array
+) -> Array:
+    """Derivative of an output by its delay: what it changes by per unit time, with the other sign.
+
+    A mode `x' = p x + u` changes by itself, and by the input.  `residues` are (n, inputs), what is fed `through`
+    (inputs,); the free motion is that of the output with its delay.
+    """
+    n = len(p)
+    residues, through = residues[:, rows.acting], through[rows.acting]
+    turned, direct = -p[:, None] * residues, -2.0 * residues.real.sum(axis=0)[None]
+    weights = np.concatenate([turned.real, turned.imag, *[direct] * rows.through]).T.ravel()
+    found = columns.shared[:, places_of(rows, n)] @ weights
+    rest = columns.derivatives[:, 2 * n * (rows.moving + rows.inputs) :]
+    if isinstance(rows, FreeResponse):
+        first = -through if rows.through else direct[0]
+        return np.asarray(found + rest @ np.concatenate([first, -own]))
+    if isinstance(rows, FreeRecord) and rest.shape[1]:
+        found = found - rest @ through / rows.hold.h
+    return np.asarray(found)
 
 
 def first_step(

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ..._types import Array, ComplexArray, NDArray
+from ..._types import Array, ComplexArray, Indices, NDArray
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from .free import FreeProjection
 from .prediction import FittedData, ResponseBackground, shares_left
 from .time_rows import FreeRecord
+
+_WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -28,7 +30,7 @@ class FittedChannels(FittedData):
     offsets, drifts : ndarray, shape (p,)
         Constant that is added to each output, and its change per unit time; 0 if not estimated.
     predicted : ndarray, shape (p, T) or (p, m, K)
-        Predicted outputs; complex for a frequency response.
+        Predicted outputs, NaN where they depend on inputs before the record; complex for a frequency response.
     background : ResponseBackground, optional
         What a frequency response has beside the modes.
     """
@@ -60,25 +62,73 @@ def natural_jacobian(p: ComplexArray) -> Array:
     return J
 
 
-def predicted_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold) -> Array:
-    """Outputs (q, T) from rest of modes with poles (n,), residues (n, q, m) and feedthrough (q, m); O(T n (m + q))."""
+def predicted_outputs(
+    p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: Array | None = None
+) -> Array:
+    """Outputs (q, T) from rest of modes with poles (n,), residues (n, q, m) and feedthrough (q, m); O(T n (m + q)).
+
+    Each may come later by a `delay` (q,); where it is negative the last input lasts.
+    """
+    if delay is not None and delay.any():
+        found = np.empty((len(delay), u.shape[1]))
+        for late in np.unique(delay):
+            which = delay == late
+            found[which] = _late_outputs(p, residues[:, which], through[which], u, hold, float(late))
+        return found
+    return _late_outputs(p, residues, through, u, hold, 0.0)
+
+
+def _late_outputs(
+    p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: float
+) -> Array:
+    """Outputs that come later by the same time."""
     outputs = residues.shape[1]
     if not len(u):
         return np.zeros((outputs, u.shape[1]))
+    early = max(0, -int(np.floor(delay / hold.h + _WHOLE)))
+    u = np.concatenate([u, np.repeat(u[:, -1:], early, axis=1)], axis=1) if early else u
     y = np.zeros((outputs, u.shape[1]))
     rows = FreeRecord(u, y, np.ones(u.shape[1], bool), hold, moving=False, outputs=np.arange(outputs))
+    rows = rows.delayed(delay + early * hold.h)
     each = np.moveaxis(np.where(p.imag == 0, 0.5, 1.0)[:, None, None] * residues, 2, 0)
     shared = np.concatenate([each.real, each.imag, through.T[:, None]], axis=1).reshape(-1, outputs)
-    return np.asarray(rows.at(p).predict(shared, np.zeros((0, outputs))))
+    return np.asarray(rows.at(p).predict(shared, np.zeros((0, outputs)))[:, early:])
 
 
-def estimated_motion(p: ComplexArray, record: Recording, forced: Array, hold: Hold, offset: bool) -> Array:
+def unknown_samples(delay: Array, dt: float) -> Indices:
+    """First samples of each output that depend on inputs before the record."""
+    return np.maximum(np.ceil(delay / dt - _WHOLE), 0).astype(int)
+
+
+def moved_freely(p: ComplexArray, motion: ComplexArray, dt: float, samples: int, first: Indices) -> Array:
+    """Outputs (q, samples) of free motions (n, q), which before a `first` sample have the size that they have there.
+
+    What inputs before a record have done to an output that comes late is no free motion before it has come, and a fast
+    one would have been very large.
+    """
+    t = dt * np.arange(samples)
+    grown = np.exp(np.multiply.outer(p.real, np.maximum(t, dt * first[:, None])))
+    swung = motion.T[..., None] * np.moveaxis(grown, 1, 0) * np.exp(1j * np.outer(p.imag, t))
+    return np.asarray(swung.real.sum(axis=1))
+
+
+def estimated_motion(
+    p: ComplexArray, record: Recording, forced: Array, hold: Hold, offset: bool, delay: Array
+) -> Array:
     """Free motion, and constant, that fit what is left of the outputs best, at all samples, (q, T)."""
-    nothing = np.zeros((1, record.samples))
-    left = np.where(record.observed, record.y - forced, 0.0)
-    rows = FreeRecord.by_observation(nothing, left, record.observed, hold, offset=int(offset), driven=False)
+    nothing, first = np.zeros((1, record.samples)), unknown_samples(delay, hold.h)
+    observed = record.observed & (np.arange(record.samples) >= first[:, None])
+    left = np.where(observed, record.y - forced, 0.0)
+    rows = FreeRecord.by_observation(nothing, left, observed, hold, offset=int(offset), driven=False)
     found = np.zeros(left.shape)
     for one in rows:
         at = FreeProjection([replace(one, outputs=np.arange(len(one.outputs)))], p)
         found[one.outputs] = at.predictions()[0]
+        unknown = first[one.outputs]
+        if unknown.any():
+            own, n = at.own[0], len(p)
+            before = moved_freely(p, 2 * (own[:n] + 1j * own[n : 2 * n]), hold.h, int(unknown.max()), unknown)
+            before += own[-1][:, None] if offset else 0.0
+            some = np.arange(before.shape[1])
+            found[one.outputs, : len(some)] = np.where(some < unknown[:, None], before, found[one.outputs, : len(some)])
     return found

@@ -174,7 +174,7 @@ class FreeResponse:
     Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.  The real
     constant is none of the background but what is fed `through`, except of a displacement.  Residues are of any phase,
     or those of `classical` damping: in place of their real parts stand real numbers `B` of `B s^k / (s - p) (s - p*)`,
-    k that of the quantity, in place of their imaginary parts zeros.
+    k that of the quantity, in place of their imaginary parts zeros.  Where responses have a `delay`, rows are those of the responses without it.
     """
 
     frequencies: Array
@@ -186,6 +186,7 @@ class FreeResponse:
     through: bool = False
     terms: tuple[Term, ...] = ()
     classical: bool = False
+    delay: float | None = None
     moving: ClassVar[bool] = False
     inputs: ClassVar[int] = 1
     acting: ClassVar[Indices] = np.zeros(1, int)
@@ -243,7 +244,21 @@ class FreeResponse:
     @cached_property
     def target(self) -> ComplexArray:
         """Responses (q, K) that were measured, in the scale of their weights."""
-        return np.asarray(self.response[:, self.observed] * self.weight)
+        early = 1.0 if not self.delay else np.exp(1j * self.omega * self.delay)
+        return np.asarray(self.response[:, self.observed] * (self.weight * early))
+
+    def delayed(self, time: float, least: float | None = None, most: float | None = None) -> FreeResponse:
+        """Responses that come so much later."""
+        return replace(self, delay=time)
+
+    @property
+    def delay_time(self) -> float:
+        """The delay per unit time."""
+        return self.delay or 0.0
+
+    def among_outputs(self, kept: Mask) -> FreeResponse:
+        """Some of the responses."""
+        return replace(self, response=self.response[kept], outputs=self.outputs[kept])
 
     @property
     def largest(self) -> Array:
@@ -336,9 +351,13 @@ class FreeResponseEvaluation(Evaluation):
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
-        ahead, behind = self._rows.poles(self._p)
-        slopes = self._rows.slopes(self._p, (ahead, behind))
-        yield real_rows([self._rows.columns(self._p, (ahead, behind)), slopes, self._rows.target])
+        rows = self._rows
+        ahead, behind = rows.poles(self._p)
+        slopes = [rows.slopes(self._p, (ahead, behind))]
+        if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
+            s, felt = 1j * rows.omega, rows.weight[None]
+            slopes += [s * felt if rows.through else felt, s * rows.background]
+        yield real_rows([rows.columns(self._p, (ahead, behind)), *slopes, rows.target])
 
     def predict(self, shared: Array, own: Array) -> ComplexArray:
         """Responses of a model at all frequencies of the record; NaN where nothing was measured."""
@@ -346,5 +365,6 @@ class FreeResponseEvaluation(Evaluation):
         everywhere = np.full((shared.shape[1], len(rows.frequencies)), np.nan, complex)
         # other entries may be fed through, and these not
         weights = np.concatenate([own, shared[: 2 * len(self._p) + rows.through]])
-        everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) / rows.weight
+        late = 1.0 if not rows.delay else np.exp(-1j * rows.omega * rows.delay)
+        everywhere[:, rows.observed] = weights.T @ rows.columns(self._p) * (late / rows.weight)
         return everywhere

@@ -35,7 +35,8 @@ _DEAD = 1e-200  # of the largest state: what has died away must not leave the ra
 class SampledModes(Multipliers):
     """One step `x_(k+1) = lambda x_k + b0 u_k + b1 u_(k+1)` of modes (n,), and its derivatives by their poles.
 
-    `turn` is the derivative of the logarithm of `lambda`.
+    `turn` is the derivative of the logarithm of `lambda`.  What is seen is `x_k`, or, of a linear input that arrives a
+    part of a step late, `x_k + ahead u_(k+1)`.
     """
 
     b0: ComplexArray
@@ -43,12 +44,24 @@ class SampledModes(Multipliers):
     turn: ComplexArray
     b0_slope: ComplexArray
     b1_slope: ComplexArray
+    ahead: ComplexArray | None = None
+    ahead_slope: ComplexArray | None = None
 
     @classmethod
-    def of(cls, hold: Hold, p: ComplexArray) -> SampledModes:
-        """Modes with poles `p` and unit weight."""
-        b0, b1, b0_slope, b1_slope = hold.weights_and_derivatives(p)
-        return cls(*hold.log_multiplier(p), b0, b1, hold.log_derivative(p), b0_slope, b1_slope)
+    def of(cls, hold: Hold, p: ComplexArray, late: float = 0.0) -> SampledModes:
+        """Modes with poles `p` and unit weight, seen a part of a step `late`: then `u_k` is the sample before."""
+        growth, phase = hold.log_multiplier(p)
+        turn = hold.log_derivative(p)
+        if not late:
+            b0, b1, b0_slope, b1_slope = hold.weights_and_derivatives(p)
+            return cls(growth, phase, b0, b1, turn, b0_slope, b1_slope)
+        (b0, b1, ahead), (b0_slope, b1_slope, ahead_slope) = hold.late_weights(p, late)
+        if hold.intersample == "zoh":
+            return cls(growth, phase, b0, b1, turn, b0_slope, b1_slope)
+        # x_k is what is seen without the sample after, so that a step has two samples of the input
+        lam = hold.multiplier(p)
+        b1_slope = b1_slope + lam * (turn * ahead + ahead_slope)
+        return cls(growth, phase, b0, b1 + lam * ahead, turn, b0_slope, b1_slope, ahead, ahead_slope)
 
     @classmethod
     def lossless(cls, hold: Hold, d: Array, quantity: str, sign: int = -1) -> SampledModes:
@@ -60,18 +73,21 @@ class SampledModes(Multipliers):
 
     def along(self, direction: complex) -> SampledModes:
         """The same with derivatives by a real number along which the poles move."""
-        slopes = (direction * part for part in (self.turn, self.b0_slope, self.b1_slope))
-        return SampledModes(self.growth, self.phase, self.b0, self.b1, *slopes)
+        turn, b0_slope, b1_slope = (direction * part for part in (self.turn, self.b0_slope, self.b1_slope))
+        return replace(self, turn=turn, b0_slope=b0_slope, b1_slope=b1_slope)
 
     def weighted(self, weight: ComplexArray, slope: ComplexArray) -> SampledModes:
         """The same for inputs with a weight that changes with the pole by a slope."""
-        return replace(
+        found = replace(
             self,
             b0=weight * self.b0,
             b1=weight * self.b1,
             b0_slope=weight * self.b0_slope + slope * self.b0,
             b1_slope=weight * self.b1_slope + slope * self.b1,
         )
+        if self.ahead is None or self.ahead_slope is None:
+            return found
+        return replace(found, ahead=weight * self.ahead, ahead_slope=weight * self.ahead_slope + slope * self.ahead)
 
 
 def output_weight(d: Array, quantity: str) -> tuple[ComplexArray, ComplexArray]:
@@ -114,7 +130,8 @@ class ModalColumns:
 class GroupStates:
     """A piece of a record by groups: its samples, and modal states at the start of each, with their derivatives.
 
-    `samples` are those of the piece in the record, `inputs` (m, count, SHORT); `driven` and `driven_slope`
+    `samples` are those of the piece in the record, `inputs` (m, count, SHORT), or with the sample after each group
+    (m, count, SHORT + 1) where it is seen; `driven` and `driven_slope`
     (m, n, count) the states that each input causes from rest, `free` and `free_slope` (n, count) those of unit motions.
     """
 
@@ -158,13 +175,11 @@ class Kernel:
 
     def within(self, pair: bool = False) -> NDArray[Any]:
         """Response to the samples of a group at its instants, shape (n, SHORT, SHORT); complex for a pair."""
-        now, later = self.modes.b1 + self._through, self._impulse
-        return _toeplitz(now, later) if pair else _toeplitz(now.real, later.real)
+        return _response(self.modes.b1 + self._through, self._impulse, self.modes.ahead, pair)
 
     def within_slope(self, pair: bool = False) -> NDArray[Any]:
         """Its derivative by the pole, or by what the poles move along."""
-        now, later = self.modes.b1_slope, self._impulse_slope
-        return _toeplitz(now, later) if pair else _toeplitz(now.real, later.real)
+        return _response(self.modes.b1_slope, self._impulse_slope, self.modes.ahead_slope, pair)
 
     @cached_property
     def motion(self) -> Array:
@@ -173,8 +188,11 @@ class Kernel:
         turning = self.modes.turn[:, None] * np.arange(float(SHORT)) * free
         return np.stack([free.real, -free.imag, turning.real, -turning.imag], axis=1)
 
-    def pieces(self, inputs: Array, size: int, slopes: bool) -> Iterator[GroupStates]:
-        """States through a record with inputs (m, T), so many groups at a time; derivatives are 0 if not asked for."""
+    def pieces(self, inputs: Array, size: int, slopes: bool, last: Array | None = None) -> Iterator[GroupStates]:
+        """States through a record with inputs (m, T), so many groups at a time; derivatives are 0 if not asked for.
+
+        Where modes see the next sample, the `last` (m,) is that after the record.
+        """
         modes, samples = self.modes, inputs.shape[1]
         # what an interpolated first sample adds to the state at once is taken off again
         state, slope = -np.outer(inputs[:, 0], modes.b1), -np.outer(inputs[:, 0], modes.b1_slope)
@@ -194,6 +212,9 @@ class Kernel:
                     driven_slope[k] = self._carried(turns, push, slope[k])
             free = turns[:, :-1] * modes.powers(np.array([float(first)])) if first else turns[:, :-1]
             free_slope = (modes.turn[:, None] * (first + SHORT * np.arange(float(count)))) * free
+            if last is not None:
+                next_one = inputs[:, part.stop] if part.stop < samples else last
+                groups = with_next(groups, part.stop - part.start, next_one)
             yield GroupStates(part, groups, driven[..., :-1], driven_slope[..., :-1], free, free_slope)
             state, slope = driven[..., -1], driven_slope[..., -1]
 
@@ -213,7 +234,7 @@ class Kernel:
         return total
 
     def fill(self, columns: ModalColumns, groups: Array, out: Array) -> None:
-        """Columns over groups of samples (count, SHORT), into an array (columns, count, SHORT)."""
+        """Columns over groups of inputs (count, SHORT or one more), into an array (columns, count, SHORT)."""
         for place, (amplitudes, within) in enumerate(columns.turned):
             here = out[place * self.n : (place + 1) * self.n]
             motion = self.motion[:, : 2 * len(amplitudes)]
@@ -225,11 +246,26 @@ class Kernel:
                 here += np.matmul(np.moveaxis(weights, 0, 2), motion)
 
 
-def _toeplitz(now: NDArray[Any], later: NDArray[Any]) -> NDArray[Any]:
-    """Upper triangular Toeplitz matrices (n, SHORT, SHORT): `now` on the diagonal, `later` (n, SHORT) above it."""
-    response = np.concatenate([np.zeros((len(now), SHORT)), now[:, None], later[:, : SHORT - 1]], axis=1)
+def _response(now: ComplexArray, later: ComplexArray, ahead: ComplexArray | None, pair: bool) -> NDArray[Any]:
+    """Toeplitz matrices (n, SHORT or one more, SHORT): `now` on the diagonal, `later` (n, SHORT) above it.
+
+    With what is seen `ahead` of a sample, which is below the diagonal, there is one more row.
+    """
+    parts = [np.zeros((len(now), SHORT - (ahead is not None))), now[:, None], later[:, : SHORT - 1]]
+    if ahead is not None:
+        parts.insert(1, ahead[:, None])
+    response = np.concatenate([part if pair else part.real for part in parts], axis=1)
     # row j holds the response to sample j
-    return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(response, SHORT, axis=1)[:, SHORT:0:-1])
+    rows = np.lib.stride_tricks.sliding_window_view(response, SHORT, axis=1)[:, ::-1]
+    return np.ascontiguousarray(rows[:, : SHORT + (ahead is not None)])
+
+
+def with_next(groups: Array, samples: int, next_one: Array) -> Array:
+    """Groups (m, count, SHORT) of so many samples with the first sample after each, (m, count, SHORT + 1)."""
+    after = np.concatenate([groups[:, 1:, :1], np.zeros((len(groups), 1, 1))], axis=1)
+    found = np.concatenate([groups, after], axis=2)
+    found[:, -1, samples - SHORT * (groups.shape[1] - 1)] = next_one
+    return found
 
 
 def in_groups(signal: Array) -> Array:

@@ -164,9 +164,10 @@ def pieces(pairs: Pairs) -> Iterator[tuple[Array, NDArray[Any], NDArray[Any]]]:
     """Weights of values block by block, 0 where one is missing, the values, and what is left of them, 0 there."""
     for record, predicted in pairs:
         for part in blocks(record.samples, predicted[..., 0].size):
-            observed, measured = record.observed[..., part], np.asarray(record.measured[..., part])
+            measured, values = np.asarray(record.measured[..., part]), predicted[..., part]
+            observed = record.observed[..., part] & ~np.isnan(values)  # late outputs begin before what is known
             weights = record.weights[..., part] if isinstance(record, InFrequency) else 1.0
-            residuals = np.where(observed, measured - predicted[..., part], 0.0)
+            residuals = np.where(observed, measured - values, 0.0)
             yield np.where(observed, weights, 0.0), np.where(observed, measured, 0.0), residuals
 
 

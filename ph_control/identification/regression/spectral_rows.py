@@ -111,18 +111,37 @@ class Spectrum(Bins):
 
 @dataclass(frozen=True)
 class ChannelSpectra(Bins):
-    """Those of inputs (m, K) and outputs (q, K)."""
+    """Those of inputs (m, K) and outputs (q, K), and of the inputs one sample after, where these are seen as well."""
 
     record: FreeRecord
+    ahead: ComplexArray | None = None
 
     @classmethod
     def of(cls, record: FreeRecord) -> ChannelSpectra:
         """Transform a record."""
-        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(record.measured))
+        ahead = None if record.ahead is None else np.fft.rfft(record.ahead)[: record.inputs]
+        return cls(record, np.fft.rfft(record.u)[: record.inputs], np.fft.rfft(record.measured), ahead)
 
     def scaled(self, record: FreeRecord, sizes: Array) -> ChannelSpectra:
         """Those of the record with outputs (q,) so many times as large."""
-        return ChannelSpectra(record, self.U, self.Y * sizes[:, None])
+        return ChannelSpectra(record, self.U, self.Y * sizes[:, None], self.ahead)
+
+    @cached_property
+    def direct(self) -> ComplexArray:
+        """Transforms of the inputs as the outputs meet them."""
+        late = self.record.late
+        return self.U if self.ahead is None else np.asarray(late * self.U + (1.0 - late) * self.ahead)
+
+    def unexplained(
+        self, p: ComplexArray, residues: NDArray[Any], motion: ComplexArray, through: Array
+    ) -> ComplexArray:
+        """Transforms of the outputs (q, K) without what modes explain of them."""
+        modes = self.record.modes(p)
+        left = self.left(self.Y, self.U, modes, residues, motion, through * (self.ahead is None))
+        if self.ahead is None or modes.ahead is None:
+            return left
+        seen = 2 * np.einsum("lqi,l->qi", residues, modes.ahead).real
+        return np.asarray(left - seen @ self.ahead - through @ self.direct)
 
 
 def _place(phase: tuple[Array, Array], length: int) -> Array:
@@ -405,6 +424,11 @@ class FreeWindow(SpectralRows[ChannelSpectra]):
         return self.spectrum.record.outputs
 
     @property
+    def delay_time(self) -> float:
+        """Delay of the outputs."""
+        return self.spectrum.record.delay_time
+
+    @property
     def through(self) -> bool:
         """Whether there are columns for what is fed through."""
         return self.spectrum.record.through
@@ -419,17 +443,27 @@ class FreeWindowEvaluation(Evaluation):
 
     def __init__(self, window: FreeWindow, p: ComplexArray) -> None:
         self._window, spectrum = window, window.spectrum
-        modes = SampledModes.of(spectrum.hold, p)
-        self._columns = TransformColumns(spectrum.length, modes, window.bins)
+        self._modes = spectrum.record.modes(p)
+        self._columns = TransformColumns(spectrum.length, self._modes, window.bins)
 
     def blocks(self) -> Iterator[Array]:
         """All rows in one block."""
         window, columns = self._window, self._columns
         rows, slopes = [stacked(columns.motion)], [stacked(columns.motion_slopes)]
-        for U in window.spectrum.U:
+        spectrum = window.spectrum
+        for k, (U, direct) in enumerate(zip(spectrum.U, spectrum.direct, strict=True)):
             numerators = columns.numerators(U)
-            rows += [stacked(columns.forced(numerators)), *([U[None, window.bins]] * window.through)]
-            slopes.append(stacked(columns.forced_slopes(U, numerators)))
+            forced, forced_slopes = columns.forced(numerators), columns.forced_slopes(U, numerators)
+            seen, seen_slope = self._modes.ahead, self._modes.ahead_slope
+            if spectrum.ahead is not None and seen is not None and seen_slope is not None:
+                after = spectrum.ahead[k, window.bins]
+                forced = forced[0] + np.outer(seen, after), forced[1] + np.outer(seen.conj(), after)
+                forced_slopes = (
+                    forced_slopes[0] + np.outer(seen_slope, after),
+                    forced_slopes[1] + np.outer(seen_slope.conj(), after),
+                )
+            rows += [stacked(forced), *([direct[None, window.bins]] * window.through)]
+            slopes.append(stacked(forced_slopes))
         targets = window.spectrum.Y[:, window.bins]
         # squares add up to squares in time
         yield real_rows([*rows, *slopes, targets], np.sqrt(2.0 / window.spectrum.length) * window.counts)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,15 @@ from .triangular import triangle
 
 _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the length of the record
 _FEWEST = 32  # groups of samples in a block
+_WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
+
+
+def _shifted(signals: Array, seen: slice, samples: int) -> Array:
+    """Signals (m, T) so many samples later, at the samples that are seen; 0 before the record."""
+    first, last = seen.start - samples, seen.stop - samples
+    found = signals[:, max(0, first) : max(0, last)]
+    return np.concatenate([np.zeros((len(signals), -first)), found], axis=1) if first < 0 else found
 
 
 def size_of(values: Array) -> float:
@@ -145,12 +154,28 @@ class RecordRows(SampledRecord):
         return np.concatenate([rows[3 * n : 4 * n], rows[2 * n : 3 * n], rows[: 2 * n]]).T
 
 
+@dataclass(frozen=True)
+class WholeRecord:
+    """Inputs (m, T), outputs (q, T) and where these were observed, of a record of which `first` samples are left out.
+
+    So are the `last`: inputs before and after the record are not known, and so not what they do to outputs that come
+    late or early.
+    """
+
+    u: Array
+    y: Array
+    observed: Mask
+    first: int
+    last: int
+
+
 @dataclass(frozen=True, eq=False)
 class FreeRecord(SampledRecord):
     """The observed samples of a record, for modes with any damping and residues.
 
     Of several inputs (m, T) and outputs (q, T) that were observed at the same samples: they share one factorisation.
-    Inputs that are zero throughout are left out, and those there are have their places `among` all.
+    Inputs that are zero throughout are left out, and those there are have their places `among` all.  Of outputs with a
+    delay the inputs are shifted by whole samples, and modes are seen a part of a step later.
     """
 
     moving: bool = True
@@ -160,6 +185,10 @@ class FreeRecord(SampledRecord):
     outputs: Indices = field(default_factory=lambda: np.zeros(1, int))
     among: Indices | None = None
     scale: Array | None = None  # (q,) that the outputs are multiplied by
+    delay: float = 0.0  # samples
+    late: float = 0.0  # part of a step by which the inputs come later than `u` says
+    ahead: Array | None = None  # inputs one sample after `u`, where they are seen as well
+    whole_record: WholeRecord | None = None  # all samples, where these are a part
 
     @property
     def measured(self) -> Array:
@@ -210,11 +239,123 @@ class FreeRecord(SampledRecord):
         """Free motion of every mode, then the drift per sample, and the constant as the last."""
         return 2 * n * self.moving + self.offset
 
+    def delayed(self, time: float, least: float | None = None, most: float | None = None) -> FreeRecord:
+        """The record with outputs that come so much later than the response to the inputs.
+
+        So many samples are left out that delays may be between the `least` and the `most`, of which more than there
+        are already.
+        """
+        if not self.driven:
+            return self
+        samples = time / self.hold.h
+        samples = float(np.rint(samples)) if abs(samples - np.rint(samples)) < _WHOLE else samples
+        known = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0)
+        ends = [samples, *(one / self.hold.h for one in (least, most) if one is not None)]
+        first = max(known.first, int(np.ceil(max(ends)))) * self.moving
+        last = max(known.last, -int(np.floor(min(ends))))
+        if not samples and not first and not last:
+            return self
+        moving = self.moving or samples < 0
+        shift = int(np.floor(samples))
+        late = samples - shift
+        seen = slice(first, known.u.shape[-1] - last)
+        u, ahead = (_shifted(known.u, seen, shift + back) for back in (late > 0, 0))
+        return replace(
+            self, u=u, y=known.y[:, seen], observed=known.observed[seen], delay=samples, late=late, moving=moving,
+            ahead=ahead if late and self.hold.intersample == "foh" else None,
+            whole_record=replace(known, first=first, last=last),
+        )  # fmt: skip
+
+    @property
+    def delay_time(self) -> float:
+        """The delay per unit time."""
+        return self.delay * self.hold.h
+
+    def among_outputs(self, kept: Mask) -> FreeRecord:
+        """The record of some of the outputs."""
+        scale, whole = (None if self.scale is None else self.scale[kept]), self.whole_record
+        return replace(
+            self, y=self.y[kept], outputs=self.outputs[kept], scale=scale,
+            whole_record=None if whole is None else replace(whole, y=whole.y[kept]),
+        )  # fmt: skip
+
+    def in_units(self, size: float) -> FreeRecord:
+        """The record with all signals so many times as large."""
+        known = self.whole_record
+        return replace(
+            self, u=self.u * size, y=self.y * size, ahead=None if self.ahead is None else self.ahead * size,
+            whole_record=known and replace(known, u=known.u * size, y=known.y * size),
+        )  # fmt: skip
+
+    def placed(self, values: Array) -> Array:
+        """What is predicted at the samples of the record at those of the whole one, NaN where inputs are unknown."""
+        known = self.whole_record
+        if known is None or not (known.first or known.last):
+            return values
+        found = np.full((*values.shape[:-1], known.u.shape[-1]), np.nan)
+        found[..., known.first : known.u.shape[-1] - known.last] = values
+        return found
+
+    def motion_at_start(self, p: ComplexArray, residues: ComplexArray, own: Array) -> ComplexArray:
+        """Free motions (n, q) at the first sample of the whole record, if all inputs before were 0.
+
+        Of `own` unknowns, which have those at the first sample that is not left out, and `residues` (n, q, m).
+        """
+        n, known = len(p), self.whole_record
+        motion = (own[:n] + 1j * own[n : 2 * n]) if self.moving else np.zeros((n, len(self.outputs)), complex)
+        if known is None or not self.moving:
+            return motion
+        # what the inputs of the samples that are left out have done to the state
+        shift, first = int(np.floor(self.delay)) + (self.late > 0), known.first
+        modes, start = self.modes(p), min(0, shift) - 1
+        u = np.array([self.among_inputs(known.u, k - shift) for k in range(start, first + 1)]).reshape(-1, self.inputs)
+        state, lam = np.zeros((n, self.inputs), complex), modes.multiplier[:, None]
+        for now, then in pairwise(u):
+            state = lam * state + np.outer(modes.b0, now) + np.outer(modes.b1, then)
+        forced = np.einsum("lqi,li->lq", residues[:, :, self.acting], state)
+        return np.asarray((motion - forced) * np.exp(-p * first * self.hold.h)[:, None])
+
+    def among_inputs(self, u: Array, sample: int) -> Array:
+        """Inputs at a sample, 0 before the first."""
+        return np.asarray(u[: self.inputs, sample] if sample >= 0 else np.zeros(self.inputs), float)
+
+    def offset_at_start(self, own: Array) -> tuple[Array, Array]:
+        """Constant of each output at the first sample of the whole record, and its change per unit time."""
+        none = np.zeros(own.shape[1])
+        first = 0 if self.whole_record is None else self.whole_record.first
+        drift = own[-2] if self.offset > 1 else none
+        return (own[-1] - first * drift if self.offset else none), drift / self.hold.h
+
+    def held(self, intersample: str) -> FreeRecord:
+        """The record with inputs that behave otherwise between the samples."""
+        found = replace(self, hold=replace(self.hold, intersample=intersample))
+        return found.delayed(self.delay_time)
+
+    @property
+    def direct(self) -> Array:
+        """Inputs (m, T) as an output with the delay meets them at its samples."""
+        return self.u if self.ahead is None else self.late * self.u + (1.0 - self.late) * self.ahead
+
+    @property
+    def input_slopes(self) -> Array | None:
+        """Change of these per unit time, where the delay is not whole and they are linear between samples."""
+        return None if self.ahead is None else (self.ahead - self.u) / self.hold.h
+
+    def modes(self, p: ComplexArray) -> SampledModes:
+        """Modes with these poles as the samples show them."""
+        return SampledModes.of(self.hold, p, self.late)
+
     def filtered(self, innovations: Sequence[Array]) -> list[FreeRecord]:
         """Inputs and each output through the filter of that output; what it cannot know is left out.
 
         A filter takes inputs and outputs of any poles to inputs and outputs of the same poles.
         """
+        if self.whole_record is not None:
+            known = self.whole_record
+            whole = replace(
+                self, u=known.u, y=known.y, observed=known.observed, delay=0.0, late=0.0, ahead=None, whole_record=None
+            )
+            return [one.delayed(self.delay_time) for one in whole.filtered(innovations)]
         found = []
         for row, output in enumerate(self.outputs.tolist()):
             b = innovations[output]
@@ -253,6 +394,8 @@ class RecordColumns(Evaluation):
             rows.offset,
         )
         self._observed, self._complete, self._kernel = rows.observed, rows.complete, kernel
+        self._late, self._ahead = getattr(rows, "late", 0.0), getattr(rows, "ahead", None)
+        self._last = None if self._ahead is None else self._ahead[:, -1]
         given = getattr(rows, "scale", None)
         self._scale = np.ones(len(self._y)) if given is None else given
         self._groups = self._at_once(width * SHORT)
@@ -295,7 +438,7 @@ class RecordColumns(Evaluation):
             yield self._only
             return
         alone = self._groups * SHORT >= self._u.shape[1]
-        for states in self._kernel.pieces(self._u, self._groups, slopes or alone):
+        for states in self._kernel.pieces(self._u, self._groups, slopes or alone, self._last):
             piece = states, self._filled(states, self.layout(states, slopes or alone))
             if alone:
                 self._only = piece
@@ -308,8 +451,8 @@ class RecordColumns(Evaluation):
         """Columns of a piece, those of the samples that pad the last group left out."""
         part, n = states.samples, self._kernel.n
         sizes = [n * (1 + one.pair) if isinstance(one, ModalColumns) else 1 for one in layout]
-        block = np.empty((sum(sizes), *states.inputs.shape[1:]))
-        flat = block.reshape(len(block), states.inputs[0].size)[:, : part.stop - part.start]
+        block = np.empty((sum(sizes), states.inputs.shape[1], SHORT))
+        flat = block.reshape(len(block), states.inputs.shape[1] * SHORT)[:, : part.stop - part.start]
         place = 0
         for one, size in zip(layout, sizes, strict=True):
             if isinstance(one, ModalColumns):
@@ -324,7 +467,12 @@ class RecordColumns(Evaluation):
             return np.arange(float(part.start), part.stop)
         if kind == "constant":
             return 1.0
-        return self._u[number, part] if kind == "input" else self._y[number, part] * self._scale[number]
+        if kind == "output":
+            return self._y[number, part] * self._scale[number]
+        if self._ahead is None:
+            return self._u[number, part]
+        before, after = self._u[number, part], self._ahead[number, part]
+        return after - before if kind == "rise" else self._late * before + (1.0 - self._late) * after
 
     # --- inner products without columns -------------------------------------------------------------------------------
 
@@ -343,7 +491,7 @@ class RecordColumns(Evaluation):
         whole = self._u.shape[1] // SHORT
         inner: Array | float = 0.0
         rest = np.zeros((1, 0))
-        for states in self._kernel.pieces(self._u, self._at_once(self._width), True):
+        for states in self._kernel.pieces(self._u, self._at_once(self._width), True, self._last):
             full = whole - states.samples.start // SHORT
             columns = layout(states)
             numbers = self._numbers(states, columns)[:, :full]
@@ -365,15 +513,20 @@ class RecordColumns(Evaluation):
         """Number of columns, and how they follow within a group from the numbers of the group."""
         n, motion = self._kernel.n, np.moveaxis(self._kernel.motion, 1, 0)
         amplitudes = sum(len(one.amplitudes) for one in layout if isinstance(one, ModalColumns))
-        signals = [2 * n * amplitudes + SHORT * k for k in range(len(self._u) + len(self._y) + 1)]
+        size_in = SHORT + (self._ahead is not None)
+        sizes = [size_in] * len(self._u) + [SHORT] * len(self._y) + [1]
+        signals = [2 * n * amplitudes + int(one) for one in np.cumsum([0, *sizes[:-1]])]
+        # a sample, the one after it, and what these make of an input with a delay
+        now, after = (np.eye(size_in, SHORT, -k)[None] for k in (0, size_in - SHORT))
+        met = now if self._ahead is None else self._late * now + (1 - self._late) * after
+        made = {"rise": after - now, "input": met, "constant": np.ones((1, 1, SHORT)), "output": np.eye(SHORT)[None]}
         modal, shared, column, row = [], [], 0, 0
         for one in layout:
             if not isinstance(one, ModalColumns):
                 kind, number = one
-                first = signals[{"input": number, "output": len(self._u) + number}.get(kind, -1)]
-                size = 1 if kind == "constant" else SHORT
-                weights = np.ones((1, 1, SHORT)) if kind == "constant" else np.eye(SHORT)[None]
-                shared.append(Shared(slice(column, column + 1), slice(first, first + size), weights))
+                place = {"output": len(self._u) + number, "constant": -1}.get(kind, number)
+                first = signals[place]
+                shared.append(Shared(slice(column, column + 1), slice(first, first + sizes[place]), made[kind]))
                 column += 1
                 continue
             for turn, (_, within) in enumerate(one.turned):
@@ -387,7 +540,7 @@ class RecordColumns(Evaluation):
                     modal += [Modal(here, real, first), Modal(here, imaginary, second)]
                 if within is not None:
                     inputs = signals[one.input]
-                    shared.append(Shared(here, slice(inputs, inputs + SHORT), within))
+                    shared.append(Shared(here, slice(inputs, inputs + size_in), within))
                 column += n
             row += 2 * n * len(one.amplitudes)
         return column, modal, shared
@@ -518,15 +671,15 @@ class FreeTimeEvaluation(RecordColumns):
 
     def __init__(self, rows: FreeRecord, p: ComplexArray) -> None:
         self._rows, n, m, two = rows, len(p), len(rows.u), np.full(len(p), 2.0 + 0j)
-        kernel = Kernel(SampledModes.of(rows.hold, p).weighted(two, 0 * two))
-        super().__init__(rows, kernel, 4 * n * (1 + m) + m + rows.offset + len(rows.y))
+        kernel = Kernel(rows.modes(p).weighted(two, 0 * two))
+        super().__init__(rows, kernel, 4 * n * (1 + m) + 2 * m + rows.offset + len(rows.y))
 
     @cached_property
     def _within(self) -> tuple[ComplexArray, ComplexArray]:
         return self._kernel.within(pair=True), self._kernel.within_slope(pair=True)
 
     def layout(self, states: GroupStates, slopes: bool) -> list[Column]:
-        """Free motions, offsets, responses, what is fed through, derivatives, outputs."""
+        """Free motions, offsets, responses, what is fed through, derivatives by the poles, rises, outputs."""
         rows, columns = self._rows, self._offsets()
         if rows.moving:
             columns.insert(0, ModalColumns((2 * states.free,), pair=True))
@@ -539,4 +692,5 @@ class FreeTimeEvaluation(RecordColumns):
             for k in range(rows.inputs):
                 states_of = (states.driven_slope[k], states.driven[k])
                 columns.append(ModalColumns(states_of, self._within[1], True, k))
+            columns += [("rise", k) for k in range(rows.inputs * (rows.ahead is not None))]
         return columns + self._outputs()

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from ..._checks import EPS
-from ..._display import p_value
+from ..._display import p_value, to_its_error
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ..._units import hertz_size
 from ..regression.modal_regressors import SampledModes
@@ -69,7 +69,8 @@ class Finding:
         What it is.
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
-        which the output lags; of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
+        which the output lags, or, where the model has it, the time and its standard error;
+        of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
         that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
         0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
@@ -351,7 +352,7 @@ def worth_telling(finding: Finding, intersample: str) -> bool:
 def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None, removed: bool = False) -> str:
     """What a finding says, and what to do about it; frequencies in Hz where the unit of time is known.
 
-    A delay is `removed` from the data that were fitted, or left in them.
+    A delay is `removed` by the model, or left in the data.
     """
     values, certain = finding.values, f"log-likelihood + {finding.gain:.3g}"
     shown = ", ".join(f"{value:.3g}" for value in values[:4]) + ", ..." * (len(values) > 4)
@@ -367,15 +368,23 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         if finding.gain < TUNING.sure:
             return f"These data cannot tell an input held between samples from a linear one; it was taken as {between}."
         return f"The input between samples was {between} ({certain} over the other)."
+    if finding.cause is Cause.DELAY and removed:
+        late, error = values
+        which = repr(finding.output) if finding.output else "The output"
+        unit = f" {time_unit}" if time_unit else " units of time"
+        amount = f"{to_its_error(abs(late), error)}{unit}" + f" (+- {to_its_error(error, error)})" * (error > 0)
+        return (
+            f"{which} comes {amount} {'later' if late > 0 else 'earlier'} than the response to the input ({certain}); "
+            "the delay is in predictions, and not in system."
+        )
     if finding.cause is Cause.DELAY:
         samples = int(values[0])
         which, remedy = ("later", f"u[:-{samples}], y[{samples}:]") if samples > 0 else (
             "earlier", f"u[{-samples}:], y[:{samples}]"
         )  # fmt: skip
-        advice = f"this is the fit of {remedy}" if removed else f"fit {remedy}"
         return (
             f"The output comes {abs(samples)} sample{'s' * (abs(samples) != 1)} {which} than the response to the input "
-            f"({certain}): the recording has a delay; {advice}."
+            f"({certain}): the recording has a delay; fit {remedy}."
         )
     if finding.cause in REJECTED.values():
         hypothesis = next(name for name, cause in REJECTED.items() if cause is finding.cause)

@@ -19,7 +19,6 @@ from ...modal.discretization import Hold
 from ..regression.elimination import orthogonal, without
 from ..regression.free import FreeProjection, FreeRows
 from ..regression.frequency_rows import FreeResponse, Term
-from ..regression.modal_regressors import SampledModes
 from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
@@ -177,7 +176,7 @@ class Records(FreeSearch):
 
     def held(self, intersample: str) -> Records:
         """The same with inputs held otherwise between the samples."""
-        return replace(self, data=[replace(one, hold=replace(one.hold, intersample=intersample)) for one in self.data])
+        return replace(self, data=[one.held(intersample) for one in self.data])
 
     def scaled(self, sizes: Array) -> Records:
         """The same with outputs (q,) so many times as large."""
@@ -200,7 +199,7 @@ class Records(FreeSearch):
                 motion, outputs = own[:n] + 1j * own[n : 2 * n], record.outputs
                 residues = at.residues[:, outputs][:, :, record.acting]
                 through = at.feedthrough[np.ix_(outputs, record.acting)]
-                left = one.left(one.Y, one.U, SampledModes.of(one.hold, at.p), residues, motion, through)
+                left = one.unexplained(at.p, residues, motion, through)
             else:
                 left = np.fft.rfft(np.where(record.observed, record.measured - predicted[k], 0.0))
             if record.offset:

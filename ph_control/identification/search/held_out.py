@@ -13,6 +13,7 @@ from ...exceptions import IdentificationError
 from ..data.channels import Recording, ResponseMatrix
 from ..regression.free import FreeProjection
 from ..regression.frequency_rows import FreeResponse
+from ..regression.time_rows import FreeRecord
 from .criteria import HELD_OUT
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
@@ -92,5 +93,8 @@ def _foretold(at: FreeProjection) -> list[tuple[Any, NDArray[Any]]]:
             values = (
                 weights.T @ (everywhere.columns(at.p) / everywhere.weight)[-len(weights) :] if len(weights) else 0.0
             )
+            values = values * np.exp(-1j * rows.frequencies * (rows.delay or 0.0))
+        elif isinstance(rows, FreeRecord):
+            values = rows.placed(values)
         found.append((rows.outputs, np.zeros((len(rows.outputs), 1)) if not np.size(values) else np.asarray(values)))
     return found

@@ -7,7 +7,7 @@ jointly, and each output counts by the variance of its own noise, which is estim
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,6 +22,7 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
+from ..regression.delays import Delays
 from ..regression.free import FreeProjection, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
 from ..regression.sections import PoleRegion, Sections
@@ -29,7 +30,7 @@ from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Progress
 from ..uncertainty.residual_tests import ljung_box
-from .circumstances import Cause, Finding, autoregression, beside_one_another, correlations
+from .circumstances import Cause, Finding, autoregression, correlations
 from .criteria import Criteria, past_of_noise
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
@@ -91,6 +92,12 @@ class FreeFit(Frozen):
         These modes refined with the inputs held otherwise, if that is left to the data; no likelier than this fit.
     measured : FreeProjection or None
         The linear problem of the data as they are, where its noise is coloured and rows were made in which it is white.
+    delay : ndarray, shape (outputs of the projection,)
+        Time by which each comes later than the response to the inputs, in its rows.
+    delay_gain : float
+        Log-likelihood by which this explains more.
+    delay_open : bool
+        Whether the delay is left to the data.
     """
 
     projection: FreeProjection
@@ -105,6 +112,9 @@ class FreeFit(Frozen):
     findings: tuple[Finding, ...] = ()
     rival: FreeFit | None = None
     measured: FreeProjection | None = None
+    delay: Array = field(default_factory=lambda: np.zeros(1))
+    delay_gain: float = 0.0
+    delay_open: bool = False
 
     @property
     def per_entry(self) -> bool:
@@ -133,6 +143,10 @@ class FreeFit(Frozen):
         rows = self.projection.rows
         return rows / max(1, rows - self.unknowns)
 
+    def with_delay_open(self, is_open: bool) -> FreeFit:
+        """The fit, and that under the other hold, with the delay left to the data or not."""
+        return replace(self, delay_open=is_open, rival=self.rival and replace(self.rival, delay_open=is_open))
+
     @cached_property
     def covariance(self) -> Array:
         """Covariance of imaginary and real parts of the poles, then of what is shared by outputs of the projection."""
@@ -159,6 +173,7 @@ def free_fit(
     start: ComplexArray | None = None,
     weighted: bool = True,
     real_poles: int | str = "auto",
+    delay: Array | None = None,
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -191,6 +206,9 @@ def free_fit(
     real_poles : int or 'auto'
         Number of real poles beside the modes; 'auto' takes that which the criterion prefers, and none beside a number
         of modes that is given.
+    delay : ndarray, shape (p,), optional
+        Time by which each output comes later than the response to the inputs; by default whole samples of recordings
+        where they explain more.
     weighted : bool
         Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
         is repeated with the weights of the law of each entry, which is estimated.
@@ -212,13 +230,17 @@ def free_fit(
             "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
             "real_poles": real_poles,
         }  # fmt: skip
-        return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start)
+        return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start, delay=delay)
 
     automatic = not isinstance(order, int)
     real_poles = 0 if real_poles == "auto" and not automatic else real_poles
 
-    def posed(channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample) -> FreePath:
-        return FreePath.of(channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles)
+    def posed(
+        channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample, late: Array | None = delay
+    ) -> FreePath:
+        return FreePath.of(
+            channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, delay=late
+        )
 
     path = posed(channels)
     path.check(1 if automatic else int(order))
@@ -229,20 +251,23 @@ def free_fit(
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
     if automatic and real_poles in ("auto", 0) and not found.interrupted:
         found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
+    found = found.with_delay_open(delay is None)
     if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
         return found
     if not found.per_entry:
 
-        def anew(channels: Experiments, terms: int, start: ComplexArray | None) -> FreeFit:
-            path = posed(channels, terms, found.intersample if either is None else either)
+        def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
+            path = posed(channels, terms, found.intersample if either is None else either, late)
             if start is not None:
-                return path.finished(path.model(start), channels, automatic)
-            return path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+                again = path.finished(path.model(start), channels, automatic)
+            else:
+                again = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
+            return again.with_delay_open(delay is None)
 
         either = None if intersample == "auto" else intersample
         try:
             level = _beside_drift(found, anew) if offset == "auto" else found
-            late = _on_time(level, anew)
+            late = _on_time(level, anew) if delay is None else level
             # poles that stand for a delay may hide a drift
             return _beside_drift(late, anew) if offset == "auto" and late is not level and late.offset < 2 else late
         except KeyboardInterrupt:
@@ -306,24 +331,25 @@ def _of_long(
     found = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
     if found.interrupted:
         return found
-    (delay,) = [int(one.values[0]) for one in found.findings if one.cause is Cause.DELAY] or [0]
-    data = [_delayed(one, delay) if isinstance(one, Recording) else one for one in channels]
-    part = [slice(one.start, min(one.stop, given.samples)) for one, given in zip(part, data, strict=True)]
     best, path = FreeModel(found.projection, [], found.projection.losses * found.scales**2), None
-    while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, data, strict=True)):
-        part = [next(stages(one, given.samples), one) for one, given in zip(part, data, strict=True)]
-        longer = [cut(given, one) for given, one in zip(data, part, strict=True)]
-        path = FreePath.of(longer, intersample=found.intersample, offset=found.offset, best=best, **how)
+    while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, channels, strict=True)):
+        part = [next(stages(one, given.samples), one) for one, given in zip(part, channels, strict=True)]
+        longer = [cut(given, one) for given, one in zip(channels, part, strict=True)]
+        path = FreePath.of(
+            longer, intersample=found.intersample, offset=found.offset, best=best, delay=found.delay, **how
+        )
         at = path.refined(best.p, TUNING.rough, None)
         path.best = best = FreeModel(at, [], at.losses / path.sizes**2)
-    whole = path.fit(best.p, len(best.p), False, data, either_hold=intersample == "auto")
+    whole = path.fit(best.p, len(best.p), False, channels, either_hold=intersample == "auto")
     rival = whole.rival and replace(whole.rival, order_table=found.order_table)
-    return replace(whole, order_table=found.order_table, findings=found.findings, rival=rival)
+    return replace(
+        whole, order_table=found.order_table, findings=found.findings, rival=rival, delay_gain=found.delay_gain
+    ).with_delay_open(found.delay_open)
 
 
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
-Anew = Callable[[Experiments, int, ComplexArray | None], FreeFit]  # search, or from poles, with terms of the offset
+Anew = Callable[[Array, int, ComplexArray | None], FreeFit]  # search, or from poles, with delays and terms of offsets
 
 
 def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
@@ -332,20 +358,20 @@ def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
     slow = found.projection.d < TUNING.damped_apart * min(one.bin for one in rows)
     if not slow.any() and not any(_leans(*one) for one in zip(rows, found.projection.predictions(), strict=True)):
         return found
-    trial = anew(found.channels, 2, found.projection.p[~slow])
+    trial = anew(found.delay, 2, found.projection.p[~slow])
     if trial.criteria.bic > found.criteria.bic - 2 * TUNING.sure:
         return found
-    again = anew(found.channels, 2, None)
+    again = anew(found.delay, 2, None)
     best = again if again.criteria.bic <= trial.criteria.bic else trial
     drifts = [
         float(one) for rows, own in zip(best.projection.experiments, best.projection.own, strict=True)
         if isinstance(rows, FreeRecord) for one in best.scales[rows.outputs] * own[-2] / rows.hold.h
     ]  # fmt: skip
     # slow poles may stand for a drift
-    level = anew(found.channels, 1, found.projection.p[~slow]) if slow.any() else found
+    level = anew(found.delay, 1, found.projection.p[~slow]) if slow.any() else found
     gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (found.criteria.bic - best.criteria.bic))
     finding = Finding(Cause.DRIFT, tuple(drifts), gain)
-    return replace(best, findings=(*found.findings, finding))
+    return replace(best, findings=(*found.findings, finding), delay_gain=found.delay_gain)
 
 
 def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
@@ -359,50 +385,66 @@ def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
 def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
     """The fit with outputs that come some samples after the inputs, or before, where the modes say so."""
     best, gain = found, TUNING.likely
-    for delay in sorted(likely_delays(found)):
-        again = anew([_delayed(one, delay) for one in found.channels], found.offset, None)
+    for delay in likely_delays(found):
+        again = anew(delay, found.offset, None)
         share = found.projection.rows / again.projection.rows
         now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
         if now > gain:
-            finding = Finding(Cause.DELAY, (float(delay),), now)
-            best, gain = replace(again, findings=(*found.findings, finding)), now
+            best, gain = replace(again, findings=found.findings, delay_gain=now), now
+            if again.order < found.order and not _leaves_traces(again.projection):
+                break
     return best
 
 
-def likely_delays(found: FreeFit) -> set[int]:
-    """Samples by which outputs of recordings may come after the inputs, or before, for the poles there are.
+def likely_delays(found: FreeFit) -> list[Array]:
+    """Whole samples, as times, by which outputs of recordings may come after the inputs, for the poles there are.
 
     Residues turn with a delay; what the first samples of an answer are tells it.  Heavily damped modes can be a
     rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
+    One delay of all outputs, or of each its own; the likeliest first.
     """
     if not found.projection.inputs or isinstance(found.channels[0], ResponseMatrix):
-        return set()
+        return []
     p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
+    step, count = some[0].dt, len(found.scales)
+    records = [
+        replace(one, y=one.y / found.scales[one.outputs, None])
+        for one in _records(some, found.intersample, found.offset, True)
+    ]
 
-    def late(delay: int, p: ComplexArray = p) -> FreeProjection:
-        rows = _records([_delayed(one, delay) for one in some], found.intersample, found.offset, True)
-        return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
+    def late(samples: int, p: ComplexArray = p) -> FreeProjection:
+        return FreeProjection([one.delayed(samples * step) for one in records], p)
 
     def bic(at: FreeProjection) -> float:
         return float(at.rows * np.log(at.loss / at.rows) + at.unknowns * np.log(at.rows)) / at.rows
+
+    def of_all(samples: list[int]) -> list[Array]:
+        return [np.full(count, step * one) for one in samples]
 
     light = p[-p.real < _MIMICS * np.abs(p)]
     if 0 < len(light) < len(p):
         values = {delay: bic(late(delay, light)) for delay in TUNING.delays}
         best = min(values, key=lambda delay: values[delay])
         if best and values[best] < bic(late(0)):
-            return ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}  # a sample may be fed through
+            # a sample may be fed through
+            near = ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}
+            return of_all(sorted(near, key=lambda delay: values[delay]))
     if not _leaves_traces(late(0)):
-        return set()
-    gains = {}
+        return []
+    gains, each = {}, {}
     for delay in (0, *TUNING.delays):
         at = late(delay)
         if at.rows > 2 * at.unknowns or not delay:
             gains[delay] = -0.5 * found.projection.rows * float(np.log(at.loss / at.rows))
+            each[delay] = at.losses / at.rows
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
-    return likely | {max(gains, key=lambda delay: gains[delay])} - {0}
+    likely = (likely | {max(gains, key=lambda delay: gains[delay])}) - {0}
+    found_for_all = of_all(sorted(likely, key=lambda delay: -gains[delay]))
+    tried = np.array(list(each))
+    own = tried[np.argmin(np.stack([each[one] for one in tried.tolist()]), axis=0)]
+    return [*found_for_all, step * own] if np.ptp(own) else found_for_all
 
 
 def _leaves_traces(at: FreeProjection) -> bool:
@@ -411,7 +453,7 @@ def _leaves_traces(at: FreeProjection) -> bool:
     for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
         if not isinstance(rows, FreeRecord):
             continue
-        left = np.where(rows.observed, rows.y - predicted, 0.0)
+        left = np.where(rows.observed, rows.measured - predicted, 0.0)
         found += [ljung_box([one[rows.observed]], TUNING.lags) for one in left]
         size = 2 * rows.length
         U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(left, size)
@@ -419,14 +461,6 @@ def _leaves_traces(at: FreeProjection) -> bool:
         power = np.sum(left**2, axis=1)[:, None] * np.sum(rows.u[: rows.inputs] ** 2, axis=1) / rows.samples
         found += chi2.sf(products**2 / np.where(power > 0, power, np.inf)[..., None], 1).ravel().tolist()
     return bool(found) and min(found) * len(found) < TUNING.white
-
-
-def _delayed(one: Recording, samples: int) -> Recording:
-    """A recording whose outputs are those so many samples after the inputs."""
-    if not samples or not one.u.any():
-        return one
-    u, y = beside_one_another(samples)
-    return replace(one, time=one.clock[y], u=one.u[:, u], y=one.y[:, y])
 
 
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
@@ -495,7 +529,7 @@ def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
 
 def orders_about(
     channels: Experiments, poles: ComplexArray, most: int, *, quantities: Sequence[str], intersample: str, offset: bool,
-    moving: bool,
+    moving: bool, delay: Array | None = None,
 ) -> list[tuple[ComplexArray, ComplexArray]]:  # fmt: skip
     """Poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and from these to the most.
 
@@ -503,7 +537,7 @@ def orders_about(
     Without inputs the residues are motions in the experiments.
     """
     channels = [cut(one, searched_part(one, not moving)) for one in channels]
-    path = FreePath.of(channels, quantities, intersample, offset, moving)
+    path = FreePath.of(channels, quantities, intersample, offset, moving, delay=delay)
     found = []
     for start, end in ((poles[poles.imag == 0], _modes(poles) - 1), (poles, min(most, path.carried))):
         model: FreeModel | None = path.reweighted(path.model(start))
@@ -518,8 +552,10 @@ def orders_about(
 # --- data ------------------------------------------------------------------------------------------------------------
 
 
-def _records(channels: Sequence[Recording], hold: str, offset: int, moving: bool) -> list[FreeRecord]:
-    found = []
+def _records(
+    channels: Sequence[Recording], hold: str, offset: int, moving: bool, delay: Array | None = None
+) -> list[FreeRecord]:
+    found = list[FreeRecord]()
     for one in channels:
         acting = np.flatnonzero(one.u.any(axis=1))
         driven = len(acting) > 0
@@ -527,12 +563,14 @@ def _records(channels: Sequence[Recording], hold: str, offset: int, moving: bool
         u = one.u if driven and len(acting) == len(one.u) else one.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, one.samples))
         found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, "exact", hold), **options)
-    return found
+    return found if delay is None or not delay.any() else Delays.of_outputs(delay).rows(found)
 
 
-def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) -> list[FreeResponse]:
+def _responses(
+    channels: Sequence[ResponseMatrix], quantities: Sequence[str], delay: Array | None = None
+) -> list[FreeResponse]:
     """Entries grouped where weights, but for a factor, and points agree."""
-    found = []
+    found = list[FreeResponse]()
     for one in channels:
         entries = one.response.reshape(-1, one.samples)
         weights, observed = one.weights.reshape(entries.shape), one.observed.reshape(entries.shape)
@@ -547,7 +585,9 @@ def _responses(channels: Sequence[ResponseMatrix], quantities: Sequence[str]) ->
             response = np.where(seen, entries[members], 0.0)
             rows = FreeResponse(one.omega, response, scale, seen, kind, np.array(members))
             found.append(rows.on_background())
-    return found
+    if delay is None or not delay.any():
+        return found
+    return Delays.of_outputs(delay.repeat(len(channels[0].input_labels))).rows(found)
 
 
 def _refuse_unmeasured(one: ResponseMatrix, measured: Array) -> None:
@@ -595,7 +635,7 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto",
+        real_poles: int | str = "auto", delay: Array | None = None,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -604,8 +644,9 @@ class FreePath:
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
-            return cls(Records(_records(recordings, held, offset, moving)), felt, criterion, reports, best, real_poles)
-        search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each))
+            search: FreeSearch = Records(_records(recordings, held, offset, moving, delay))
+            return cls(search, felt, criterion, reports, best, real_poles)
+        search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each, delay))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
 
@@ -617,6 +658,15 @@ class FreePath:
         responses = [FreeResponse.of(one) for one in rows if isinstance(one, FrequencyRows)]
         search = Records(records) if records else Responses(responses)
         return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports, real_poles=0)
+
+    @property
+    def delay(self) -> Array:
+        """Time by which each output comes later than the response to the inputs."""
+        found = np.zeros(len(self.counts))
+        for one in self.search.data:
+            if one.inputs:
+                found[one.outputs] = one.delay_time
+        return found
 
     # --- likelihood
 
@@ -1086,8 +1136,9 @@ class FreePath:
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
         return FreeFit(
-            at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted
-        )
+            at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted,
+            delay=self.delay,
+        )  # fmt: skip
 
     def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
         """The search among responses on a background of further terms, where these explain more than real poles do."""

@@ -16,7 +16,8 @@ from scipy.linalg import lapack
 
 from ..._checks import EPS
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
+from ..regression.delays import Delays
 from ..regression.elimination import LinearProjection
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
@@ -69,6 +70,8 @@ class StructuredFit(Frozen):
         Whether the loss has come to its minimum.
     point : ConstrainedProjection, PassivePoint or FreeProjection
         What the covariance is made of.
+    delays : Delays or None
+        Delays of the outputs of the projection, where they were fitted; `parameters` count them.
     """
 
     hypothesis: str
@@ -84,11 +87,19 @@ class StructuredFit(Frozen):
     projection: FreeProjection
     converged: bool
     point: ConstrainedProjection | PassivePoint | FreeProjection
+    delays: Delays | None = None
 
     @cached_property
     def covariance(self) -> Array:
         """In the coordinates and units of `FreeProjection.covariance`."""
         return self.point.covariance(self.variance)
+
+    @property
+    def delay_errors(self) -> Array:
+        """Standard errors of the delays."""
+        if not isinstance(self.point, ConstrainedProjection) or self.delays is None:
+            return np.zeros(0)
+        return self.point.delay_errors(self.variance)
 
 
 class Tangent:
@@ -130,15 +141,18 @@ class ConstrainedProjection(LinearProjection):
 
     def __init__(self, problem: ConstrainedProblem, x: Array) -> None:
         self.x, self.sizes, self._problem = x, np.maximum(np.abs(x), EPS), problem
-        self.sections, self.residues, self.feedthrough = problem.coordinates.model(x)
+        self._model, delays = np.split(x, [problem.coordinates.size])
+        self.sections, self.residues, self.feedthrough = problem.coordinates.model(self._model)
         self.p = self.sections.p
         start, layout = problem.start, problem.coordinates.layout
+        self.delays = problem.delays and replace(problem.delays, values=delays)
+        experiments = start.experiments if self.delays is None else self.delays.rows(start.experiments)  # type: ignore[type-var]
         shared = layout.joined(self.residues, self.feedthrough, start.has_feedthrough)
         self.data: GivenResidues | TangentPoint
         if problem.tangent is not None:
             self.data = problem.tangent.at(self.p, shared)
         else:
-            self.data = GivenResidues(FreeProjection(start.experiments, self.p, start.fed, self.sections), shared)
+            self.data = GivenResidues(FreeProjection(experiments, self.p, start.fed, self.sections), shared)
 
     @property
     def loss(self) -> float:
@@ -148,23 +162,35 @@ class ConstrainedProjection(LinearProjection):
     @cached_property
     def _normal(self) -> tuple[Array, Array]:
         """Gram matrix of the Jacobian by the coordinates, and half the gradient."""
-        of, size = self._problem.coordinates, len(self.x)
-        gram, gradient, poles = np.zeros((size, size)), np.zeros(size), of.pole_derivatives(self.x)
+        size, poles = len(self.x), self._pole_derivatives
+        gram, gradient = np.zeros((size, size)), np.zeros(size)
         for output, left, by_poles, by_shared in self.data.sensitivities():
             slopes = self.derivatives(output)
             # each output depends on its own part of the shapes
             near = np.flatnonzero(slopes.any(axis=0) | poles.any(axis=0))
             J = by_poles @ poles[:, near] + by_shared @ slopes[:, near]
+            if self.delays is not None and isinstance(self.data, GivenResidues):
+                near = np.append(near, size - self.delays.count + self.delays.groups[output])
+                J = np.column_stack([J, -self.data.delay_slopes(output)])
             gram[np.ix_(near, near)] += J.T @ J
             gradient[near] += J.T @ left
-        held = ~self._problem.free
+        held = np.append(~self._problem.free, np.zeros(size - len(self._model), bool))
         gram[held] = gram[:, held] = gradient[held] = 0.0
         return gram, gradient
 
     def derivatives(self, output: int) -> Array:
         """Of what `shared` has of an output, by the coordinates."""
         of = self._problem.coordinates
-        return of.derivatives(self.x, output, self._problem.start.has_feedthrough) / of.layout.scales[output]
+        found = of.derivatives(self._model, output, self._problem.start.has_feedthrough) / of.layout.scales[output]
+        return self._beside_delays(found)
+
+    @property
+    def _pole_derivatives(self) -> Array:
+        return self._beside_delays(self._problem.coordinates.pole_derivatives(self._model))
+
+    def _beside_delays(self, slopes: Array) -> Array:
+        """Derivatives by the coordinates of what does not depend on delays."""
+        return np.pad(slopes, ((0, 0), (0, len(self.x) - len(self._model))))
 
     @cached_property
     def gram(self) -> Array:
@@ -178,6 +204,21 @@ class ConstrainedProjection(LinearProjection):
 
     def covariance(self, variance: float) -> Array:
         """Covariance of the model, in the coordinates of `FreeProjection.covariance`."""
+        kept, inner = self._inverse_gram
+        poles = self._pole_derivatives
+        J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, kept]
+        return np.asarray(J @ (variance * inner) @ J.T)
+
+    def delay_errors(self, variance: float) -> Array:
+        """Standard errors of the delays."""
+        kept, inner = self._inverse_gram
+        found = np.full(len(self.x), np.nan)
+        found[kept] = np.sqrt(variance * np.diag(inner))
+        return found[len(self._model) :]
+
+    @cached_property
+    def _inverse_gram(self) -> tuple[Indices, Array]:
+        """Coordinates that the data show, and the inverse of their Gram matrix."""
         kept = np.flatnonzero(np.diag(self.gram))
         gram = self.gram[np.ix_(kept, kept)]
         lengths = np.sqrt(np.diag(gram))
@@ -185,10 +226,7 @@ class ConstrainedProjection(LinearProjection):
         inner = np.triu(inner) + np.triu(inner, 1).T
         if failed or not np.abs(inner).max(initial=0.0) < _WELL_CONDITIONED:
             inner = np.linalg.pinv(gram / np.outer(lengths, lengths), rcond=len(lengths) * EPS, hermitian=True)
-        inner *= variance / np.outer(lengths, lengths)
-        poles = self._problem.coordinates.pole_derivatives(self.x)
-        J = np.concatenate([poles, *map(self.derivatives, range(self._problem.start.shared.shape[1]))])[:, kept]
-        return np.asarray(J @ inner @ J.T)
+        return kept, inner / np.outer(lengths, lengths)
 
 
 @dataclass(frozen=True)
@@ -200,6 +238,7 @@ class ConstrainedProblem:
     region: PoleRegion
     free: Mask
     tangent: Tangent | None = None
+    delays: Delays | None = None
 
     @property
     def samples(self) -> int:
@@ -212,7 +251,8 @@ class ConstrainedProblem:
 
     def inside(self, x: Array) -> Array:
         """Poles brought to where they are allowed; next to a free fit no two of a section meet."""
-        coordinates = self.coordinates
+        coordinates, known = self.coordinates, self.coordinates.size
+        x, delays = x[:known], x[known:] if self.delays is None else self.delays.inside(x[known:])
         inside = self.region.inside(coordinates.sections_at(x).x.copy())
         if self.tangent is not None or not (coordinates.damped and coordinates.real):
             k = len(coordinates.sections.decay)
@@ -220,12 +260,14 @@ class ConstrainedProblem:
             square, sign = inside[k : 2 * k], np.where(coordinates.sections.square > 0, 1.0, -1.0)
             sign = sign if coordinates.damped else np.ones(k)
             inside[k : 2 * k] = sign * np.maximum(sign * square, least)
-        return np.concatenate([inside[coordinates.kept], x[len(coordinates.kept) :]])
+        return np.concatenate([inside[coordinates.kept], x[len(coordinates.kept) :], delays])
 
     def reach(self, at: ConstrainedProjection) -> Array:
         """A bin and the half-width of a peak for poles; any for what is nearly linear."""
         kept, found = self.coordinates.kept, np.full(len(at.x), np.inf)
         found[: len(kept)] = self.region.reach(at.sections)[kept]
+        if self.delays is not None:
+            found[self.coordinates.size :] = self.delays.step
         return found
 
     def elsewhere(self, at: ConstrainedProjection) -> Iterator[Array]:
@@ -234,9 +276,10 @@ class ConstrainedProblem:
 
 
 def constrained(
-    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, iterations: int | None = None
-) -> StructuredFit:
-    """Fit a structure to the data of a free fit.
+    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, iterations: int | None = None,
+    delays: Delays | None = None,
+) -> StructuredFit:  # fmt: skip
+    """Fit a structure to the data of a free fit, and delays of the outputs where there are some.
 
     Parameters
     ----------
@@ -251,6 +294,8 @@ def constrained(
         Where poles are looked for.
     iterations : int, optional
         After so many it ends, wherever it stands: enough for structures that fit. None goes on to the minimum.
+    delays : Delays, optional
+        Delays that are refined with the model; of a passive one those of the data stay.
 
     Returns
     -------
@@ -260,7 +305,7 @@ def constrained(
     """
     variance = at.loss / max(1, at.rows - at.unknowns)
     coordinates = coordinates_of(at, layout, hypothesis)
-    if hypothesis == "free":
+    if hypothesis == "free" and delays is None:
         return StructuredFit(
             hypothesis, "free", at.p, *layout.split(at.shared, len(at.p)), None, None, at.loss, coordinates.dof,
             variance, at, True, at,
@@ -268,18 +313,20 @@ def constrained(
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
     x = coordinates.start(*layout.split(at.shared, len(at.p)))
-    problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
+    problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x), delays=delays)
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
-    x = problem.inside(x)
-    if coordinates.sections_at(x).keeps_kinds(at.sections):
+    x = problem.inside(x if delays is None else np.append(x, delays.values))
+    if delays is None and coordinates.sections_at(x).keeps_kinds(at.sections):
         tangent = replace(problem, tangent=Tangent(at))
         x = refine(tangent, x, rtol=TUNING.rough, max_iterations=max(most, _FEW), last=False).projection.x
     found = refine(problem, x, rtol=_EXACT, max_iterations=most, last=last)
     end = found.projection
-    shapes, participation = coordinates.shapes(end.x) if isinstance(coordinates, ShapeCoordinates) else (None, None)
+    known = end.x[: coordinates.size]
+    shapes, participation = coordinates.shapes(known) if isinstance(coordinates, ShapeCoordinates) else (None, None)
     return StructuredFit(
         hypothesis, STRUCTURES[hypothesis], end.p, end.residues, end.feedthrough, shapes, participation, end.loss,
-        coordinates.dof, variance, cast(GivenResidues, end.data), found.converged, end,
+        coordinates.dof + (0 if delays is None else delays.count), variance, cast(GivenResidues, end.data),
+        found.converged, end, end.delays,
     )  # fmt: skip
 
 

@@ -268,9 +268,10 @@ def _damped_model(model: DampedResult, place: int | None, label: str, record: An
     """A fit of damped modes on other data, or from another state on its own."""
     constant = bool(model.offsets.any())
     rules = Rules("exact", model.intersample, rules.initial_state, constant)
-    if rules.initial_state == "fitted":
-        found = model.predict(record.as_response(), initial_state="fitted").outputs
-        return Simulation(np.reshape(found, -1), lambda: _no_directions(record))
+    if rules.initial_state == "fitted" or model.delay.any():
+        state = "estimate" if rules.initial_state == "zero" and not record.driven else rules.initial_state
+        found = model.predict(record.as_response(), initial_state=state).outputs
+        return Simulation(np.reshape(found, -1), lambda: _no_directions(record), place is not None)
     motions = _linear_motions(model.observed_system, label, record, rules.hold(record.dt))
     return replace(_completed(motions, label, record, rules), own=place is not None)
 
@@ -298,10 +299,11 @@ def _own_directions(model: PEMResult, place: int) -> Directions:
         return _fitted_directions(model, place)
     rho = model.residues[:, 0, 0] * np.where(model.poles.imag == 0, 0.5, 1.0)  # a real pole has two halves
     if isinstance(one.record, FrequencyRecord):
-        return of_damped_response(one.record, model.poles, rho)
+        return of_damped_response(one.record, model.poles, rho, float(model.delay[0]))
     hold, offset = Hold(one.record.dt, "exact", model.intersample), int(model.offsets.any())
     through = bool(model.feedthrough.any())
-    return of_damped_record(one.record, model.poles, rho, one.free_amplitudes, hold, offset, through)
+    late = float(model.delay[0])
+    return of_damped_record(one.record, model.poles, rho, one.free_amplitudes, hold, offset, through, late)
 
 
 def _kept_state(model: LosslessResult, label: str) -> tuple[Array, float]:
@@ -411,9 +413,9 @@ def _free_motions(F: Array, C: Array, samples: int) -> Array:
 
 def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) -> ComplexArray:
     """Response at the frequencies of a record; refused where it is infinite at a point that was measured."""
-    background = getattr(model, "background", None)
+    background, delay = getattr(model, "background", None), np.zeros(1)
     if isinstance(model, DampedResult):
-        model = model.observed_system
+        model, delay = model.observed_system, model.delay
     if isinstance(model, LosslessResult) and isinstance(record, FrequencyRecord):
         live = model.r > 0
         infinite = np.isin(record.omega, model.d[live])
@@ -424,6 +426,9 @@ def _response(model: Any, label: str, record: FrequencyRecord | ResponseMatrix) 
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             response = system.horner(points, warn_infinite=False)
         response = response if background is None else response + background.response(record.omega)
+        if delay.any():
+            with np.errstate(invalid="ignore"):
+                response = response * np.exp(-1j * np.multiply.outer(delay, record.omega))[:, None]
         response = response[np.ix_(*_matching(system, label, record))] if record.observed.ndim > 1 else response[0, 0]
         infinite = ~np.isfinite(response)
     offending = np.flatnonzero((infinite & record.observed).reshape(-1, record.samples).any(axis=0))

@@ -1,0 +1,161 @@
+"""Structures of plants whose outputs come late: free residues absorb what of a delay turns them.
+
+A delay turns the residue of each mode by its own angle, and so a plant with a structure and a delay looks like one
+without either. What the delay buys is the structure, which has fewer unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import argrelmin
+
+from ..._types import Array, Indices, Mask
+from ..regression.delays import Delays
+from ..regression.free import FreeProjection, FreeRows
+from ..regression.sections import PoleRegion
+from ..regression.tuning import TUNING
+from .constrained import StructuredFit, constrained
+from .layout import POWERS, ChannelLayout
+
+_GRID = 16  # delays that are compared within the interval between samples
+_EXPLAINED = 0.5  # of what residues have beside a structure: delays that explain less are none
+_STARTS = 2  # common delays that are tried
+_MARGIN = 1.5  # samples by which a search may go beyond where it began
+_BROAD = 0.2  # damping ratio from which on modes may stand for a delay
+_ITERATIONS = 12  # of those that are compared
+
+
+@dataclass(frozen=True)
+class DelayedStructure:
+    """A structure with delays, and the free model in the same rows.
+
+    Attributes
+    ----------
+    fit : StructuredFit
+        Minimum of the loss over the models of the structure and the delays.
+    free : FreeProjection
+        Poles and free residues in the rows with these delays.
+    """
+
+    fit: StructuredFit
+    free: FreeProjection
+
+
+def cost_of(fit: StructuredFit, scales: Array) -> float:
+    """BIC of a structure for each row of the data, in their units, with the variance of each output at its best."""
+    at = fit.projection
+    counts = np.zeros(len(at.losses))
+    for one in at.experiments:
+        counts[one.outputs] += one.samples
+    losses = scales**2 * np.maximum(at.losses, np.finfo(float).tiny) / np.maximum(counts, 1)
+    own = at.unknowns - len(at.x) - int(at.shown.sum())
+    return float(np.sum(counts * np.log(losses)) + (fit.parameters + own) * np.log(at.rows)) / at.rows
+
+
+def with_delays(
+    at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, fed: Mask, *, settled: bool
+) -> DelayedStructure | None:
+    """Fit a structure with delays of the outputs to the data of a free fit, where residues may be those of a delay.
+
+    Parameters
+    ----------
+    at : FreeProjection
+        Minimum of the free fit, in rows that may have delays already.
+    layout : ChannelLayout
+        Inputs and outputs, their units and ports.
+    hypothesis : str
+        The structure.
+    region : PoleRegion
+        Where poles are looked for.
+    fed : ndarray of bool, shape (outputs of the projection, inputs)
+        What is fed through in any case; other entries where they are in the free fit, and improve the criterion.
+    settled : bool
+        Whether the structure holds with the delays there are, which are refined.
+
+    Returns
+    -------
+    DelayedStructure or None
+        The best of a delay common to all outputs, and one of each.
+    """
+    now, least = delays_of(at), np.inf
+    best: tuple[FreeProjection, Delays, Mask | None] | None = None
+    starts = [Delays.of_outputs(now)] if settled else list(_starts(at, layout, now, region.ceiling))
+    if settled and np.ptp(now) == 0 and len(now) > 1:
+        starts.append(Delays(_outputs_of(layout), now[np.unique(_outputs_of(layout), return_index=True)[1]]))
+    through = [fed] + [at.fed_through] * bool(np.any(at.fed_through & ~fed))
+    light = np.abs(at.p.real) < _BROAD * np.abs(at.p)
+    poles = [at.p] + [at.p[light]] * bool(light.any() and not light.all() and not settled)
+    for delays in starts:
+        bounded = _bounded(delays, region)
+        delayed: Sequence[FreeRows] = bounded.rows(at.experiments)  # type: ignore[type-var]
+        for p in poles:
+            for mask in through if at.has_feedthrough else [None]:
+                start = FreeProjection(delayed, p, mask)
+                fit = constrained(start, layout, hypothesis, region.about(start.sections), _ITERATIONS, bounded)
+                if (cost := cost_of(fit, layout.scales)) < least:
+                    best, least = (start, bounded, mask), cost
+    if best is None:
+        return None
+    start, bounded, mask = best
+    fit = constrained(start, layout, hypothesis, region.about(start.sections), None, bounded)
+    return DelayedStructure(fit, FreeProjection(fit.projection.experiments, fit.p, mask))
+
+
+def delays_of(at: FreeProjection) -> Array:
+    """Delay of each output in the rows of a projection."""
+    found = np.zeros(at.shared.shape[1])
+    for one in at.experiments:
+        if one.inputs:
+            found[one.outputs] = one.delay_time
+    return found
+
+
+def _outputs_of(layout: ChannelLayout) -> Indices:
+    """Output of each output of the projection."""
+    return np.arange(layout.outputs).repeat(layout.inputs if layout.per_entry else 1)
+
+
+def _bounded(delays: Delays, region: PoleRegion) -> Delays:
+    """Delays between bounds, for steps that hardly turn the fastest motion there may be."""
+    step = np.pi / region.ceiling
+    lowest, highest = TUNING.delays[0] * step, (TUNING.delays[-1] + _MARGIN) * step
+    ends = float(delays.values.min()) - _MARGIN * step, float(delays.values.max()) + _MARGIN * step
+    return Delays(delays.groups, delays.values, step / np.pi, max(lowest, ends[0]), max(highest, ends[1]))
+
+
+def _starts(at: FreeProjection, layout: ChannelLayout, now: Array, ceiling: float) -> Iterator[Delays]:
+    """Delays, one for all outputs or one of each, that turn residues into those of shapes that are real."""
+    step, groups = np.pi / ceiling, _outputs_of(layout)
+    grid = step * np.arange(TUNING.delays[0], TUNING.delays[-1] + 0.5 / _GRID, 1.0 / _GRID)
+    prior = 2 * TUNING.delay_prior * np.abs(grid) / step
+    there = [now[groups == output][:1] for output in range(layout.outputs)]
+    each = np.stack([beside_real_shapes(at, layout, k, grid - known) for k, known in enumerate(there)])
+    none = np.concatenate([beside_real_shapes(at, layout, k, -known) for k, known in enumerate(there)])
+    total = each.sum(axis=0) + prior
+    minima = np.unique(np.append(argrelmin(total)[0], np.argmin(total)))
+    for place in minima[np.argsort(total[minima])][:_STARTS].tolist():
+        if total[place] < _EXPLAINED * none.sum():
+            yield Delays(np.zeros_like(groups), grid[[place]])
+    if layout.outputs > 1:
+        places = np.argmin(each + prior, axis=1)
+        if np.sum((each + prior)[np.arange(len(each)), places]) < _EXPLAINED * none.sum():
+            yield Delays(groups, grid[places])
+
+
+def beside_real_shapes(at: FreeProjection, layout: ChannelLayout, output: int, delays: Array) -> Array:
+    """Squares of what residues of an output would have beside those of real shapes, for each delay more, in errors."""
+    residues, _ = layout.split(at.shared, len(at.p))
+    errors, _ = layout.split(at.shared_errors * np.sqrt(at.loss / max(1, at.rows - at.unknowns)), len(at.p))
+    modes = at.p.imag > 0
+    p, rho, error = at.p[modes], residues[modes, output], np.abs(errors[modes, output]) / np.sqrt(2)
+    factor = (p ** POWERS[layout.quantities[output]] / (2j * p.imag))[:, None]
+    shape, size = rho / factor, np.where(error > 0, error, np.inf) / np.abs(factor)
+    turned = shape[None] * np.exp(1j * np.multiply.outer(delays, p.imag))[:, :, None]
+    beside: Array = (turned.imag / size) ** 2
+    for one, source in layout.ports:
+        if one == output:
+            beside[:, :, source] += (np.minimum(turned.real[:, :, source], 0.0) / size[:, source]) ** 2
+    return np.asarray(beside.sum(axis=(1, 2)))
