@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from ..._checks import EPS
@@ -21,6 +22,7 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
+from ..regression.elimination import orthogonal, without
 from ..regression.free import FreeProjection, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.sections import PoleRegion, Sections
@@ -28,7 +30,7 @@ from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Progress
 from ..uncertainty.residual_tests import ljung_box
-from .circumstances import Cause, Finding, autoregression, beside_one_another, correlations
+from .circumstances import Cause, Finding
 from .criteria import Criteria, past_of_noise
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
@@ -49,6 +51,11 @@ _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
 _SWAPS = 6  # modes that are looked for elsewhere, at most
+_SCANS = 3  # searches with the delays that the last one says
+_SWEEPS = 3  # over the delays of all inputs
+_LONGEST_DELAY = 24  # samples
+_AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
+_LASTING = 0.05  # of a record: the part in which an input has to act
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,8 @@ class FreeFit(Frozen):
         These modes refined with the inputs held otherwise, if that is left to the data; no likelier than this fit.
     measured : FreeProjection or None
         The linear problem of the data as they are, where its noise is coloured and rows were made in which it is white.
+    noise : tuple of ndarray
+        Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
     """
 
     projection: FreeProjection
@@ -103,6 +112,7 @@ class FreeFit(Frozen):
     findings: tuple[Finding, ...] = ()
     rival: FreeFit | None = None
     measured: FreeProjection | None = None
+    noise: tuple[Array, ...] = ()
 
     @property
     def per_entry(self) -> bool:
@@ -225,14 +235,14 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-    if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
+    if found.interrupted or found.rounding or (found.per_entry and weighted) or not (found.order or found.noise):
         return found
     if not found.per_entry:
 
         def anew(channels: Experiments, terms: int, start: ComplexArray | None) -> FreeFit:
             path = posed(channels, terms, found.intersample if either is None else either)
             if start is not None:
-                return path.finished(path.model(start), channels, automatic)
+                return path.finished(path.in_its_noise(path.model(start)), channels, automatic)
             return path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
 
         either = None if intersample == "auto" else intersample
@@ -269,16 +279,16 @@ def _of_long(
     found = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
     if found.interrupted:
         return found
-    (delay,) = [int(one.values[0]) for one in found.findings if one.cause is Cause.DELAY] or [0]
-    data = [_delayed(one, delay) if isinstance(one, Recording) else one for one in channels]
+    data = [_delayed(one, _delays_of(found)) if isinstance(one, Recording) else one for one in channels]
     part = [slice(one.start, min(one.stop, given.samples)) for one, given in zip(part, data, strict=True)]
     best, path = FreeModel(found.projection, [], found.projection.losses * found.scales**2), None
+    how["noise"] = found.noise
     while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, data, strict=True)):
         part = [next(stages(one, given.samples), one) for one, given in zip(part, data, strict=True)]
         longer = [cut(given, one) for given, one in zip(data, part, strict=True)]
         path = FreePath.of(longer, intersample=found.intersample, offset=found.offset, best=best, **how)
         at = path.refined(best.p, TUNING.rough, None)
-        path.best = best = FreeModel(at, [], at.losses / path.sizes**2)
+        path.best = best = FreeModel(at, [], path.in_data(at.losses), path.search)
     whole = path.fit(best.p, len(best.p), False, data, either_hold=intersample == "auto")
     rival = whole.rival and replace(whole.rival, order_table=found.order_table)
     return replace(whole, order_table=found.order_table, findings=found.findings, rival=rival)
@@ -286,6 +296,7 @@ def _of_long(
 
 # --- drifts and delays -----------------------------------------------------------------------------------------------
 
+Delays = tuple[int, ...]  # samples by which outputs come after each of the inputs
 Anew = Callable[[Experiments, int, ComplexArray | None], FreeFit]  # search, or from poles, with terms of the offset
 
 
@@ -321,40 +332,70 @@ def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
 
 def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
     """The fit with outputs that come some samples after the inputs, or before, where the modes say so."""
-    best, gain = found, TUNING.likely
-    for delay in sorted(likely_delays(found)):
-        again = anew([_delayed(one, delay) for one in found.channels], found.offset, None)
-        share = found.projection.rows / again.projection.rows
-        now = 0.5 * (found.criteria.bic - again.criteria.bic * share)
-        if now > gain:
-            finding = Finding(Cause.DELAY, (float(delay),), now)
-            best, gain = replace(again, findings=(*found.findings, finding)), now
+    best, least = found, found.criteria.bic
+    for delays in sorted(likely_delays(found)):
+        best, least = _later(found, best, least, delays, anew)
+    # poles that were found in wrong delays, or none, say little of the right ones
+    for _ in range(_SCANS):
+        delays = scanned_delays(best, found.channels)
+        if not any(delays) or delays == _delays_of(best):
+            break
+        before = best
+        best, least = _later(found, best, least, delays, anew)
+        if best is before:
+            break
     return best
 
 
-def likely_delays(found: FreeFit) -> set[int]:
+def _later(found: FreeFit, best: FreeFit, least: float, delays: Delays, anew: Anew) -> tuple[FreeFit, float]:
+    """The better of a fit and that with other delays, and its criterion for all samples."""
+    again = anew([_delayed(one, delays) for one in found.channels], found.offset, None)
+    share = found.projection.rows / again.projection.rows
+    # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
+    each = float(np.log(found.projection.rows)) if again.noise else 2 * TUNING.likely / np.count_nonzero(delays)
+    now = again.criteria.bic * share + each * np.count_nonzero(delays)
+    if now >= least:
+        return best, least
+    values = delays[:1] if len(set(delays)) == 1 else delays
+    gain = 0.5 * (found.criteria.bic - again.criteria.bic * share)
+    finding = Finding(Cause.DELAY, tuple(map(float, values)), gain)
+    return replace(again, findings=(*found.findings, finding)), now
+
+
+def _delays_of(found: FreeFit) -> Delays:
+    """Samples by which the outputs of a fit come after each of its inputs."""
+    values = next((one.values for one in found.findings if one.cause is Cause.DELAY), (0.0,))
+    inputs = len(found.channels[0].input_labels)
+    return tuple(map(int, values if len(values) == inputs else values * inputs))
+
+
+def likely_delays(found: FreeFit) -> set[Delays]:
     """Samples by which outputs of recordings may come after the inputs, or before, for the poles there are.
 
     Residues turn with a delay; what the first samples of an answer are tells it.  Heavily damped modes can be a
     rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
     """
-    if not found.projection.inputs or isinstance(found.channels[0], ResponseMatrix):
+    if not found.projection.inputs or not found.order or found.noise or isinstance(found.channels[0], ResponseMatrix):
         return set()
     p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
+    inputs = len(found.channels[0].input_labels)
 
     def late(delay: int, p: ComplexArray = p) -> FreeProjection:
-        rows = _records([_delayed(one, delay) for one in some], found.intersample, found.offset, True)
+        rows = _records([_delayed(one, (delay,) * inputs) for one in some], found.intersample, found.offset, True)
         return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
 
     def bic(at: FreeProjection) -> float:
         return float(at.rows * np.log(at.loss / at.rows) + at.unknowns * np.log(at.rows)) / at.rows
+
+    def of_all(delays: set[int]) -> set[Delays]:
+        return {(delay,) * inputs for delay in delays}
 
     light = p[-p.real < _MIMICS * np.abs(p)]
     if 0 < len(light) < len(p):
         values = {delay: bic(late(delay, light)) for delay in TUNING.delays}
         best = min(values, key=lambda delay: values[delay])
         if best and values[best] < bic(late(0)):
-            return ({best - 1, best, best + 1} & set(TUNING.delays)) - {0}  # a sample may be fed through
+            return of_all(({best - 1, best, best + 1} & set(TUNING.delays)) - {0})  # a sample may be fed through
     if not _leaves_traces(late(0)):
         return set()
     gains = {}
@@ -365,7 +406,63 @@ def likely_delays(found: FreeFit) -> set[int]:
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
-    return likely | {max(gains, key=lambda delay: gains[delay])} - {0}
+    return of_all(likely | {max(gains, key=lambda delay: gains[delay])} - {0})
+
+
+def scanned_delays(found: FreeFit, channels: Experiments) -> Delays:
+    """Samples by which outputs come after each input, one input after the other, for the poles and the noise there are.
+
+    Without poles for real ones of all rates.  Nothing is looked for where what is left shows nothing of the inputs.
+    """
+    inputs = len(channels[0].input_labels)
+    none = (0,) * inputs
+    if isinstance(channels[0], ResponseMatrix) or not inputs or found.rounding or not (
+        found.noise or (found.order and _leaves_traces(found.projection))
+    ):  # fmt: skip
+        return none
+    some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
+    shortest = min(one.samples for one in some)
+    most = min(_LONGEST_DELAY, shortest // 10)
+    rates = np.geomspace(20.0 / shortest, 0.5, 4) / channels[0].dt
+    p = found.projection.p if found.order else (-rates).astype(complex)
+    delays = _delays_of(found)
+    for _ in range(_SWEEPS if inputs > 1 else 1):
+        before = delays
+        for k in range(inputs):
+            gains = sum(_gains_of_delays(one, found, p, delays, k, most) for one in some)
+            delays = (*delays[:k], int(np.argmax(gains)), *delays[k + 1 :])
+        if delays == before:
+            break
+    return delays
+
+
+def _gains_of_delays(
+    one: Recording, found: FreeFit, p: ComplexArray, delays: Delays, place: int, most: int
+) -> Array:
+    """How much an input explains beside the others if the outputs come 0, 1, .. to `most` samples after it."""
+    T = one.samples
+    shifted = np.array([one.u[k, most - min(d, most) : T - min(d, most)] for k, d in enumerate(delays)])
+    late = np.array([one.u[place, most - d : T - d] for d in range(most + 1)])
+    some = replace(one, time=one.clock[most:], u=shifted, y=one.y[:, most:])
+    rows = Records(_records([some], found.intersample, found.offset, True))
+    if found.noise:
+        rows = rows.whitened(found.noise)
+    gains, n = np.zeros(most + 1), len(p)
+    for row in rows.data:
+        b = found.noise[int(row.outputs[0])] if found.noise else np.ones(1)
+        start = len(b) - 1
+        others = row.acting != place
+        beside = row.u[others] if others.any() else np.zeros((1, row.length))
+        columns = np.concatenate(list(replace(row, u=beside, driven=bool(others.any())).at(p).blocks()), axis=1)
+        q = len(row.outputs)
+        basis, _ = orthogonal(columns[: row.own_unknowns(n) + (2 * n + 1) * int(others.sum())].T)
+        left = without(columns[-q:].T / found.scales[row.outputs], basis)
+        tried = replace(row, u=np.asarray(lfilter(b, 1.0, late, axis=-1))[:, start:], moving=False, offset=0)
+        every = np.concatenate(list(tried.at(p).blocks()), axis=1)
+        for d in range(most + 1):
+            basis_of, _ = orthogonal(without(every[d * (2 * n + 1) : (d + 1) * (2 * n + 1)].T, basis))
+            gains[d] += np.sum((basis_of.T @ left) ** 2)
+    return gains
 
 
 def _leaves_traces(at: FreeProjection) -> bool:
@@ -374,7 +471,7 @@ def _leaves_traces(at: FreeProjection) -> bool:
     for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
         if not isinstance(rows, FreeRecord):
             continue
-        left = np.where(rows.observed, rows.y - predicted, 0.0)
+        left = np.where(rows.observed, rows.measured - predicted, 0.0)
         found += [ljung_box([one[rows.observed]], TUNING.lags) for one in left]
         size = 2 * rows.length
         U, E = np.fft.rfft(rows.u[: rows.inputs], size), np.fft.rfft(left, size)
@@ -384,12 +481,14 @@ def _leaves_traces(at: FreeProjection) -> bool:
     return bool(found) and min(found) * len(found) < TUNING.white
 
 
-def _delayed(one: Recording, samples: int) -> Recording:
-    """A recording whose outputs are those so many samples after the inputs."""
-    if not samples or not one.u.any():
+def _delayed(one: Recording, delays: Delays) -> Recording:
+    """A recording whose outputs are those so many samples after each of the inputs."""
+    if not any(delays) or not one.u.any():
         return one
-    u, y = beside_one_another(samples)
-    return replace(one, time=one.clock[y], u=one.u[:, u], y=one.y[:, y])
+    early, late = max(0, *delays), max(0, *(-d for d in delays))
+    stop = one.samples - late
+    u = np.array([row[early - d : stop - d] for row, d in zip(one.u, delays, strict=True)])
+    return replace(one, time=one.clock[early:stop], u=u, y=one.y[:, early:stop])
 
 
 # --- noise that grows with the gain ----------------------------------------------------------------------------------
@@ -526,29 +625,31 @@ class FreePath:
 
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
-        best: FreeModel | None = None, real_poles: int | str = "auto",
+        best: FreeModel | None = None, real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
     ) -> None:  # fmt: skip
-        self.real_poles, self.search = real_poles, search.with_kinds(real_poles == "auto")
+        self.real_poles, self.plain = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
         self.best = best  # so far
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
-        counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
+        largest = np.zeros(len(felt))
         for one in search.data:
-            counts[one.outputs] += one.samples
             largest[one.outputs] = np.maximum(largest[one.outputs], one.largest)
         largest = np.where(largest > 0, largest, largest.max())  # what is zero is so to the rounding of the others
         # real equations of each output, losses that are rounding, and the power of all
+        counts = self._counted(self.plain)
         self.counts = np.maximum(counts, 1)
         self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
-        self.weigh(self.power if best is None else best.losses)
+        self.search, self._missing = self.plain, np.ones(len(felt))
+        self.power = self.plain.model(FreeProjection(self.plain.rows(none := np.zeros(0, complex)), none)).losses
+        self.whiten(noise, self.power if best is None else best.losses)
 
     @classmethod
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto",
+        real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -557,7 +658,8 @@ class FreePath:
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
-            return cls(Records(_records(recordings, held, offset, moving)), felt, criterion, reports, best, real_poles)
+            search: FreeSearch = Records(_records(recordings, held, offset, moving))
+            return cls(search, felt, criterion, reports, best, real_poles, noise)
         search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
@@ -573,11 +675,26 @@ class FreePath:
 
     # --- likelihood
 
-    @cached_property
-    def power(self) -> Array:
-        """Losses of outputs without modes."""
-        none = np.zeros(0, complex)
-        return self.search.model(FreeProjection(self.search.rows(none), none)).losses
+    def _counted(self, search: FreeSearch) -> Array:
+        """Real equations of each output in some rows."""
+        counts = np.zeros(len(self.felt))
+        for one in search.data:
+            counts[one.outputs] += one.samples
+        return counts
+
+    def whiten(self, innovations: tuple[Array, ...], losses: Array) -> None:
+        """Go on in rows in which noise with these innovations filters is white, and is what leaves these losses."""
+        if not _same_filters(innovations, getattr(self.search, "innovations", ())):
+            self.search = self.plain.whitened(innovations) if isinstance(self.plain, Records) and innovations else (
+                self.plain
+            )  # fmt: skip
+            # filters cannot know their past at the beginning: losses are those of as many samples as in the data
+            self._missing = self.counts / np.maximum(self._counted(self.search), 1)
+        self.weigh(losses)
+
+    def in_data(self, losses: Array) -> Array:
+        """Losses of scaled rows in the units of the data, and of as many samples."""
+        return losses / self.sizes**2 * self._missing
 
     def weigh(self, losses: Array) -> None:
         """Give every output the weight of the variance that it is left with."""
@@ -596,12 +713,17 @@ class FreePath:
     def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
         found = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
-        if not len(model.p) or not isinstance(self.search, Records):
+        # what no mode explains yet is not taken for noise
+        if not (len(model.p) or model.innovations):
             return found
-        each = 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
-        for output, count in enumerate(self.counts):
-            found += past_of_noise(int(count), self._autoregression(model, output)[1], each)
+        for count, noise in zip(self.counts, model.noise, strict=False):
+            found += past_of_noise(int(count), noise.variances, self._each)
         return found
+
+    @property
+    def _each(self) -> float:
+        """What the criterion charges for a parameter."""
+        return 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
 
     def _stands_out(self, model: FreeModel, gain: float, unknowns: int) -> bool:
         """Whether noise would hardly let so many unknowns more explain as much of what a model leaves."""
@@ -614,9 +736,9 @@ class FreePath:
         Residues that are best in white noise are poor ones in coloured noise, whose criterion they say little of.
         """
         past = self._past_of_noise(more)
-        if not isinstance(self.search, Records) or max(map(len, past)) == 1:
+        if self.search is not self.plain or not past or not isinstance(self.plain, Records):
             return self.cost(model) - self.cost(more)
-        rows = [row for one in self.search.data for row in one.filtered(past)]
+        rows = self.plain.whitened(past).data
         counts, likelihood = np.zeros(len(self.counts)), []
         for one in rows:
             counts[one.outputs] += one.samples
@@ -630,23 +752,26 @@ class FreePath:
         )  # fmt: skip
         return first - second
 
-    def _past_of_noise(self, model: FreeModel) -> list[Array]:
-        """Of each output the innovations filter of the autoregression that BIC prefers for what a model leaves."""
-        found = [np.ones(1) for _ in self.counts]
-        if not isinstance(self.search, Records):
-            return found
-        for output, count in enumerate(self.counts):
-            models, left = self._autoregression(model, output)
-            order = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(len(left))))
-            found[output] = np.concatenate([[1.0], -models[order]])
-        return found
+    def _past_of_noise(self, model: FreeModel) -> tuple[Array, ...]:
+        """Of each output the innovations filter of the autoregression that the criterion prefers."""
+        filters = [noise.innovations(int(count), self._each)
+                   for count, noise in zip(self.counts, model.noise, strict=False)]  # fmt: skip
+        return tuple(filters) if any(len(one) > 1 for one in filters) else ()
 
-    def _autoregression(self, model: FreeModel, output: int) -> tuple[list[Array], Array]:
-        """Autoregressions of what a model leaves of an output of recordings, and the variances that these leave."""
-        pairs = zip(self.search.data, model.left, strict=True)
-        seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
-        sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
-        return autoregression(sums, min(length for length, _ in seen))
+    def in_its_noise(self, model: FreeModel) -> FreeModel:
+        """A model refined in rows in which its own noise is white, until both agree."""
+        self.whiten(model.innovations, model.losses)
+        for _ in range(_ROUNDS):
+            past = self._past_of_noise(model)
+            if _same_filters(past, model.innovations):
+                break
+            foretold = [float(noise.variances.min()) for noise in model.noise]
+            before = model
+            self.whiten(past, model.losses * foretold)
+            model = self.reweighted(self.model(model.p))
+            if self.cost(before) - self.cost(model) < _AGREED:
+                break
+        return model
 
     @property
     def carried(self) -> int:
@@ -679,8 +804,8 @@ class FreePath:
     def judged(self, at: FreeProjection) -> FreeModel:
         """Modes with what they leave, entered into the table."""
         found, n = self.scaled.model(at), _modes(at.p)
-        found = replace(found, losses=found.losses / self.sizes**2)  # in the units of the data
-        one = self.criteria(self.loglik(found.losses), self.search.unknowns_of(at.p))
+        found = replace(found, losses=self.in_data(found.losses))
+        one = self.criteria(self.loglik(found.losses), self._unknowns_of(at.p))
         if n not in self.table or self.table[n].loglik < one.loglik:
             self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[at.p.imag > 0][np.argsort(at.d[at.p.imag > 0])])
         cost = self.cost(found)
@@ -688,6 +813,10 @@ class FreePath:
         if self.best is None or cost < self.cost(self.best):
             self.best = found
         return found
+
+    def _unknowns_of(self, p: ComplexArray) -> int:
+        """Unknowns of a model with these poles, and of the noise that the rows are made white by."""
+        return self.search.unknowns_of(p) + sum(len(one) - 1 for one in getattr(self.search, "innovations", ()))
 
     def report(self, n: int) -> Progress | None:
         """What is told of the iterations of n modes, the mean of the squared rows in a common unit of noise."""
@@ -730,7 +859,33 @@ class FreePath:
         return self._shown[1]
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
-        """The model of an order, or of that which the criterion prefers."""
+        """The model of an order, or of that which the criterion prefers, with noise as coloured as it prefers."""
+        model = self._in_rows(start, most, automatic)
+        if not self._coloured(model):
+            return model
+        # noise of a model that is too small has what this one lacks: in its rows others are looked for
+        further = self.in_its_noise(model)
+        found = [further]
+        if automatic:
+            found.append(self._in_rows(further.p, most, automatic))
+        none = self._joint(start, most, automatic)
+        found.append(none)
+        return min(found, key=self.cost)
+
+    def _coloured(self, model: FreeModel) -> bool:
+        """Whether the criterion prefers coloured noise, of records in which something acts all along."""
+        driven = isinstance(self.plain, Records) and all(one.inputs and not _is_short(one) for one in self.plain.data)
+        return driven and bool(self._past_of_noise(model)) and not np.any(model.losses <= self.floors)
+
+    def _joint(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+        """A model that has grown from a start with the noise that belongs to each step."""
+        self.whiten((), self.power)
+        model = self.grown(start, most, automatic, self.in_its_noise)
+        self.whiten(model.innovations, model.losses)
+        return self.in_its_noise(self.improved(model, most, automatic))
+
+    def _in_rows(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+        """The same in the rows there are."""
         model = self.improved(self.grown(start, most, automatic), most, automatic)
         other = self.likelier(model) if automatic else None
         if other is not None:
@@ -758,15 +913,17 @@ class FreePath:
         best = self.relocated(model, automatic)
         return self.patched(self.pruned(best), most) if automatic else best
 
-    def grown(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
-        """The same where no mode that has joined is doubted."""
-        model = self.reweighted(self.model(start))
+    def grown(
+        self, start: ComplexArray, most: int, automatic: bool, after: Callable[[FreeModel], FreeModel] = lambda one: one
+    ) -> FreeModel:
+        """The same where no mode that has joined is doubted; `after` each step models may be changed."""
+        model = after(self.reweighted(self.model(start)))
         best, missed = model, 0
         while missed < TUNING.patience:
             more = self.joined(model, most, automatic)
             if more is None:
                 break
-            model = more
+            model = after(more)
             if not automatic or self.cost(model) < self.cost(best):
                 best, missed = model, 0
             else:
@@ -793,8 +950,10 @@ class FreePath:
         if self.search.unknowns_of(p) >= self.counts.sum() or np.all(model.losses <= self.floors):
             return None
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(p)
-        modes = self.candidates(model)[1].max(initial=0.0)
-        if not given and (gain < TUNING.nearly_as_strong * modes or not self._stands_out(model, gain, then - now)):
+        modes, joint = self.candidates(model)[1].max(initial=0.0), self.search is not self.plain
+        if not given and (
+            gain < TUNING.nearly_as_strong * modes or not (joint or self._stands_out(model, gain, then - now))
+        ):
             return None
         more = self.reweighted(self.model(p))
         if _modes(more.p) > most or (given and _real(more.p) <= _real(model.p)):
@@ -803,6 +962,8 @@ class FreePath:
             return more
         # a pole at the border stands for what is fed through
         fast = np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling)
+        if joint:
+            return None if fast else more
         before, after = (float(np.sum(one.losses * self.sizes**2)) for one in (model, more))
         shown = self._stands_out(model, before - after, self.search.unknowns_of(more.p) - now)
         return more if shown and not fast and self.gain(more, model) > 2 * TUNING.sure else None
@@ -958,12 +1119,12 @@ class FreePath:
         try:
             self.best = self.best or self.chosen(start, most, automatic)
             found = self.finished(self.best, channels, automatic)
-            if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
+            if not (either_hold and isinstance(self.plain, Records) and found.order and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             kept = replace(self.best, at=found.projection)
-            other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
-            path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles)
+            other = self.plain.held("foh" if found.intersample == "zoh" else "zoh")
+            path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, found.noise)
             rival = path.finished(kept, channels, automatic)
         except KeyboardInterrupt:
             if found is not None:
@@ -984,7 +1145,7 @@ class FreePath:
         Of an `automatic` order without modes that only the bins about them asked for.  Who interrupts wants an end:
         then the poles stay as they are.
         """
-        self.weigh(model.losses)
+        self.whiten(model.innovations, model.losses)
         at, losses = self.settled(model.p, None, interrupted)
         while automatic and (needless := self.needless(at)) is not None:
             at, losses = self.settled(np.delete(at.p, needless), None, False)
@@ -995,13 +1156,15 @@ class FreePath:
                 at, losses = self.settled(at.p, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
-        unknowns = self.search.unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
+        unknowns = self._unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
         table = tuple(self.table[n] for n in sorted(self.table))
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
+        measured = FreeProjection(self.plain.scaled(self.sizes).data, at.p, fed) if model.innovations else None
         return FreeFit(
-            at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted
-        )
+            at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted,
+            measured=measured, noise=model.innovations,
+        )  # fmt: skip
 
     def settled(self, p: ComplexArray, fed: Mask | None, as_it_is: bool) -> tuple[FreeProjection, Array]:
         """The minimum over all data, with the variances that belong to it; and the losses of outputs."""
@@ -1011,7 +1174,7 @@ class FreePath:
         else:
             at = self.refined(p, _EXACT if alone else TUNING.rough, fed)
         for _ in range(_ROUNDS):
-            losses = at.losses / self.sizes**2
+            losses = self.in_data(at.losses)
             now = self.loglik(losses)
             self.weigh(losses)
             at = self.refined(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.data, at.p, fed)
@@ -1049,6 +1212,17 @@ class FreePath:
         errors = np.sqrt(np.maximum(variances, 0.0))
         errors = errors.reshape(len(at.feedthrough), at.inputs, width)[:, :, -1]
         return np.asarray(np.abs(at.feedthrough) > TUNING.fed_through * errors)
+
+
+def _same_filters(first: tuple[Array, ...], second: tuple[Array, ...]) -> bool:
+    """Whether filters of all outputs are the same."""
+    return len(first) == len(second) and all(np.array_equal(*pair) for pair in zip(first, second, strict=True))
+
+
+def _is_short(rows: FreeRecord) -> bool:
+    """Whether inputs act in a small part of a record, as hits do: their noise has no spectrum that lasts."""
+    power = np.sum(rows.u**2, axis=0)
+    return bool(np.sum(power) ** 2 < _LASTING * len(power) * np.sum(power**2))
 
 
 def _modes(p: ComplexArray) -> int:
