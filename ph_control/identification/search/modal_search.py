@@ -241,6 +241,7 @@ def free_fit(
 
         def anew(channels: Experiments, terms: int, start: ComplexArray | None) -> FreeFit:
             path = posed(channels, terms, found.intersample if either is None else either)
+            path.whiten(found.noise, path.power)
             if start is not None:
                 return path.finished(path.in_its_noise(path.model(start)), channels, automatic)
             return path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
@@ -417,7 +418,7 @@ def scanned_delays(found: FreeFit, channels: Experiments) -> Delays:
     inputs = len(channels[0].input_labels)
     none = (0,) * inputs
     if isinstance(channels[0], ResponseMatrix) or not inputs or found.rounding or not (
-        found.noise or (found.order and _leaves_traces(found.projection))
+        found.noise or (found.order and np.any(found.projection.p.imag == 0) and _leaves_traces(found.projection))
     ):  # fmt: skip
         return none
     some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
@@ -860,21 +861,21 @@ class FreePath:
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers, with noise as coloured as it prefers."""
+        if getattr(self.search, "innovations", ()):
+            return self._joint(start, most, automatic)
         model = self._in_rows(start, most, automatic)
         if not self._coloured(model):
             return model
-        # noise of a model that is too small has what this one lacks: in its rows others are looked for
         further = self.in_its_noise(model)
-        found = [further]
-        if automatic:
-            found.append(self._in_rows(further.p, most, automatic))
-        none = self._joint(start, most, automatic)
-        found.append(none)
-        return min(found, key=self.cost)
+        if not automatic or self.real_poles != "auto":
+            return further
+        # noise of a model that is too small has what this one lacks: in its rows others are looked for, and from nothing
+        others = [self._in_rows(further.p, most, automatic), self._joint(start, most, automatic)]
+        return min([further, *others], key=self.cost)
 
     def _coloured(self, model: FreeModel) -> bool:
         """Whether the criterion prefers coloured noise, of records in which something acts all along."""
-        driven = isinstance(self.plain, Records) and all(one.inputs and not _is_short(one) for one in self.plain.data)
+        driven = isinstance(self.plain, Records) and all(one.inputs and not is_short(one) for one in self.plain.data)
         return driven and bool(self._past_of_noise(model)) and not np.any(model.losses <= self.floors)
 
     def _joint(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
@@ -1219,7 +1220,7 @@ def _same_filters(first: tuple[Array, ...], second: tuple[Array, ...]) -> bool:
     return len(first) == len(second) and all(np.array_equal(*pair) for pair in zip(first, second, strict=True))
 
 
-def _is_short(rows: FreeRecord) -> bool:
+def is_short(rows: FreeRecord) -> bool:
     """Whether inputs act in a small part of a record, as hits do: their noise has no spectrum that lasts."""
     power = np.sum(rows.u**2, axis=0)
     return bool(np.sum(power) ** 2 < _LASTING * len(power) * np.sum(power**2))
