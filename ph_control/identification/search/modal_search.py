@@ -23,7 +23,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.elimination import orthogonal, without
-from ..regression.free import FreeProjection, refine_free
+from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FreeResponse, FrequencyRows
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows
@@ -54,6 +54,7 @@ _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
 _SWEEPS = 3  # over the delays of all inputs
 _LONGEST_DELAY = 24  # samples
+_ASTRAY = 4.0  # times the squares left of the data, at which a model was left for the sake of its noise
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
@@ -376,7 +377,7 @@ def likely_delays(found: FreeFit) -> set[Delays]:
     Residues turn with a delay; what the first samples of an answer are tells it.  Heavily damped modes can be a
     rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
     """
-    if not found.projection.inputs or not found.order or found.noise or isinstance(found.channels[0], ResponseMatrix):
+    if not found.projection.inputs or not found.order or isinstance(found.channels[0], ResponseMatrix):
         return set()
     p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
     inputs = len(found.channels[0].input_labels)
@@ -404,10 +405,13 @@ def likely_delays(found: FreeFit) -> set[Delays]:
         at = late(delay)
         if at.rows > 2 * at.unknowns or not delay:
             gains[delay] = -0.5 * found.projection.rows * float(np.log(at.loss / at.rows))
+    best = max(gains, key=lambda delay: gains[delay])
+    if found.noise:  # what takes the place of a delay
+        return of_all({best} - {0})
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
-    return of_all(likely | {max(gains, key=lambda delay: gains[delay])} - {0})
+    return of_all(likely | {best} - {0})
 
 
 def scanned_delays(found: FreeFit, channels: Experiments) -> Delays:
@@ -441,10 +445,10 @@ def _gains_of_delays(
     one: Recording, found: FreeFit, p: ComplexArray, delays: Delays, place: int, most: int
 ) -> Array:
     """How much an input explains beside the others if the outputs come 0, 1, .. to `most` samples after it."""
-    T = one.samples
-    shifted = np.array([one.u[k, most - min(d, most) : T - min(d, most)] for k, d in enumerate(delays)])
-    late = np.array([one.u[place, most - d : T - d] for d in range(most + 1)])
-    some = replace(one, time=one.clock[most:], u=shifted, y=one.y[:, most:])
+    stop = one.samples + min(0, *delays)
+    shifted = np.array([one.u[k, most - min(d, most) : stop - min(d, most)] for k, d in enumerate(delays)])
+    late = np.array([one.u[place, most - d : stop - d] for d in range(most + 1)])
+    some = replace(one, time=one.clock[most:stop], u=shifted, y=one.y[:, most:stop])
     rows = Records(_records([some], found.intersample, found.offset, True))
     if found.noise:
         rows = rows.whitened(found.noise)
@@ -868,10 +872,25 @@ class FreePath:
             return model
         further = self.in_its_noise(model)
         if not automatic or self.real_poles != "auto":
-            return further
-        # noise of a model that is too small has what this one lacks: in its rows others are looked for, and from nothing
+            # of a number that is too small the noise would take over what the plant lacks
+            return further if self._simulated(further) < _ASTRAY * float(model.losses.sum()) else model
+        # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
         others = [self._in_rows(further.p, most, automatic), self._joint(start, most, automatic)]
         return min([further, *others], key=self.cost)
+
+    def _simulated(self, model: FreeModel) -> float:
+        """Squares that a model leaves of the data, the noise not foretold."""
+        if not model.innovations or not len(model.p):
+            return float(model.losses.sum())
+        self.whiten(model.innovations, model.losses)
+        at = FreeProjection(self.scaled.data, model.p)
+        data = GivenResidues(FreeProjection(self.plain.scaled(self.sizes).data, model.p), at.shared)
+        left = 0.0
+        for rows, predicted in zip(data.experiments, data.predictions(), strict=True):
+            if isinstance(rows, FreeRecord):
+                errors = (rows.measured - predicted)[:, rows.observed] / self.sizes[rows.outputs, None]
+                left += float(np.sum(errors**2))
+        return left
 
     def _coloured(self, model: FreeModel) -> bool:
         """Whether the criterion prefers coloured noise, of records in which something acts all along."""
