@@ -9,19 +9,19 @@ import numpy as np
 
 from ..._types import Array
 from ..regression.elimination import orthogonal, without
-from ..regression.free import FreeProjection, by_poles, places_of, refine_free
+from ..regression.free import FreeProjection, GivenResidues, by_poles, places_of, refine_free
 from ..regression.modal_regressors import SampledModes
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
 from ..search.circumstances import Cause, Finding, foretold, likeliest_ratio, sampled_response
-from ..search.modal_search import FreeFit
+from ..search.modal_search import FreeFit, is_short
+from ..uncertainty.residual_tests import ljung_box
 
 _LONGEST = 64  # samples of the past that noise may depend on
 _SAMPLES_EACH = 20  # of the residuals for each of them
 _LEAST = 0.1  # of the noise about a mode that is taken to be left beside what was fitted there
 _TOLD = 10.0  # log-likelihood by which noise of a kind has to explain more than white noise
-_LASTING = 0.05  # of a record: the part in which an input has to act
 _ASTRAY = 4.0  # times the squares left beside the modes, at which these were left for the sake of what is no noise
 _GRID = 4096  # frequencies of a spectrum
 _EXACT = 1e-13  # relative decrease of the loss at which a refinement ends
@@ -36,23 +36,28 @@ class OutputNoise:
 
 
 def beside_coloured_noise(free: FreeFit) -> FreeFit:
-    """The same modes with what their residuals are like, refined in rows of white noise.
+    """The same modes with what their residuals are like, refined in rows of white noise where they are not.
 
-    The innovations filter of an output takes inputs and outputs of any modes to inputs and outputs of the same modes.
+    A search leaves rows that are white but where noise comes through the modes, or depends on more of its past than an
+    order is weighed against.  The innovations filter of an output takes inputs and outputs of any modes to inputs and
+    outputs of the same modes.
     Of a free motion the rows stay as they are, and of responses all.  They also stay where the input acts in a small
     part of a record, or modes would be lost, begin to grow, or grow twice as fast: what hits leave of an input known at
     its samples only, or what no linear model explains, has no spectrum that all of the record shares.
     """
-    at = free.projection
+    at = free.projection if free.measured is None else GivenResidues(free.measured, free.projection.shared)
     records = [one for one in at.experiments if isinstance(one, FreeRecord)]
     if len(records) < len(at.experiments) or not free.order or free.rounding:
         return free
-    noise = noise_of(free, records)
+    noise = noise_of(replace(free, projection=at), records)
     findings = tuple(one.finding for one in noise if one.finding is not None)
     if not findings:
         return free
     free = replace(free, findings=(*free.findings, *findings))
-    if not at.inputs or any(_is_short(one) for one in records):
+    if not at.inputs or any(is_short(one) for one in records):
+        return free
+    through = any(one.cause is Cause.INPUT_NOISE for one in findings)
+    if free.noise and not through and _is_white(free.projection):
         return free
     rows = [row for one in records for row in one.filtered([each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
@@ -65,13 +70,17 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
         counts[one.outputs] += one.samples
     sizes = np.sqrt(counts / found.losses)[:, None]
     rows = [one.in_units(float(sizes[one.outputs[0], 0])) for one in rows]
-    return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=at)
+    measured = FreeProjection(at.experiments, found.p, at.fed)
+    return replace(free, projection=FreeProjection(rows, found.p, at.fed), measured=measured)
 
 
-def _is_short(one: FreeRecord) -> bool:
-    """Whether inputs act in a small part of a record, as hits do: their noise has no spectrum that lasts."""
-    power = np.sum(one.u**2, axis=0)
-    return bool(np.sum(power) ** 2 < _LASTING * len(power) * np.sum(power**2))
+def _is_white(at: FreeProjection) -> bool:
+    """Whether what is left in the rows of each output may be white noise."""
+    found = []
+    for rows, predicted in zip(at.experiments, at.predictions(), strict=True):
+        if isinstance(rows, FreeRecord):
+            found += [ljung_box([one[rows.observed]], TUNING.lags) for one in rows.measured - predicted]
+    return min(found) * len(found) >= TUNING.white
 
 
 def noise_of(free: FreeFit, records: Sequence[FreeRecord]) -> list[OutputNoise]:

@@ -66,9 +66,7 @@ def of_record(
     return Directions(np.concatenate([by_d, forced[:, weighted]], axis=1), np.concatenate(parts, axis=1))
 
 
-def of_damped_response(
-    record: FrequencyRecord, p: ComplexArray, rho: ComplexArray, delay: float = 0.0
-) -> Directions:
+def of_damped_response(record: FrequencyRecord, p: ComplexArray, rho: ComplexArray, delay: float = 0.0) -> Directions:
     """Of a frequency response and damped modes with residues (n,), complex."""
     s, late = 1j * record.omega, np.exp(-1j * record.omega * delay)
     ahead, behind = late / (s - p[:, None]), late / (s - p[:, None].conj())

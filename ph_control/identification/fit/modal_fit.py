@@ -492,6 +492,8 @@ def _judged(
     known = counts > 0
     variances = floor / np.maximum(counts, 1)
     loglik = float(-0.5 * np.sum(counts[known] * (np.log(2 * np.pi * variances[known]) + 1)))
+    if free.noise:  # that of the innovations, less what a structure costs
+        loglik = free.criteria.loglik - 0.5 * (fit.loss - free.projection.loss) / free.variance
     samples = int(counts.sum())
     spare = max(1, samples - unknowns)
     rows = [row for one in experiments for row in _rows(one)]

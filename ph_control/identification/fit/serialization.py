@@ -227,9 +227,7 @@ def _record(fields: Fields) -> Any:
 def _experiment(fields: Fields, n: int, states: int, record: Any) -> Any:
     in_time, single = isinstance(record, InTime), isinstance(record, Record | FrequencyRecord)
     # damped modes do not predict a response where nothing was measured
-    predicted = (fields.array if in_time else fields.complex_array)(
-        "predicted", record.measured.shape, finite=False
-    )
+    predicted = (fields.array if in_time else fields.complex_array)("predicted", record.measured.shape, finite=False)
     shapes: Shapes = {"initial_state": (states * in_time,), "free_amplitudes": (n * in_time,)}
     if not single:
         p = len(record.output_labels)

@@ -78,9 +78,7 @@ def predicted_outputs(
     return _late_outputs(p, residues, through, u, hold, 0.0)
 
 
-def _late_outputs(
-    p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: float
-) -> Array:
+def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Array, hold: Hold, delay: float) -> Array:
     """Outputs that come later by the same time."""
     outputs = residues.shape[1]
     if not len(u):

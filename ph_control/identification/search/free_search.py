@@ -23,6 +23,7 @@ from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow, real_rows
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
+from .circumstances import autoregression, correlations
 from .screening import highest_peaks
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
@@ -40,6 +41,19 @@ _DECAYS = (0.01, 0.1, 0.5, 1.5)
 Left = list[ComplexArray]  # what a model leaves of the outputs (q, K) of each row of data, in the frequency domain
 
 
+@dataclass(frozen=True)
+class NoiseOrders:
+    """Autoregressions of order 0, 1, ... of the noise of an output, and their variances over that of the rows."""
+
+    models: list[Array]
+    variances: Array
+
+    def innovations(self, count: int, each: float) -> Array:
+        """The innovations filter that a criterion prefers which charges so much for each coefficient."""
+        order = int(np.argmin(count * np.log(self.variances) + each * np.arange(len(self.variances))))
+        return np.concatenate([[1.0], -self.models[order]])
+
+
 @dataclass(frozen=True, eq=False)
 class FreeModel:
     """Damped modes and what they leave, the losses of outputs in the units of the data."""
@@ -47,6 +61,17 @@ class FreeModel:
     at: FreeProjection
     left: Left
     losses: Array
+    search: FreeSearch | None = None  # in whose rows these are
+
+    @cached_property
+    def noise(self) -> list[NoiseOrders]:
+        """Autoregressions of what is left of each output."""
+        return [] if self.search is None else self.search.noise(self.left)
+
+    @property
+    def innovations(self) -> tuple[Array, ...]:
+        """Filter of each output that made the rows; none where these are the data."""
+        return self.search.innovations if isinstance(self.search, Records) else ()
 
     @property
     def p(self) -> ComplexArray:
@@ -132,7 +157,11 @@ class FreeSearch:
     def model(self, at: FreeProjection) -> FreeModel:
         """Modes with what they leave."""
         left = self.left(at)
-        return FreeModel(at, left, self.losses(left))
+        return FreeModel(at, left, self.losses(left), self)
+
+    def noise(self, left: Left) -> list[NoiseOrders]:
+        """Autoregressions of what is left of each output; none where that is no record."""
+        return []
 
 
 def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
@@ -156,9 +185,10 @@ def explained_by_lags(rows: FreeRows, p: ComplexArray, rates: Array) -> Array:
 
 @dataclass(frozen=True)
 class Records(FreeSearch):
-    """Records in time."""
+    """Records in time, or what the `innovations` filter of the noise of each output makes of them."""
 
     data: Sequence[FreeRecord]
+    innovations: tuple[Array, ...] = ()
 
     @cached_property
     def spectra(self) -> list[ChannelSpectra]:
@@ -177,6 +207,27 @@ class Records(FreeSearch):
     def held(self, intersample: str) -> Records:
         """The same with inputs held otherwise between the samples."""
         return replace(self, data=[one.held(intersample) for one in self.data])
+
+    def whitened(self, innovations: tuple[Array, ...]) -> Records:
+        """Records in time made to rows in which noise with these innovations filters is white."""
+        rows = [row for one in self.data for row in one.filtered(innovations)]
+        return replace(self, data=rows, innovations=innovations)
+
+    def noise(self, left: Left) -> list[NoiseOrders]:
+        """Autoregressions of the noise of each output in the data, by what is left of it in the rows."""
+        found = []
+        for output in range(1 + max(int(one.outputs.max()) for one in self.data)):
+            pairs = zip(self.data, left, strict=True)
+            seen = [(one.length, part[one.outputs == output]) for one, part in pairs if output in one.outputs]
+            lengths = [length for length, _ in seen]
+            rows = correlations([part[0] for _, part in seen], lengths)
+            sums = rows
+            if self.innovations and len(b := self.innovations[output]) > 1:
+                sums = correlations([part[0] / np.fft.rfft(b, length) for length, part in seen], lengths)
+            models, variances = autoregression(sums, min(lengths))
+            share = sums[0] / rows[0] if rows[0] > 0 else 1.0
+            found.append(NoiseOrders(models, variances * share))
+        return found
 
     def scaled(self, sizes: Array) -> Records:
         """The same with outputs (q,) so many times as large."""

@@ -23,14 +23,14 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.delays import Delays
-from ..regression.free import FreeProjection, refine_free
+from ..regression.free import FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows
 from ..regression.tuning import TUNING
 from ..regression.variable_projection import Interrupted, Problem, Progress
 from ..uncertainty.residual_tests import ljung_box
-from .circumstances import Cause, Finding, autoregression, correlations
+from .circumstances import Cause, Finding
 from .criteria import Criteria, past_of_noise
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
@@ -52,6 +52,11 @@ _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
 _FEW_MODES = 5  # that few points of responses do not show beside a background
 _SWAPS = 6  # modes that are looked for elsewhere, at most
+_SCANS = 3  # searches with the delays that the last one says
+_LONGEST_DELAY = 24  # samples
+_ASTRAY = 4.0  # times the squares left of the data, at which a model was left for the sake of its noise
+_AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
+_LASTING = 0.05  # of a record: the part in which an input has to act
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,8 @@ class FreeFit(Frozen):
         Log-likelihood by which this explains more.
     delay_open : bool
         Whether the delay is left to the data.
+    noise : tuple of ndarray
+        Innovations filter of the noise of each output, with which these rows were made; none where the noise is white.
     """
 
     projection: FreeProjection
@@ -115,6 +122,7 @@ class FreeFit(Frozen):
     delay: Array = field(default_factory=lambda: np.zeros(1))
     delay_gain: float = 0.0
     delay_open: bool = False
+    noise: tuple[Array, ...] = ()
 
     @property
     def per_entry(self) -> bool:
@@ -252,14 +260,15 @@ def free_fit(
     if automatic and real_poles in ("auto", 0) and not found.interrupted:
         found = _of_few_lines(found, path.of_few_lines(), min(max_order, path.carried))
     found = found.with_delay_open(delay is None)
-    if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
+    if found.interrupted or found.rounding or (found.per_entry and weighted) or not (found.order or found.noise):
         return found
     if not found.per_entry:
 
         def anew(late: Array, terms: int, start: ComplexArray | None) -> FreeFit:
             path = posed(channels, terms, found.intersample if either is None else either, late)
+            path.whiten(found.noise, path.power)
             if start is not None:
-                again = path.finished(path.model(start), channels, automatic)
+                again = path.finished(path.in_its_noise(path.model(start)), channels, automatic)
             else:
                 again = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
             return again.with_delay_open(delay is None)
@@ -331,6 +340,7 @@ def _of_long(
     found = free_fit(parts, order, intersample=intersample, offset=offset, **how, **options)
     if found.interrupted:
         return found
+    how["noise"] = found.noise
     best, path = FreeModel(found.projection, [], found.projection.losses * found.scales**2), None
     while path is None or any(one.stop - one.start < given.samples for one, given in zip(part, channels, strict=True)):
         part = [next(stages(one, given.samples), one) for one, given in zip(part, channels, strict=True)]
@@ -339,7 +349,7 @@ def _of_long(
             longer, intersample=found.intersample, offset=found.offset, best=best, delay=found.delay, **how
         )
         at = path.refined(best.p, TUNING.rough, None)
-        path.best = best = FreeModel(at, [], at.losses / path.sizes**2)
+        path.best = best = FreeModel(at, [], path.in_data(at.losses), path.search)
     whole = path.fit(best.p, len(best.p), False, channels, either_hold=intersample == "auto")
     rival = whole.rival and replace(whole.rival, order_table=found.order_table)
     return replace(
@@ -393,6 +403,18 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
             best, gain = replace(again, findings=found.findings, delay_gain=now), now
             if again.order < found.order and not _leaves_traces(again.projection):
                 break
+    # poles that were found in a wrong delay, or none, say little of the right one
+    for _ in range(_SCANS):
+        samples = scanned_delay(best)
+        if samples is None or samples == _samples_late(best):
+            break
+        again = anew(np.full(len(found.scales), samples * found.channels[0].dt), found.offset, None)
+        now = 0.5 * (found.criteria.bic - again.criteria.bic * found.projection.rows / again.projection.rows)
+        # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
+        each = 0.5 * float(np.log(found.projection.rows)) if again.noise else TUNING.likely
+        if now <= max(gain - TUNING.likely * (best is found), each):
+            break
+        best, gain = replace(again, findings=found.findings, delay_gain=now), now
     return best
 
 
@@ -403,7 +425,7 @@ def likely_delays(found: FreeFit) -> list[Array]:
     rational approximation of it (Pade), which leaves white residuals: they are weighed against a delay without them.
     One delay of all outputs, or of each its own; the likeliest first.
     """
-    if not found.projection.inputs or isinstance(found.channels[0], ResponseMatrix):
+    if not found.projection.inputs or not found.order or isinstance(found.channels[0], ResponseMatrix):
         return []
     p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
     step, count = some[0].dt, len(found.scales)
@@ -437,6 +459,9 @@ def likely_delays(found: FreeFit) -> list[Array]:
         if at.rows > 2 * at.unknowns or not delay:
             gains[delay] = -0.5 * found.projection.rows * float(np.log(at.loss / at.rows))
             each[delay] = at.losses / at.rows
+    if found.noise:  # what takes the place of a delay
+        best = max(gains, key=lambda delay: gains[delay])
+        return of_all([best] if best else [])
     # modes too many may stand for most of a delay; one sample more or less is what may be fed through
     likely = {delay for delay, gain in gains.items() if delay > 1 and gain > gains[0] - TUNING.likely}
     likely |= {1} & gains.keys() if likely else set()
@@ -445,6 +470,42 @@ def likely_delays(found: FreeFit) -> list[Array]:
     tried = np.array(list(each))
     own = tried[np.argmin(np.stack([each[one] for one in tried.tolist()]), axis=0)]
     return [*found_for_all, step * own] if np.ptp(own) else found_for_all
+
+
+def _samples_late(found: FreeFit) -> int:
+    """Whole samples by which the outputs of a fit come after its inputs."""
+    return int(np.rint(np.median(found.delay) / found.channels[0].dt))
+
+
+def scanned_delay(found: FreeFit) -> int | None:
+    """Samples by which outputs come after the inputs, for the poles and the noise there are; None if nothing says so.
+
+    Without poles for real ones of all rates.  Nothing is looked for where what is left shows nothing of the inputs.
+    """
+    channels = found.channels
+    if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or found.rounding or not (
+        found.noise or (found.order and np.any(found.projection.p.imag == 0) and _leaves_traces(found.projection))
+    ):  # fmt: skip
+        return None
+    some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
+    shortest = min(one.samples for one in some)
+    most = min(_LONGEST_DELAY, shortest // 10)
+    rates = np.geomspace(20.0 / shortest, 0.5, 4) / channels[0].dt
+    p = found.projection.p if found.order else (-rates).astype(complex)
+    return int(np.argmax(sum(_gains_of_delays(one, found, p, most) for one in some)))
+
+
+def _gains_of_delays(one: Recording, found: FreeFit, p: ComplexArray, most: int) -> Array:
+    """How much inputs explain of outputs that come 0, 1, .. to `most` samples after them, for some poles."""
+    records = _records([one], found.intersample, found.offset, True)
+    gains = np.zeros(most + 1)
+    for d in range(most + 1):
+        rows = Records([row.delayed(d * one.dt, 0.0, most * one.dt) for row in records])
+        rows = rows.whitened(found.noise) if found.noise else rows
+        scaled = rows.scaled(1.0 / found.scales)
+        at = FreeProjection(scaled.data, p)
+        gains[d] = -at.loss
+    return gains
 
 
 def _leaves_traces(at: FreeProjection) -> bool:
@@ -613,29 +674,31 @@ class FreePath:
 
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
-        best: FreeModel | None = None, real_poles: int | str = "auto",
+        best: FreeModel | None = None, real_poles: int | str = "auto", noise: tuple[Array, ...] = (),
     ) -> None:  # fmt: skip
-        self.real_poles, self.search = real_poles, search.with_kinds(real_poles == "auto")
+        self.real_poles, self.plain = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
         self.best = best  # so far
         self.seen: list[tuple[float, ComplexArray]] = []  # all so far: costs and poles
         self._shown: tuple[FreeModel, tuple[ComplexArray, Array]] | None = None
-        counts, largest = np.zeros(len(felt)), np.zeros(len(felt))
+        largest = np.zeros(len(felt))
         for one in search.data:
-            counts[one.outputs] += one.samples
             largest[one.outputs] = np.maximum(largest[one.outputs], one.largest)
         largest = np.where(largest > 0, largest, largest.max())  # what is zero is so to the rounding of the others
         # real equations of each output, losses that are rounding, and the power of all
+        counts = self._counted(self.plain)
         self.counts = np.maximum(counts, 1)
         self.floors = np.maximum(counts * (EPS * counts * largest) ** 2, np.finfo(float).tiny)
-        self.weigh(self.power if best is None else best.losses)
+        self.search, self._missing = self.plain, np.ones(len(felt))
+        self.power = self.plain.model(FreeProjection(self.plain.rows(none := np.zeros(0, complex)), none)).losses
+        self.whiten(noise, self.power if best is None else best.losses)
 
     @classmethod
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto", delay: Array | None = None,
+        real_poles: int | str = "auto", delay: Array | None = None, noise: tuple[Array, ...] = (),
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -645,7 +708,7 @@ class FreePath:
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
             search: FreeSearch = Records(_records(recordings, held, offset, moving, delay))
-            return cls(search, felt, criterion, reports, best, real_poles)
+            return cls(search, felt, criterion, reports, best, real_poles, noise)
         search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each, delay))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
@@ -670,11 +733,26 @@ class FreePath:
 
     # --- likelihood
 
-    @cached_property
-    def power(self) -> Array:
-        """Losses of outputs without modes."""
-        none = np.zeros(0, complex)
-        return self.search.model(FreeProjection(self.search.rows(none), none)).losses
+    def _counted(self, search: FreeSearch) -> Array:
+        """Real equations of each output in some rows."""
+        counts = np.zeros(len(self.felt))
+        for one in search.data:
+            counts[one.outputs] += one.samples
+        return counts
+
+    def whiten(self, innovations: tuple[Array, ...], losses: Array) -> None:
+        """Go on in rows in which noise with these innovations filters is white, and is what leaves these losses."""
+        if not _same_filters(innovations, getattr(self.search, "innovations", ())):
+            self.search = self.plain.whitened(innovations) if isinstance(self.plain, Records) and innovations else (
+                self.plain
+            )  # fmt: skip
+            # filters cannot know their past at the beginning: losses are those of as many samples as in the data
+            self._missing = self.counts / np.maximum(self._counted(self.search), 1)
+        self.weigh(losses)
+
+    def in_data(self, losses: Array) -> Array:
+        """Losses of scaled rows in the units of the data, and of as many samples."""
+        return losses / self.sizes**2 * self._missing
 
     def of_few_lines(self) -> list[FreePath]:
         """Searches for modes with real shapes among responses of few points, without and with a background."""
@@ -712,12 +790,17 @@ class FreePath:
     def cost(self, model: FreeModel) -> float:
         """What the order is chosen by: the criterion, with noise of each output as coloured as it prefers."""
         found = self.criteria(self.loglik(model.losses), self.search.unknowns_of(model.p)).by_name(self.criterion)
-        if not len(model.p) or not isinstance(self.search, Records):
+        # what no mode explains yet is not taken for noise
+        if not (len(model.p) or model.innovations):
             return found
-        each = 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
-        for output, count in enumerate(self.counts):
-            found += past_of_noise(int(count), self._autoregression(model, output)[1], each)
+        for count, noise in zip(self.counts, model.noise, strict=False):
+            found += past_of_noise(int(count), noise.variances, self._each)
         return found
+
+    @property
+    def _each(self) -> float:
+        """What the criterion charges for a parameter."""
+        return 2.0 if self.criterion in ("aic", "aicc") else float(np.log(self.counts.sum()))
 
     def _stands_out(self, model: FreeModel, gain: float, unknowns: int) -> bool:
         """Whether noise would hardly let so many unknowns more explain as much of what a model leaves."""
@@ -730,9 +813,9 @@ class FreePath:
         Residues that are best in white noise are poor ones in coloured noise, whose criterion they say little of.
         """
         past = self._past_of_noise(more)
-        if not isinstance(self.search, Records) or max(map(len, past)) == 1:
+        if self.search is not self.plain or not past or not isinstance(self.plain, Records):
             return self.cost(model) - self.cost(more)
-        rows = [row for one in self.search.data for row in one.filtered(past)]
+        rows = self.plain.whitened(past).data
         counts, likelihood = np.zeros(len(self.counts)), []
         for one in rows:
             counts[one.outputs] += one.samples
@@ -746,23 +829,26 @@ class FreePath:
         )  # fmt: skip
         return first - second
 
-    def _past_of_noise(self, model: FreeModel) -> list[Array]:
-        """Of each output the innovations filter of the autoregression that BIC prefers for what a model leaves."""
-        found = [np.ones(1) for _ in self.counts]
-        if not isinstance(self.search, Records):
-            return found
-        for output, count in enumerate(self.counts):
-            models, left = self._autoregression(model, output)
-            order = int(np.argmin(count * np.log(left) + np.log(count) * np.arange(len(left))))
-            found[output] = np.concatenate([[1.0], -models[order]])
-        return found
+    def _past_of_noise(self, model: FreeModel) -> tuple[Array, ...]:
+        """Of each output the innovations filter of the autoregression that the criterion prefers."""
+        filters = [noise.innovations(int(count), self._each)
+                   for count, noise in zip(self.counts, model.noise, strict=False)]  # fmt: skip
+        return tuple(filters) if any(len(one) > 1 for one in filters) else ()
 
-    def _autoregression(self, model: FreeModel, output: int) -> tuple[list[Array], Array]:
-        """Autoregressions of what a model leaves of an output of recordings, and the variances that these leave."""
-        pairs = zip(self.search.data, model.left, strict=True)
-        seen = [(one.length, left[one.outputs == output]) for one, left in pairs if output in one.outputs]
-        sums = correlations([left[0] for _, left in seen], [length for length, _ in seen])
-        return autoregression(sums, min(length for length, _ in seen))
+    def in_its_noise(self, model: FreeModel) -> FreeModel:
+        """A model refined in rows in which its own noise is white, until both agree."""
+        self.whiten(model.innovations, model.losses)
+        for _ in range(_ROUNDS):
+            past = self._past_of_noise(model)
+            if _same_filters(past, model.innovations):
+                break
+            foretold = [float(noise.variances.min()) for noise in model.noise]
+            before = model
+            self.whiten(past, model.losses * foretold)
+            model = self.reweighted(self.model(model.p))
+            if self.cost(before) - self.cost(model) < _AGREED:
+                break
+        return model
 
     @property
     def carried(self) -> int:
@@ -795,8 +881,8 @@ class FreePath:
     def judged(self, at: FreeProjection) -> FreeModel:
         """Modes with what they leave, entered into the table."""
         found, n = self.scaled.model(at), _modes(at.p)
-        found = replace(found, losses=found.losses / self.sizes**2)  # in the units of the data
-        one = self.criteria(self.loglik(found.losses), self.search.unknowns_of(at.p))
+        found = replace(found, losses=self.in_data(found.losses))
+        one = self.criteria(self.loglik(found.losses), self._unknowns_of(at.p))
         if n not in self.table or self.table[n].loglik < one.loglik:
             self.table[n] = FreeOrder(**vars(one), order=n, poles=at.p[at.p.imag > 0][np.argsort(at.d[at.p.imag > 0])])
         cost = self.cost(found)
@@ -804,6 +890,10 @@ class FreePath:
         if self.best is None or cost < self.cost(self.best):
             self.best = found
         return found
+
+    def _unknowns_of(self, p: ComplexArray) -> int:
+        """Unknowns of a model with these poles, and of the noise that the rows are made white by."""
+        return self.search.unknowns_of(p) + sum(len(one) - 1 for one in getattr(self.search, "innovations", ()))
 
     def report(self, n: int) -> Progress | None:
         """What is told of the iterations of n modes, the mean of the squared rows in a common unit of noise."""
@@ -849,7 +939,48 @@ class FreePath:
         return self._shown[1]
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
-        """The model of an order, or of that which the criterion prefers."""
+        """The model of an order, or of that which the criterion prefers, with noise as coloured as it prefers."""
+        if getattr(self.search, "innovations", ()):
+            return self._joint(start, most, automatic)
+        model = self._in_rows(start, most, automatic)
+        if not self._coloured(model):
+            return model
+        further = self.in_its_noise(model)
+        if not automatic or self.real_poles != "auto":
+            # of a number that is too small the noise would take over what the plant lacks
+            return further if self._simulated(further) < _ASTRAY * float(model.losses.sum()) else model
+        # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
+        others = [self._in_rows(further.p, most, automatic), self._joint(start, most, automatic)]
+        return min([further, *others], key=self.cost)
+
+    def _simulated(self, model: FreeModel) -> float:
+        """Squares that a model leaves of the data, the noise not foretold."""
+        if not model.innovations or not len(model.p):
+            return float(model.losses.sum())
+        self.whiten(model.innovations, model.losses)
+        at = FreeProjection(self.scaled.data, model.p)
+        data = GivenResidues(FreeProjection(self.plain.scaled(self.sizes).data, model.p), at.shared)
+        left = 0.0
+        for rows, predicted in zip(data.experiments, data.predictions(), strict=True):
+            if isinstance(rows, FreeRecord):
+                errors = (rows.measured - predicted)[:, rows.observed] / self.sizes[rows.outputs, None]
+                left += float(np.sum(errors**2))
+        return left
+
+    def _coloured(self, model: FreeModel) -> bool:
+        """Whether the criterion prefers coloured noise, of records in which something acts all along."""
+        driven = isinstance(self.plain, Records) and all(one.inputs and not is_short(one) for one in self.plain.data)
+        return driven and bool(self._past_of_noise(model)) and not np.any(model.losses <= self.floors)
+
+    def _joint(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+        """A model that has grown from a start with the noise that belongs to each step."""
+        self.whiten((), self.power)
+        model = self.grown(start, most, automatic, self.in_its_noise)
+        self.whiten(model.innovations, model.losses)
+        return self.in_its_noise(self.improved(model, most, automatic))
+
+    def _in_rows(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
+        """The same in the rows there are."""
         model = self.improved(self.grown(start, most, automatic), most, automatic)
         other = self.likelier(model) if automatic else None
         if other is not None:
@@ -877,15 +1008,17 @@ class FreePath:
         best = self.relocated(model, automatic)
         return self.patched(self.pruned(best), most) if automatic else best
 
-    def grown(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
-        """The same where no mode that has joined is doubted."""
-        model = self.reweighted(self.model(start))
+    def grown(
+        self, start: ComplexArray, most: int, automatic: bool, after: Callable[[FreeModel], FreeModel] = lambda one: one
+    ) -> FreeModel:
+        """The same where no mode that has joined is doubted; `after` each step models may be changed."""
+        model = after(self.reweighted(self.model(start)))
         best, missed = model, 0
         while missed < TUNING.patience:
             more = self.joined(model, most, automatic)
             if more is None:
                 break
-            model = more
+            model = after(more)
             if not automatic or self.cost(model) < self.cost(best):
                 best, missed = model, 0
             else:
@@ -912,8 +1045,10 @@ class FreePath:
         if self.search.unknowns_of(p) >= self.counts.sum() or np.all(model.losses <= self.floors):
             return None
         now, then = self.search.unknowns_of(model.p), self.search.unknowns_of(p)
-        modes = self.candidates(model)[1].max(initial=0.0)
-        if not given and (gain < TUNING.nearly_as_strong * modes or not self._stands_out(model, gain, then - now)):
+        modes, joint = self.candidates(model)[1].max(initial=0.0), self.search is not self.plain
+        if not given and (
+            gain < TUNING.nearly_as_strong * modes or not (joint or self._stands_out(model, gain, then - now))
+        ):
             return None
         more = self.reweighted(self.model(p))
         if _modes(more.p) > most or (given and _real(more.p) <= _real(model.p)):
@@ -922,6 +1057,8 @@ class FreePath:
             return more
         # a pole at the border stands for what is fed through
         fast = np.any(more.p[more.p.imag == 0].real < -_FASTEST * self.search.region.ceiling)
+        if joint:
+            return None if fast else more
         before, after = (float(np.sum(one.losses * self.sizes**2)) for one in (model, more))
         shown = self._stands_out(model, before - after, self.search.unknowns_of(more.p) - now)
         return more if shown and not fast and self.gain(more, model) > 2 * TUNING.sure else None
@@ -1093,12 +1230,12 @@ class FreePath:
                 if beside is not None:
                     return beside.fit(start, most, automatic, channels, either_hold=either_hold)
             found = self.finished(self.best, channels, automatic)
-            if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
+            if not (either_hold and isinstance(self.plain, Records) and found.order and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             kept = replace(self.best, at=found.projection)
-            other = self.search.held("foh" if found.intersample == "zoh" else "zoh")
-            path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles)
+            other = self.plain.held("foh" if found.intersample == "zoh" else "zoh")
+            path = FreePath(other, self.felt, self.criterion, self.reports, kept, self.real_poles, found.noise)
             rival = path.finished(kept, channels, automatic)
         except KeyboardInterrupt:
             if found is not None:
@@ -1119,7 +1256,7 @@ class FreePath:
         Of an `automatic` order without modes that only the bins about them asked for.  Who interrupts wants an end:
         then the poles stay as they are.
         """
-        self.weigh(model.losses)
+        self.whiten(model.innovations, model.losses)
         at, losses = self.settled(model.p, None, interrupted)
         while automatic and (needless := self.needless(at)) is not None:
             at, losses = self.settled(np.delete(at.p, needless), None, False)
@@ -1131,13 +1268,14 @@ class FreePath:
         at, losses = self.on_simplest_background(at, losses, fed, interrupted)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
-        unknowns = self.search.unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
+        unknowns = self._unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
         table = tuple(self.table[n] for n in sorted(self.table))
         criteria = self.criteria(self.loglik(losses), unknowns)
         rounding = bool(np.any(losses <= self.floors))
+        measured = FreeProjection(self.plain.scaled(self.sizes).data, at.p, fed) if model.innovations else None
         return FreeFit(
             at, tuple(channels), 1.0 / self.sizes, table, self.search.region, unknowns, criteria, rounding, interrupted,
-            delay=self.delay,
+            measured=measured, noise=model.innovations, delay=self.delay,
         )  # fmt: skip
 
     def beside_further_terms(self, most: int, automatic: bool) -> FreePath | None:
@@ -1187,7 +1325,7 @@ class FreePath:
         else:
             at = self.refined(p, _EXACT if alone else TUNING.rough, fed)
         for _ in range(_ROUNDS):
-            losses = at.losses / self.sizes**2
+            losses = self.in_data(at.losses)
             now = self.loglik(losses)
             self.weigh(losses)
             at = self.refined(at.p, _EXACT, fed) if not alone else FreeProjection(self.scaled.data, at.p, fed)
@@ -1239,6 +1377,17 @@ def term_gains(at: FreeProjection, variance: float) -> dict[Term, tuple[float, i
                 gain, count = found.get(term, (0.0, 0))
                 found[term] = gain + float(each.sum()), count + len(each)
     return found
+
+
+def _same_filters(first: tuple[Array, ...], second: tuple[Array, ...]) -> bool:
+    """Whether filters of all outputs are the same."""
+    return len(first) == len(second) and all(np.array_equal(*pair) for pair in zip(first, second, strict=True))
+
+
+def is_short(rows: FreeRecord) -> bool:
+    """Whether inputs act in a small part of a record, as hits do: their noise has no spectrum that lasts."""
+    power = np.sum(rows.u**2, axis=0)
+    return bool(np.sum(power) ** 2 < _LASTING * len(power) * np.sum(power**2))
 
 
 def _modes(p: ComplexArray) -> int:
