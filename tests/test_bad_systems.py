@@ -471,6 +471,7 @@ LOSSY = phc.ph(np.eye(2), [0.0, 1.0], R=np.diag([0.0, 0.1]))
         (lambda: LOSSY.horner(np.ma.masked_array([1j, 2j], [False, True])), "the points have masked entries"),
         (lambda: ct.feedback(LOSSY, np.array([[1e300]])), "the gain is out of range"),
         (lambda: phc.damping_injection(LOSSY, 1e300), "the gain is out of range"),
+        (lambda: phc.from_second_order(I, I, [1.0, 0.0], band=(0.0, 1e155)), "band is out of range"),
         (lambda: phc.damping_injection(1e100 * LOSSY, 1e150), "R is out of range"),
         (lambda: phc.ph(1e100 * I, [0.0, 1.0], R=1e100 * I).horner(1j), "the state-space matrix A is out of range"),
         (lambda: phc.ph(I, [0.0, 1.0], sensors=1e300 * I), "the matrix C of the sensors is out of range"),
