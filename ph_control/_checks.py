@@ -497,6 +497,7 @@ def band(value: Any) -> tuple[float, float]:
         raise StructureError(
             f"band is {shown(value)}; it must be (low, high) in rad per unit time, with 0 <= low < high"
         )
+    in_range("band", edges)
     return float(edges[0]), float(edges[1])
 
 

@@ -282,3 +282,19 @@ def test_degenerate_poles_have_a_nearest_model_too(A, ports):
     model = phc.nearest_passive(system)
     assert phc.passivity(matrices(model)).is_passive
     assert model.cost <= squared_norm(system) * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_lossless_fit_is_its_own_nearest_passive_model(several):
+    rng = np.random.default_rng(0)
+    plant = phc.spring_chain([1.0, 1.0], [2.0], ground=1.0, port=[0, 1] if several else 0)
+    u = rng.standard_normal((plant.ninputs, 400))
+    y = phc.forced_response(plant, 0.1 * np.arange(400), u, intersample="zoh", squeeze=False).outputs
+    ports = {"ports": [(0, 0), (1, 1)]} if several else {}
+    fit = phc.pem((u, y + 0.01 * rng.standard_normal(y.shape)), 2, dt=0.1, structure="lossless", **ports)
+    model = phc.nearest_passive(fit)
+    s = np.array([0.3 + 1j, 0.1 + 3j])
+    assert model.cost == 0 and model.is_lossless
+    np.testing.assert_allclose(model.horner(s), fit.system.horner(s), rtol=1e-12)
+    with pytest.raises(phc.StructureError, match="pole on the imaginary axis"):
+        phc.nearest_passive(fit, kind="scattering")

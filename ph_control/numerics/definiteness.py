@@ -21,17 +21,28 @@ def hamiltonian_matrix(Q: ArrayLike, *, name: str = "Q", rtol: float | None = No
     return array
 
 
-def not_surely_indefinite(Q: Array) -> None:
-    """Refuse an indefinite Hamiltonian matrix when a system is built of it, a large one as far as O(n^2) steps tell."""
-    if len(Q) <= AT_ONCE or surely_indefinite(Q):
-        not_indefinite(Q)
+def not_surely_indefinite(Q: Array) -> float:
+    """Refuse an indefinite Hamiltonian matrix when a system is built of it, a large one as far as O(n^2) steps tell.
+
+    Returns its `inverse_bound`, and 0 for a large matrix, of which nothing is known yet.
+    """
+    return not_indefinite(Q) if len(Q) <= AT_ONCE or surely_indefinite(Q) else 0.0
 
 
-def not_indefinite(Q: Array, *, name: str = "Q") -> None:
-    """Refuse a Hamiltonian matrix with a negative eigenvalue.  O(n^3)."""
+def not_indefinite(Q: Array, *, name: str = "Q") -> float:
+    """Refuse a Hamiltonian matrix with a negative eigenvalue, and return its `inverse_bound`.  O(n^3)."""
+    bounds = [0.0]
     for part in uncoupled_halves(Q):
-        if definite_factor(part) is None:
+        bounds.append(inverse_bound(part))
+        if np.isinf(bounds[-1]):
             refuse_indefinite(name, smallest_scaled_eigenvalue(part)[0], 8 * len(Q) * EPS)
+    return max(bounds)
+
+
+def inverse_bound(Q: Array) -> float:
+    """Bound the norm of the inverse of `Q` scaled to unit diagonal; infinite where it is not clearly definite."""
+    factor = definite_factor(Q)
+    return np.inf if factor is None else factor[1]
 
 
 def uncoupled_halves(Q: Array) -> tuple[Array, ...]:

@@ -23,6 +23,7 @@ from ..analysis.time_grid import listed
 from ..exceptions import PHControlError, StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
+from ..numerics.rational import state_space
 from ..systems.base import in_normal_form
 from ..systems.port_hamiltonian import ph
 from .inputs import Subject, is_damped, models_around, subjects_of, timebase, title_of
@@ -325,7 +326,7 @@ def _end(subjects: list[Subject], forms: list[ModalForm | None], timepts: Any) -
     ends = []
     for one, modes in zip(subjects, forms, strict=True):
         if modes is None:
-            ends.append(float(ct.step_response(one.system).time[-1]))
+            ends.append(float(ct.step_response(state_space(one.system)).time[-1]))
         elif modes.nu.any():
             ends.append(_PERIODS * 2 * np.pi / float(modes.d[modes.nu.any(axis=1)].min()))
     return max(ends, default=10.0)
@@ -402,7 +403,9 @@ def _stepped(subject: Subject, kind: str, given: Array | None, end: float, asked
             label = f"{label} (to {end:.3g}: it oscillates at {fastest:.3g} rad per unit time)"
         t = np.linspace(0.0, end, count) if given is None else given
     respond = ct.step_response if kind == "step" else ct.impulse_response
-    values = np.asarray(respond(sys, timepts=t, squeeze=False).outputs).reshape(sys.noutputs, sys.ninputs, len(t))
+    values = np.asarray(respond(state_space(sys), timepts=t, squeeze=False).outputs).reshape(
+        sys.noutputs, sys.ninputs, len(t)
+    )
     joined = fastest * float(np.diff(t).max(initial=0.0)) <= _COARSEST
     return Trace(label, t, values, values, joined=joined, sampled=sampled)
 

@@ -21,7 +21,7 @@ from ..modal.positive_real import Split, split_axis
 from ..numerics.rational import state_space
 from ..systems.base import inherited_names
 from ..systems.passive_form import joined, lossless_parts, minimal_part
-from ..systems.port_hamiltonian import ph
+from ..systems.port_hamiltonian import PortHamiltonian, ph
 from .closest_passive import Closest, FixedPoles, closest_passive
 
 _ACTIVE = 1e-12  # of its size: what a feedthrough that cannot move may lack of passivity
@@ -83,7 +83,13 @@ def nearest_passive(sys_or_result: Any, *, weight: Any = None, kind: str = "immi
     given = _weight(weight, "covariance" if fitted else "h2")
     if given == "covariance" and not fitted:
         raise StructureError("weight='covariance' is for fits; a system has none: pass 'h2' or (omega, weights)")
-    return _of_fit(sys_or_result, given, kind) if fitted else _of_system(sys_or_result, given, kind)
+    if not fitted:
+        return _of_system(sys_or_result, given, kind)
+    system = sys_or_result.system
+    if isinstance(system, PortHamiltonian) and system.is_lossless:
+        # its poles stay on the axis, where an immittance is passive as it is, and no scattering matrix can be
+        return _unchanged(sys_or_result) if kind != "scattering" else _of_system(system, given, kind)
+    return _of_fit(sys_or_result, given, kind)
 
 
 def _weight(weight: Any, default: str) -> Any:
@@ -255,7 +261,12 @@ def _of_fit(result: Any, weight: Any, kind: str) -> Any:
     model: Any = found.observed_system if kind == "scattering" else found.system
     if cost or kind == "scattering":
         return _passive_model(model, model, kind, cost)
-    model = ph(model)
+    return _unchanged(result)
+
+
+def _unchanged(result: Any) -> Any:
+    """The model of a fit that is passive as it is."""
+    model = ph(result.system)
     model.cost = 0.0
     return with_unit(model, result.time_unit)
 

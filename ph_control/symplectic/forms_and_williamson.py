@@ -350,6 +350,22 @@ def energy_coordinates(Q: Array) -> tuple[Array, ComplexArray, Array]:
     return d[order], np.concatenate(rotating)[order], np.concatenate(rigid)
 
 
+def frequency_conditions(Q: Array, energy: tuple[Array, ComplexArray, Array]) -> Array:
+    """How many times the rounding of the entries of `Q` each frequency moves, relative to itself.
+
+    `energy` is `energy_coordinates(Q)`.  With the vector `x` of a mode, a change of `Q` moves its frequency by
+    `x^H dQ x / x^H Q x` of itself, at most `|x|^T |Q| |x| / x^H Q x` times the largest relative change of an entry.
+    No units of states change this, and rigid modes have no part in it.
+    """
+    d, E, _ = energy
+    scale = np.sqrt(Q.diagonal())
+    scale = np.where(scale > 0, scale, 1.0)
+    # of x = J E^H the energy is 2 d^2
+    with np.errstate(over="ignore", invalid="ignore"):
+        x = scale[:, None] * np.abs(apply_form((E / d[:, None]).conj().T))
+        return np.einsum("il,il->l", x, np.abs(Q / scale[:, None] / scale) @ x) / 2
+
+
 def direct_sum(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
     """Q and B of two systems side by side, states `(q1, q2, p1, p2)`."""
     n1, n = len(first[0]) // 2, (len(first[0]) + len(second[0])) // 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NoReturn
 
@@ -17,12 +18,12 @@ from ..exceptions import NotLosslessError, NotPassiveError, StructureError
 from ..modal.general_form import GeneralModalForm, from_state_space, refined
 from ..modal.modal_form import Cluster, ModalForm
 from ..modal.positive_real import staircase
-from ..numerics.definiteness import definite_factor, uncoupled_halves, unit_diagonal
+from ..numerics.definiteness import AT_ONCE, definite_factor, inverse_bound, uncoupled_halves, unit_diagonal
 from ..numerics.double_double import exactly, product, two_sum
-from ..symplectic.forms_and_williamson import symplectic_form
+from ..symplectic.forms_and_williamson import energy_coordinates, symplectic_form
 from .base import View, inherited_names, refuse_losses
 from .passive_form import Conversion, PortRows, hides_states, passive_parts
-from .port_hamiltonian import PortHamiltonian
+from .port_hamiltonian import PortHamiltonian, may_lose_digits, warn_of_ill_conditioning
 
 _ROUNDING = 64  # times `size EPS`: negative eigenvalues that are taken for rounding
 _COUPLED = 1e-9  # of the rates of the states: a coupling that is more than rounding of the matrices
@@ -112,6 +113,10 @@ class DissipativePortHamiltonian(PortHamiltonian):
         parts["sensor_rows"] = checked_rows("the sensors", rows, n)
         parts["sensor_feedthrough"] = _shaped("the feedthrough of the sensors", through, (len(parts["sensor_rows"]), m))
         self._take(parts, names)
+        # with another J the states are not those of which Q tells the frequencies
+        if n <= AT_ONCE and is_canonical(parts["J"]) and may_lose_digits(Q, inverse_bound(Q)):
+            with suppress(StructureError):  # an energy that is negative by more than rounding has no frequencies
+                warn_of_ill_conditioning(Q, energy_coordinates(Q))
 
     def _take(self, parts: dict[str, Array], names: dict[str, Any]) -> None:
         for name in PARTS:

@@ -13,7 +13,7 @@ from scipy.linalg import svdvals
 from .. import _checks
 from .._display import latex_matrix
 from .._types import Array, ArrayLike, ComplexArray
-from ..exceptions import NotLosslessError, StructureError
+from ..exceptions import ConditioningWarning, NotLosslessError, StructureError
 from ..modal import foster_test
 from ..modal import minimal as reachability
 from ..modal.error_bounds import Separation, separate
@@ -26,6 +26,7 @@ from ..symplectic.darboux_and_casimirs import normal_form
 from ..symplectic.forms_and_williamson import (
     apply_form,
     energy_coordinates,
+    frequency_conditions,
     port_spectrum,
     symplectic_form,
     williamson,
@@ -35,6 +36,7 @@ from .passive_form import Conversion, in_port_order, loses_energy, parts_of_reso
 
 _SMALL = 16  # degrees of freedom up to which frequencies alone are hardly cheaper than all modes
 _SIGNALS = ("inputs", "outputs", "states")
+_UNCERTAIN = 1e-3  # of a frequency: what rounding of Q may move it by without a word
 STORAGES = ("auto", "available", "required", "mean")
 _OF_Q = ("_proven", "_energy", "_frequencies", "S")  # views that take O(n^3) steps, of Q alone
 _KEYWORDS = ("R", "P", "S", "N", "J", "sensors", "storage", "lossless", "ports", "method", "intersample")
@@ -102,8 +104,10 @@ class PortHamiltonian(LosslessSystem):
     def __init__(self, Q: ArrayLike, B: ArrayLike, **names: Any) -> None:
         matrix = _checks.symmetric_matrix(Q)
         ports = _checks.port_matrix(B, len(matrix))
-        _definite.not_surely_indefinite(matrix)
+        inverse = _definite.not_surely_indefinite(matrix)
         self._fill((matrix, ports), None, names)
+        if may_lose_digits(matrix, inverse):
+            warn_of_ill_conditioning(matrix, self._energy)
 
     def _fill(
         self,
@@ -172,7 +176,11 @@ class PortHamiltonian(LosslessSystem):
     def _energy(self) -> tuple[Array, ComplexArray, Array]:
         """`energy_coordinates` of Q: frequencies, complex rows and rigid rows."""
         if self._given is not None:
-            return energy_coordinates(self._given[0])
+            Q = self._given[0]
+            energy = energy_coordinates(Q)
+            if len(Q) > _definite.AT_ONCE:  # a smaller one has been judged when it was built
+                warn_of_ill_conditioning(Q, energy)
+            return energy
         d, k = self.d, len(self.modes.rigid)
         root, n = np.sqrt(d), self.n
         E = np.zeros((len(d), 2 * n), complex)
@@ -652,7 +660,9 @@ def ph(
     Warns
     -----
     ConditioningWarning
-        If the transfer functions differ by more than 1e-10 of the largest value.
+        If the transfer functions differ by more than 1e-10 of the largest value, or rounding of the entries of `Q`
+        moves a natural frequency by more than 1e-3 of itself, whatever the units; rigid modes do not count.  Beyond 32
+        degrees of freedom this is told when modes are computed.
 
     Notes
     -----
@@ -693,6 +703,26 @@ def ph(
     if J is not None:
         Q, B = normal_form(Q, B, J)
     return PortHamiltonian(Q, B, **names)
+
+
+def may_lose_digits(Q: Array, inverse: float) -> bool:
+    """Whether a bound for the norm of the inverse of `Q`, scaled to unit diagonal, leaves open that digits are lost."""
+    return len(Q) * inverse * _checks.EPS > _UNCERTAIN
+
+
+def warn_of_ill_conditioning(Q: Array, energy: tuple[Array, ComplexArray, Array]) -> None:
+    """Warn where rounding of the entries of `Q` moves a natural frequency by more than it should."""
+    moved = _checks.EPS * frequency_conditions(Q, energy)
+    if moved.max(initial=0.0) > _UNCERTAIN:
+        worst = int(moved.argmax())
+        warnings.warn(
+            f"Q is ill-conditioned in any units: the last digit of its entries moves the natural frequency "
+            f"{energy[0][worst]:.4g} by {min(moved[worst], 1.0):.0e} of itself, allowed {_UNCERTAIN:.0e}; frequencies "
+            "and responses have no more digits than that. Give the system by its modes, by M, K and from_second_order, "
+            "or in states in which the energy is not a small difference of large terms",
+            ConditioningWarning,
+            stacklevel=4,
+        )
 
 
 def _refuse_sampling(method: Any, intersample: Any) -> None:
