@@ -71,6 +71,17 @@ class ResponseBackground(Frozen):
         Coefficients of `1` and `s`.
     lower_residual, upper_residual : ndarray, shape (p, m)
         What modes below and above the band leave, `lower_residual / s^2 + upper_residual` of a displacement.
+
+    Examples
+    --------
+    A coil in series with what resonates:
+
+    >>> import control as ct, numpy as np, ph_control as phc
+    >>> s, rng = 1j * np.linspace(0.1, 3.0, 200), np.random.default_rng(0)
+    >>> noise = 1e-3 * (rng.standard_normal(200) + 1j * rng.standard_normal(200))
+    >>> result = phc.pem(ct.frd(s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise, s.imag), 1, structure="free")
+    >>> result.background.slope.real.round(3), result.background.stderr[3].real.round(3)
+    (array([[0.05]]), array([[0.]]))
     """
 
     coefficients: ComplexArray

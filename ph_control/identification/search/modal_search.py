@@ -1018,7 +1018,7 @@ class FreePath:
             alone = len(self.counts) * max(1, at.inputs) == 1
             worst = patching(at, self.search.crowding)[: None if alone else 1]
             if not worst:
-                broad = np.where(_broad(at.p), np.abs(at.sigma) / at.d, 0.0)
+                broad = np.where(_broad(at.p), np.abs(at.sigma) / np.where(at.d > 0, at.d, 1.0), 0.0)
                 worst = [int(np.argmax(broad) if broad.any() else np.argmin(at.sigma))]
             model = self.model(np.delete(at.p, worst))
         return model
