@@ -330,9 +330,9 @@ class FreeResponse:
     def poles(self, p: ComplexArray) -> Pair:
         """`1 / (s - p)` and `1 / (s - conj p)`."""
         s, poles = 1j * self.omega, p[:, None]
-        gap = s - poles
-        gap = np.where(gap == 0, EPS * np.abs(poles), gap)
-        return np.asarray(1.0 / gap), np.asarray(1.0 / (s - poles.conj()))
+        least = EPS * np.maximum(np.abs(poles), self.bin)
+        ahead, behind = (np.where(gap == 0, least, gap) for gap in (s - poles, s - poles.conj()))
+        return np.asarray(1.0 / ahead), np.asarray(1.0 / behind)
 
 
 def background_columns(terms: Sequence[Term], omega: Array) -> ComplexArray:

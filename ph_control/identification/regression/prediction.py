@@ -67,6 +67,21 @@ class ResponseBackground(Frozen):
         Standard errors of their real and imaginary parts; 0 where there is no term.
     quantities : tuple of str
         What each output is, as in the result.
+    constant, slope : ndarray of complex, shape (p, m)
+        Coefficients of `1` and `s`.
+    lower_residual, upper_residual : ndarray, shape (p, m)
+        What modes below and above the band leave, `lower_residual / s^2 + upper_residual` of a displacement.
+
+    Examples
+    --------
+    A coil in series with what resonates:
+
+    >>> import control as ct, numpy as np, ph_control as phc
+    >>> s, rng = 1j * np.linspace(0.1, 3.0, 200), np.random.default_rng(0)
+    >>> noise = 1e-3 * (rng.standard_normal(200) + 1j * rng.standard_normal(200))
+    >>> result = phc.pem(ct.frd(s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise, s.imag), 1, structure="free")
+    >>> result.background.slope.real.round(3), result.background.stderr[3].real.round(3)
+    (array([[0.05]]), array([[0.]]))
     """
 
     coefficients: ComplexArray
@@ -105,13 +120,52 @@ class ResponseBackground(Frozen):
         return np.asarray(self.coefficients[places, np.arange(len(places))].real)
 
     def response(self, omega: Array) -> ComplexArray:
-        """Values at frequencies, shape (p, m, K); terms that are infinite at 0 are left out there."""
+        """Values at frequencies; terms that are infinite at 0 are left out there.
+
+        Parameters
+        ----------
+        omega : array_like, shape (K,)
+            Frequencies, rad per unit time.
+
+        Returns
+        -------
+        ndarray of complex, shape (p, m, K)
+            What is added to the response of modes and feedthrough.
+
+        Examples
+        --------
+        >>> import control as ct, numpy as np, ph_control as phc
+        >>> s, rng = 1j * np.linspace(0.1, 3.0, 200), np.random.default_rng(0)
+        >>> noise = 1e-3 * (rng.standard_normal(200) + 1j * rng.standard_normal(200))
+        >>> coil = s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise
+        >>> result = phc.pem(ct.frd(coil, s.imag), 1, structure="free")
+        >>> result.background.slope.real.round(3), result.background.response([2.0]).round(2)
+        (array([[0.05]]), array([[[0.+0.1j]]]))
+        """
         s = 1j * np.asarray(omega, float)
         powers = np.array([np.where(s == 0, float(k == 0), np.where(s == 0, 1.0, s) ** k) for k in _POWERS])
         return np.asarray(np.tensordot(self.coefficients, powers, (0, 0)))
 
     def entry(self, output: int, input: int) -> ResponseBackground:
-        """That of one output and input."""
+        """Take the background of one output and input.
+
+        Parameters
+        ----------
+        output, input : int
+            Numbers of them, from 0.
+
+        Returns
+        -------
+        ResponseBackground
+            The same terms with arrays of shape (5, 1, 1).
+
+        Examples
+        --------
+        >>> import numpy as np, ph_control as phc
+        >>> terms = np.arange(10.0).reshape(5, 2, 1) + 0j
+        >>> phc.ResponseBackground(terms, 0 * terms, ("velocity", "velocity")).entry(1, 0).slope
+        array([[7.+0.j]])
+        """
         part = np.s_[:, output : output + 1, input : input + 1]
         return ResponseBackground(self.coefficients[part], self.stderr[part], (self.quantities[output],))
 

@@ -50,6 +50,7 @@ class Cause(Enum):
     COLOURED_RESIDUALS = "residuals that are coloured"
     OUTLIERS = "values far out of the noise"
     SATURATION = "an output that stays at an end of its range"
+    WILD_LINES = "lines of a response far out of all others"
     HAMMER_NOISE = "noise of a hammer's force between its contacts"
 
 
@@ -78,7 +79,7 @@ class Finding:
         the ends of the band about the peak of their spectrum, rad per unit time, the density there over its geometric
         mean, and the share of their power; of outliers their places, counted from 0; of an output that
         stays at an end of its range how many samples do, and that end or both; of the noise of a hammer's force its
-        standard deviation, and the peak of the force.
+        standard deviation, and the peak of the force; of wild lines their frequencies, rad per unit time.
     gain : float
         How much the log-likelihood grows by it; of a hold, over the other one; 0 of outliers and ends of the range.
     output : str
@@ -421,6 +422,15 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         return (
             f"{finding.output!r}{where} stays at {ends} for {values[0]:.0f} samples, the end of its range: a sensor or "
             "amplifier that saturates. Mark these samples with NaN, or repeat the test with less gain or force."
+        )
+    if finding.cause is Cause.WILD_LINES:
+        where = f" of experiment {finding.experiment + 1}" * bool(finding.experiment)
+        size = hertz_size(time_unit) if time_unit else 1.0
+        listed = ", ".join(f"{one / size:.6g}" for one in values[:_LISTED]) + ", ..." * (len(values) > _LISTED)
+        return (
+            f"The response{where} was left out at {listed} {'Hz' if time_unit else 'rad per unit time'}: values there "
+            "are of another size than all about them, and no mode explains them, as where an integrated signal is "
+            "divided by a frequency of 0. Mark them with NaN."
         )
     if finding.cause is Cause.OUTLIERS:
         which = f"Values of {finding.output!r}" + f" in experiment {finding.experiment + 1}" * bool(finding.experiment)

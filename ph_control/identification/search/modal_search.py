@@ -17,7 +17,7 @@ from scipy.stats import f as f_law
 
 from ..._checks import EPS
 from ..._frozen import Frozen
-from ..._types import Array, ComplexArray, Mask, NDArray
+from ..._types import Array, ComplexArray, Indices, Mask, NDArray
 from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
@@ -51,6 +51,12 @@ _MIMICS = 0.2  # damping ratio from which on modes may stand for a delay
 _DELAYS_FROM = 20_000  # samples of each recording that delays are looked for in
 _FASTEST = 0.8  # of the ceiling: faster real poles are none
 _FEW_MODES = 5  # that few points of responses do not show beside a background
+_ABOUT = 4  # lines on either side, whose median a wild line is so many times as large as
+_WILD = 20.0
+_FEW_WILD = 3  # lines, or a few in a thousand: more are no accident
+_DOUBTED = 10.0  # standard errors that a line counts which may be wild
+_LIGHT = 0.01  # of its distance from such a line: decay rate that a resonance begins with
+_EXPLAINED = 0.5  # of the largest value of a line: what modes that explain it may leave
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
@@ -250,6 +256,18 @@ def free_fit(
             channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, delay=late
         )
 
+    far = [wild_lines(one) if isinstance(one, ResponseMatrix) else np.zeros(0, int) for one in channels]
+    if any(map(len, far)):
+        calm = free_fit(
+            _without_lines(channels, far), order, quantities=quantities, max_order=max_order, criterion=criterion,
+            reports=reports, start=start, weighted=weighted, real_poles=real_poles,
+        )  # fmt: skip
+        if calm.interrupted or not _explains(calm, far, posed(_with_lines(calm, channels))):
+            wild = [
+                Finding(Cause.WILD_LINES, tuple(one.omega[places].tolist()), 0.0, experiment=k)
+                for k, (one, places) in enumerate(zip(calm.channels, far, strict=True)) if len(places)
+            ]  # fmt: skip
+            return replace(calm, findings=(*calm.findings, *wild))
     path = posed(channels)
     path.check(1 if automatic else int(order))
     begin = np.zeros(0, complex) if start is None else np.asarray(start, complex)
@@ -304,6 +322,73 @@ def free_fit(
         return _reweighted(found, refined, again)
     except KeyboardInterrupt:
         return replace(found, interrupted=True)
+
+
+def wild_lines(response: ResponseMatrix) -> Indices:
+    """Places of lines that are far larger than the lines about them in some entry, unless many are."""
+    size = np.abs(response.response).reshape(-1, response.samples)
+    found = np.zeros(response.samples, bool)
+    for each in size:
+        seen = np.flatnonzero(each == each)
+        if len(seen) <= 2 * _ABOUT:
+            continue
+        padded = np.pad(each[seen], _ABOUT, mode="reflect")
+        about = np.delete(np.lib.stride_tricks.sliding_window_view(padded, 2 * _ABOUT + 1), _ABOUT, axis=1)
+        found[seen] |= each[seen] > _WILD * np.median(about, axis=1)
+    return np.flatnonzero(found) if 0 < found.sum() <= max(_FEW_WILD, _ABOUT * len(found) // 1000) else np.zeros(0, int)
+
+
+def _without_lines(channels: Experiments, lines: Sequence[Indices]) -> list[ResponseMatrix]:
+    found = []
+    for one, places in zip(channels, lines, strict=True):
+        assert isinstance(one, ResponseMatrix)
+        response = one.response.copy()
+        response[..., places] = np.nan
+        found.append(replace(one, response=response))
+    return found
+
+
+def _with_lines(fit: FreeFit, channels: Experiments) -> list[ResponseMatrix]:
+    """All lines with the weights of a fit to some of them, the others with a typical one."""
+    found = []
+    for one, calm in zip(channels, fit.channels, strict=True):
+        assert isinstance(one, ResponseMatrix)
+        found.append(replace(one, weights=np.where(calm.observed, calm.weights, np.median(calm.weights))))
+    return found
+
+
+def _explains(fit: FreeFit, lines: Sequence[Indices], path: FreePath) -> bool:
+    """Whether modes that were found without some lines, and move a little, answer there as they should.
+
+    A resonance of little damping next to a line is as large there as the distance of the two says, which the other
+    lines only know roughly.
+    """
+    if not fit.order:
+        return False
+    path.weigh(fit.scales**2 * path.counts)
+    places = {id(one.omega): far for one, far in zip(fit.channels, lines, strict=True)}
+    data, p, sizes = [], fit.projection.p, np.abs(fit.projection.residues).max(axis=2)
+    starts = [p]
+    for rows in path.scaled.data:
+        wild, scale = places[id(rows.frequencies)], rows.scale.copy()
+        values = np.abs(rows.response[:, wild])
+        scale[wild] *= _DOUBTED / np.maximum(values.max(axis=0, initial=0.0) * scale[wild], _DOUBTED)
+        data.append(replace(rows, scale=scale))
+        for omega, each in zip(rows.frequencies[wild], values.T, strict=True):
+            nearest = int(np.argmin(np.abs(p.imag - omega)))
+            apart = float(np.max(sizes[nearest, rows.outputs] / np.where(each > 0, each, np.inf)))
+            starts += [
+                np.where(np.arange(len(p)) == nearest, -_LIGHT * apart + 1j * (omega + way), p)
+                for way in (-apart, apart) if omega + way > 0
+            ]  # fmt: skip
+    at = min((FreeProjection(data, one) for one in starts), key=lambda one: one.loss)
+    at = refine_free(lambda _: data, at.p, path.scaled.region, TUNING.rough)
+    for rows, predicted in zip(data, at.predictions(), strict=True):
+        wild = places[id(rows.frequencies)]
+        left, values = (np.abs(each[:, wild]) for each in (rows.response - predicted, rows.response))
+        if np.any(left > _EXPLAINED * values.max(axis=0)):
+            return False
+    return True
 
 
 def _of_few_lines(found: FreeFit, paths: Sequence[FreePath], most: int) -> FreeFit:
@@ -1120,7 +1205,7 @@ class FreePath:
             alone = len(self.counts) * max(1, at.inputs) == 1
             worst = patching(at, self.search.crowding)[: None if alone else 1]
             if not worst:
-                broad = np.where(_broad(at.p), np.abs(at.sigma) / at.d, 0.0)
+                broad = np.where(_broad(at.p), np.abs(at.sigma) / np.where(at.d > 0, at.d, 1.0), 0.0)
                 worst = [int(np.argmax(broad) if broad.any() else np.argmin(at.sigma))]
             model = self.model(np.delete(at.p, worst))
         return model
@@ -1282,13 +1367,15 @@ class FreePath:
         """The search among responses on a background of further terms, where these explain more than real poles do."""
         if self.best is None or not isinstance(self.search, Responses) or not self.search.shows_background(0):
             return None
+        # of what is no background itself
+        modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
+        if len(modes) == len(self.best.p) and self.is_white(self.best):
+            return None
         search = self.search
         for term in FURTHER_TERMS:
             search = search.with_term(term)
         path = FreePath(search, self.felt, self.criterion, self.reports, None, self.real_poles)
         path.weigh(self.best.losses)
-        # of what is no background itself
-        modes = self.best.p[(self.best.p.imag > 0) & ~_broad(self.best.p)]
         model = path.model(modes, TUNING.rough)
         at, _ = path.on_simplest_background(model.at, model.losses, None, True)
         limit = self.cost(self.best) - 2 * TUNING.sure
