@@ -205,8 +205,9 @@ def test_delays_and_drifts_are_named_and_add_no_modes(kind, outputs, inputs):
     finding = causes(result)[kind.upper()]
     assert finding.gain > 10 and "(log-likelihood + " in result.message
     if kind == "delay":
-        assert finding.values == (DELAY,)
-        assert result.experiments[0].record.samples == u.shape[1] - DELAY
+        found, error = finding.values
+        assert abs(found - DELAY) < 4 * error < 0.1
+        assert result.experiments[0].record.samples == u.shape[1]
     else:
         slopes = 3 * np.std(recording(3, outputs, inputs, "white", 0)[1], axis=1) / u.shape[1]
         np.testing.assert_allclose(finding.values, slopes, rtol=0.05)

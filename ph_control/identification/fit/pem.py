@@ -198,7 +198,8 @@ def pem(
     _checks.choice("structure", structure, ("auto", *STRUCTURES))
     quantity = quantity_of(data) if quantity is None else quantity
     ports = ports_of(data, quantity) if ports is None else ports
-    take = as_measured if structure in ("auto", "lossless") and quantity != "free" else as_channels
+    alone = structure in ("auto", "lossless") and quantity != "free" and isinstance(delay, str)
+    take = as_measured if alone else as_channels
     records: Any = take(data, dt, weights=weights)
     several = isinstance(records[0], Recording | ResponseMatrix)
     if not several and not isinstance(quantity, str):

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from ..._checks import EPS
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ...modal.discretization import Hold
 from ...modal.modal_form import imaginary
@@ -163,7 +164,8 @@ class TransformColumns:
         self._at_centre = bins == self._centre[:, None]
         self._z, self._z_0 = (np.exp(2j * np.pi / length * each) for each in (bins, self._centre[:, None]))
         lam = modes.multiplier[:, None]
-        self._near, self._far = 1.0 / np.where(self._at_centre, 1.0, self._z - lam), 1.0 / (self._z - lam.conj())
+        self._near, behind = 1.0 / np.where(self._at_centre, 1.0, self._z - lam), self._z - lam.conj()
+        self._far = 1.0 / np.where(behind == 0, EPS, behind)  # an integrator is its own conjugate
         self._near[self._at_centre] = 0.0
         # log of lambda over the z of the centre; lambda^T; and the sum that a pole with a zero upon it is
         apart = modes.growth + 2j * np.pi / length * (place - self._centre)

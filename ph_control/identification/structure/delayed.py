@@ -122,8 +122,9 @@ def _bounded(delays: Delays, region: PoleRegion) -> Delays:
     """Delays between bounds, for steps that hardly turn the fastest motion there may be."""
     step = np.pi / region.ceiling
     lowest, highest = TUNING.delays[0] * step, (TUNING.delays[-1] + _MARGIN) * step
-    ends = float(delays.values.min()) - _MARGIN * step, float(delays.values.max()) + _MARGIN * step
-    return Delays(delays.groups, delays.values, step / np.pi, max(lowest, ends[0]), max(highest, ends[1]))
+    first, last = float(delays.values.min()), float(delays.values.max())
+    least, most = max(lowest, first - _MARGIN * step), min(highest, last + _MARGIN * step)
+    return Delays(delays.groups, delays.values, step / np.pi, min(first, least), max(last, most))
 
 
 def _starts(at: FreeProjection, layout: ChannelLayout, now: Array, ceiling: float) -> Iterator[Delays]:

@@ -1,0 +1,261 @@
+"""Outputs that come later than the response to the inputs, by whole samples or parts of them."""
+
+import control as ct
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import ph_control as phc
+from ph_control.identification.regression.free import FreeProjection, GivenResidues
+from ph_control.identification.regression.frequency_rows import FreeResponse
+from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
+from ph_control.identification.regression.time_rows import FreeRecord
+from ph_control.modal.discretization import Hold
+
+POLES = np.array([-0.06 + 1.1j, -0.15 + 4.6j, -1.7 + 0j])
+RESIDUES = np.array([0.4 + 0.3j, -0.2 + 0.5j, 0.6])
+THROUGH, STEP, SAMPLES, BEFORE = 0.4, 0.2, 130, 10
+
+
+def between(pole, state, value, slope, time):
+    """State after some time under an input `value + slope t`, by an exponential of the augmented matrix."""
+    A = np.array([[pole, value, slope], [0, 0, 0], [0, 1, 0]], complex)
+    return (expm(A * time) @ np.array([state, 1, 0]))[0]
+
+
+def late_output(u, delay, intersample):
+    """Output at `k - delay`, inputs known before and after the record."""
+    slopes = np.diff(u) / STEP if intersample == "foh" else np.zeros(len(u) - 1)
+    y = np.zeros(SAMPLES)
+    for pole, residue in zip(POLES, RESIDUES, strict=True):
+        states = np.zeros(len(u), complex)
+        for k in range(len(u) - 1):
+            states[k + 1] = between(pole, states[k], u[k], slopes[k], STEP)
+        for k in range(SAMPLES):
+            place = BEFORE + k - delay
+            j = int(np.floor(place))
+            seen = between(pole, states[j], u[j], slopes[j], (place - j) * STEP)
+            y[k] += 2 * (residue * seen).real
+    for k in range(SAMPLES):
+        place = BEFORE + k - delay
+        j = int(np.floor(place))
+        y[k] += THROUGH * (u[j] + slopes[j] * (place - j) * STEP)
+    return y
+
+
+def record_of(u, y, intersample):
+    inside = u[None, BEFORE : BEFORE + SAMPLES]
+    return FreeRecord(inside, y[None], np.ones(SAMPLES, bool), Hold(STEP, "exact", intersample))
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+@pytest.mark.parametrize("delay", [0.35, 1.0, 3.6, -0.45, -1.2])
+def test_rows_with_a_delay_are_those_of_the_exact_motion(intersample, delay):
+    u = np.random.default_rng(1).standard_normal(SAMPLES + 2 * BEFORE)
+    y = late_output(u, delay, intersample)
+    rows = record_of(u, y, intersample).delayed(delay * STEP)
+    for experiment in (rows, FreeWindow(spectra := ChannelSpectra.of(rows), np.arange(1, spectra.last + 1))):
+        at = FreeProjection([experiment], POLES)
+        np.testing.assert_allclose(at.residues[:, 0, 0], RESIDUES, atol=1e-12)
+        np.testing.assert_allclose(at.feedthrough, THROUGH, atol=1e-12)
+    predicted = rows.placed(FreeProjection([rows], POLES).predictions()[0])[0]
+    unknown = np.isnan(predicted)
+    assert unknown[: int(np.ceil(max(delay, 0)))].all() and unknown.sum() <= np.ceil(abs(delay))
+    np.testing.assert_allclose(predicted[~unknown], y[~unknown], atol=1e-12)
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+def test_the_derivative_by_the_delay_is_that_of_the_loss(intersample):
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal(SAMPLES + 2 * BEFORE)
+    y = late_output(u, 1.3, intersample) + 0.2 * rng.standard_normal(SAMPLES)
+    record = record_of(u, y, intersample).delayed(0.0, 0.0, 3 * STEP)
+    shared = 1.2 * FreeProjection([record.delayed(1.3 * STEP)], POLES).shared
+
+    def at(delay):
+        return GivenResidues(FreeProjection([record.delayed(delay)], POLES), shared)
+
+    here, e = at(1.4 * STEP), 1e-6
+    ((_, left, _, _),) = here.sensitivities()
+    numerical = (at(1.4 * STEP + e).loss - at(1.4 * STEP - e).loss) / (2 * e)
+    np.testing.assert_allclose(-2 * left @ here.delay_slopes(0), numerical, rtol=1e-5)
+
+
+def test_inner_products_of_long_records_are_those_of_the_columns():
+    rng = np.random.default_rng(3)
+    u, y = rng.standard_normal((2, 20_000)), rng.standard_normal((1, 20_000))
+    rows = FreeRecord(u, y, np.ones(20_000, bool), Hold(STEP, "exact", "foh")).delayed(0.7 * STEP)
+    evaluation = rows.at(POLES)
+    columns = np.concatenate(list(evaluation.blocks()), axis=1)
+    expected = columns @ columns.T
+    np.testing.assert_allclose(evaluation.gram(), expected, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+def test_responses_with_a_delay_turn_with_the_frequency(quantity):
+    rng, omega, delay = np.random.default_rng(4), np.linspace(0.3, 7.0, 90), 0.6
+    s = 1j * omega
+    response = sum(r / (s - p) + r.conj() / (s - p.conj()) for r, p in zip(RESIDUES, POLES, strict=True))
+    response = (response + THROUGH * (quantity == "acceleration")) * np.exp(-s * delay)
+    exact = FreeResponse(omega, response[None], np.ones(90), np.ones(90, bool), quantity)
+    at = FreeProjection([exact.delayed(delay)], POLES)
+    np.testing.assert_allclose(at.residues[:, 0, 0], RESIDUES, atol=1e-10)
+    np.testing.assert_allclose(at.predictions()[0][0], response, atol=1e-10)
+    noisy = exact.response + 0.1 * (rng.standard_normal(90) + 1j * rng.standard_normal(90))
+    rows = FreeResponse(omega, noisy, np.ones(90), np.ones(90, bool), quantity)
+    shared, e = 1.2 * at.shared, 1e-6
+
+    def loss(time):
+        return GivenResidues(FreeProjection([rows.delayed(time)], POLES), shared)
+
+    here = loss(delay)
+    ((_, left, _, _),) = here.sensitivities()
+    numerical = (loss(delay + e).loss - loss(delay - e).loss) / (2 * e)
+    np.testing.assert_allclose(-2 * left @ here.delay_slopes(0), numerical, rtol=1e-5)
+
+
+# --- fits ------------------------------------------------------------------------------------------------------------
+
+SHAPES, OMEGA, DAMPING = np.array([[1.0, 0.9], [0.8, -0.7], [0.9, 0.6]]), [1.3, 2.9, 5.1], [0.012, 0.02, 0.01]
+DT, FINE = 0.2, 20
+
+
+def structure():
+    """Velocities at two places, from a force at the first, of a plant whose damping its modes decouple."""
+    d, none = np.array(OMEGA), np.zeros((3, 3))
+    A = np.block([[none, np.eye(3)], [-np.diag(d**2), -np.diag(2 * d * DAMPING)]])
+    B = np.concatenate([np.zeros((3, 1)), SHAPES[:, :1]])
+    return ct.ss(A, B, np.concatenate([np.zeros((2, 3)), SHAPES.T], axis=1), np.zeros((2, 1)))
+
+
+def skewed(seed, delays, noise=0.02, samples=2000):
+    """Held input at the first of two places, velocities at both, late by multiples of a twentieth of a sample."""
+    rng = np.random.default_rng(seed)
+    d, zeta = np.array(OMEGA), np.array(DAMPING)
+    poles = d * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    frame = structure()
+    u = rng.standard_normal(samples)
+    fine = ct.forced_response(
+        ct.c2d(frame, DT / FINE), DT / FINE * np.arange(samples * FINE), np.repeat(u, FINE)
+    ).outputs  # fmt: skip
+    fine = np.reshape(fine, (2, -1))
+    outputs = []
+    for row, delay in zip(fine[: len(delays)], delays, strict=True):
+        k = round(delay * FINE)
+        late = np.concatenate([np.zeros(max(k, 0)), row[max(-k, 0) :]])[: samples * FINE]
+        outputs.append(np.pad(late, (0, samples * FINE - len(late)))[::FINE])
+    y = np.array(outputs)
+    return u, y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), poles
+
+
+def fitted(u, y, **options):
+    return phc.pem((u[None], y) if len(y) > 1 else (u, y[0]), dt=DT, intersample="zoh", ports=[(0, 0)], **options)
+
+
+def test_channels_that_are_skewed_keep_their_structure():
+    u, y, poles = skewed(0, (0.35, 0.75))
+    result = fitted(u, y)
+    assert (result.order, result.structure) == (3, "classical")
+    assert np.all(np.abs(result.delay / DT - (0.35, 0.75)) < 4 * result.stderr["delay"] / DT)
+    assert np.all(result.stderr["delay"] < 0.01 * DT)
+    np.testing.assert_allclose(result.poles, poles, rtol=2e-3)
+    low, high = np.moveaxis(np.array(result.confidence_interval()["delay"]), -1, 0)
+    np.testing.assert_allclose(high - low, 2 * 1.96 * result.stderr["delay"], rtol=1e-2)
+    findings = [one for one in result.findings if one.cause.name == "DELAY"]
+    assert [one.output for one in findings] == ["y1", "y2"]
+    np.testing.assert_allclose([one.values[0] for one in findings], result.delay)
+    assert "later than the response to the input" in result.message and "delay  " in str(result)
+
+
+def test_a_common_delay_is_one_number():
+    u, y, _ = skewed(1, (1.6, 1.6))
+    result = fitted(u, y)
+    assert result.structure == "classical" and np.ptp(result.delay) == 0
+    assert abs(result.delay[0] - 1.6 * DT) < 4 * result.stderr["delay"][0]
+    assert sum(one.cause.name == "DELAY" for one in result.findings) == 1
+
+
+def test_data_and_predictions_are_those_of_the_user():
+    u, y, _ = skewed(2, (2.4, 2.4))
+    result = fitted(u[:1400], y[:, :1400])
+    record = result.experiments[0].record
+    np.testing.assert_array_equal(record.y, y[:, :1400])
+    np.testing.assert_array_equal(np.isnan(result.experiments[0].predicted).sum(axis=1) <= 6, True)
+    again = result.predict((u[None, 1400:], y[:, 1400:]))
+    assert np.isfinite(again.outputs).all()
+    left = again.outputs[:, 3:] - y[:, 1403:]
+    assert np.all(left.std(axis=1) < 1.1 * np.sqrt(result.noise_variance))
+    compared = phc.compare((u[None, 1400:], y[:, 1400:]), result, dt=DT)
+    assert compared.fit_percent[0] > 97
+    without = phc.compare((u[None, 1400:], y[:, 1400:]), result.observed_system, dt=DT, intersample="zoh")
+    assert without.fit_percent[0] < 80
+    # from rest, inputs before the record are 0: what was made is what is predicted
+    start = result.predict((u[None, :1400], y[:, :1400]), initial_state="zero").outputs
+    assert np.all((start - y[:, :1400]).std(axis=1) < 1.1 * np.sqrt(result.noise_variance))
+    fitted_state = result.predict((u[None, :1400], y[:, :1400]), initial_state="fitted").outputs
+    known = ~np.isnan(result.experiments[0].predicted)
+    np.testing.assert_allclose(fitted_state[known], result.experiments[0].predicted[known], atol=1e-9)
+
+
+def test_files_pictures_and_pages_have_the_delay(tmp_path):
+    u, y, _ = skewed(3, (0.6, 0.6))
+    result = fitted(u, y)
+    assert result.delay[0] > 0
+    result.save(tmp_path / "late.json")
+    again = phc.load(tmp_path / "late.json")
+    np.testing.assert_array_equal(again.delay, result.delay)
+    np.testing.assert_array_equal(again.stderr["delay"], result.stderr["delay"])
+    np.testing.assert_allclose(again.predict((u[None], y)).outputs, result.predict((u[None], y)).outputs)
+    result.report(tmp_path / "late.html")
+    page = (tmp_path / "late.html").read_text(encoding="utf-8")
+    assert "in predictions and not in system" in page and "delay=[0.1" in page
+    analysed = phc.compare((u[None], y), result, dt=DT)
+    assert abs(analysed.fit_percent[0] - result.fit_percent) < 0.1
+
+
+def test_a_rational_approximation_has_the_phase_of_the_delay():
+    u, y, _ = skewed(4, (0.9, 0.0))
+    result = fitted(u, y)
+    assert result.delay[1] == 0 or abs(result.delay[1]) < 4 * result.stderr["delay"][1]
+    omega = np.linspace(0.2, 6.0, 40)
+    near = result.with_delay(pade=4)(1j * omega)[:, 0]
+    exact = result.observed_system(1j * omega)[:, 0] * np.exp(-1j * np.multiply.outer(result.delay, omega))
+    np.testing.assert_allclose(near, exact, atol=1e-5 * np.abs(exact).max())
+
+
+def test_a_delay_that_is_given_is_taken_as_it_is():
+    u, y, _ = skewed(5, (0.45, 0.8))
+    result = fitted(u, y, delay=[0.45 * DT, 0.8 * DT])
+    assert result.structure == "classical" and not result.stderr["delay"].any()
+    assert not any(one.cause.name == "DELAY" for one in result.findings)
+    assert fitted(u, y, delay=0).structure != "classical"
+    with pytest.raises(phc.StructureError, match=r"delay has shape \(3,\).*each of the 2 outputs"):
+        fitted(u, y, delay=[0.1, 0.2, 0.3])
+    with pytest.raises(phc.StructureError, match="delay"):
+        fitted(u, y, delay="some")
+
+
+def test_no_delay_is_found_where_there_is_none():
+    late = [fitted(*skewed(seed, (0.0, 0.0), samples=700)[:2]).delay.any() for seed in range(12)]
+    assert sum(late) == 0
+
+
+def test_the_error_of_a_delay_is_what_it_errs_by():
+    delays = 0.05 * np.random.default_rng(0).integers(1, 40, 16)
+    z = []
+    for seed, delay in enumerate(delays.tolist()):
+        result = fitted(*skewed(100 + seed, (delay,) * 2, samples=900)[:2])
+        assert result.structure == "classical"
+        z.append((result.delay[0] - delay * DT) / result.stderr["delay"][0])
+    assert 0.4 < np.mean(np.square(z)) < 1.9
+
+
+def test_a_response_shows_the_delay_of_a_lossy_plant():
+    rng, omega = np.random.default_rng(6), np.linspace(0.4, 7.0, 300)
+    response = structure()(1j * omega)[0, 0] * np.exp(-1j * omega * 0.17)
+    response = response + 0.003 * np.abs(response).max() * (rng.standard_normal(300) + 1j * rng.standard_normal(300))
+    result = phc.pem(ct.frd(response[None, None], omega), quantity=["velocity"], delay=0.17)
+    assert result.order == 3 and np.isclose(result.delay[0], 0.17)
+    np.testing.assert_allclose(np.angle(result.residues[:, 0, 0]), 0.0, atol=0.05)
+    compared = phc.compare(ct.frd(response[None, None], omega), result)
+    assert compared.fit_percent[0] > 90
