@@ -244,7 +244,8 @@ def free_fit(
             path = posed(channels, terms, found.intersample if either is None else either)
             path.whiten(found.noise, path.power)
             if start is not None:
-                return path.finished(path.in_its_noise(path.model(start)), channels, automatic)
+                model = path.model(start)
+                return path.finished(path.in_its_noise(model) if found.noise else model, channels, automatic)
             return path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
 
         either = None if intersample == "auto" else intersample
@@ -441,9 +442,7 @@ def scanned_delays(found: FreeFit, channels: Experiments) -> Delays:
     return delays
 
 
-def _gains_of_delays(
-    one: Recording, found: FreeFit, p: ComplexArray, delays: Delays, place: int, most: int
-) -> Array:
+def _gains_of_delays(one: Recording, found: FreeFit, p: ComplexArray, delays: Delays, place: int, most: int) -> Array:
     """How much an input explains beside the others if the outputs come 0, 1, .. to `most` samples after it."""
     stop = one.samples + min(0, *delays)
     shifted = np.array([one.u[k, most - min(d, most) : stop - min(d, most)] for k, d in enumerate(delays)])
