@@ -81,7 +81,8 @@ CONTROL = {
     "two modes and two lags": Plant.of((-0.02 + 3j, 0.3), (-0.1 + 14j, -0.4j), (-1.5, 0.8), (-15.0, -3.0)),
     "overdamped mass": Plant.of((-5.0, 1 / 15), (-20.0, -1 / 15)),
     "2 x 2": Plant.of(
-        (-2.0, [[1.0, 0.4], [0.4, 0.8]]), (-0.2 + 9j, [[0.3, 0.2j], [0.1, 0.4]]), (-0.3 + 21j, [[0.5j, 0.2], [0.1, 0.3]])
+        (-2.0, [[1.0, 0.4], [0.4, 0.8]]), (-0.2 + 9j, [[0.3, 0.2j], [0.1, 0.4]]),
+        (-0.3 + 21j, [[0.5j, 0.2], [0.1, 0.3]]),
     ),
     "unstable in closed loop": Plant.of((0.5, 2.0)),
 }  # fmt: skip
@@ -89,7 +90,7 @@ CONTROL = {
 
 def controlled(name: str, seed: int) -> tuple[Array, Array]:
     """Inputs (m, T) and outputs (p, T) of a plant of control with white noise of 3 %."""
-    plant, rng = CONTROL[name], np.random.default_rng([seed, 3])
+    plant, rng = CONTROL[name], np.random.default_rng([seed, list(CONTROL).index(name)])
     m = plant.residues.shape[2]
     levels = np.repeat(rng.choice([-1.0, 1.0], (m, SAMPLES // 10)), 10, axis=1)
     u = levels + 0.3 * rng.standard_normal((m, SAMPLES))
@@ -248,7 +249,8 @@ def _servo(rng: np.random.Generator, samples: int = 2000) -> tuple[Array, Array]
         y[k] = speed
         speed = 0.95 * speed + 0.05 * (u[k] - 0.25 * np.tanh(20 * speed))
     shaft = held(np.array([-0.04 + 0.9j]), np.array([[[0.02j]]]), u[None], 1.0)[0]
-    return u[None], (y + shaft + 0.1 * np.std(y) * loaded(rng, samples, 0.97) + 0.01 * rng.standard_normal(samples))[None]
+    noise = 0.1 * np.std(y) * loaded(rng, samples, 0.97) + 0.01 * rng.standard_normal(samples)
+    return u[None], (y + shaft + noise)[None]
 
 
 PROCESS: dict[str, Callable[[np.random.Generator], tuple[Array, Array]]] = {

@@ -61,7 +61,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
         return free
     rows = [row for one in records for row in one.filtered([each.innovations for each in noise])]
     found = refine_free(lambda _: rows, at.p, free.region, _EXACT, at.fed)
-    if np.any(found.p.real > 2 * np.maximum(at.p.real, 0.0)):
+    if len(found.p) != len(at.p) or np.any(found.p.real > 2 * np.maximum(at.p.real, 0.0)):
         return free
     if FreeProjection(at.experiments, found.p, at.fed).loss > _ASTRAY * at.loss:
         return free

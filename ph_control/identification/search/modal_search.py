@@ -286,7 +286,8 @@ def free_fit(
             path = posed(channels, terms, found.intersample if either is None else either, late)
             path.whiten(found.noise, path.power)
             if start is not None:
-                again = path.finished(path.in_its_noise(path.model(start)), channels, automatic)
+                model = path.model(start)
+                again = path.finished(path.in_its_noise(model) if found.noise else model, channels, automatic)
             else:
                 again = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
             return again.with_delay_open(delay is None)
@@ -1030,13 +1031,17 @@ class FreePath:
         model = self._in_rows(start, most, automatic)
         if not self._coloured(model):
             return model
-        further = self.in_its_noise(model)
-        if not automatic or self.real_poles != "auto":
-            # of a number that is too small the noise would take over what the plant lacks
-            return further if self._simulated(further) < _ASTRAY * float(model.losses.sum()) else model
         # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
-        others = [self._in_rows(further.p, most, automatic), self._joint(start, most, automatic)]
-        return min([further, *others], key=self.cost)
+        found = [self.in_its_noise(model)]
+        if automatic and self.real_poles == "auto":
+            found.append(self._in_rows(found[0].p, most, automatic))
+        if self.real_poles in ("auto", 0):
+            found.append(self._joint(start, most, automatic))
+        if automatic and self.real_poles == "auto":
+            return min(found, key=self.cost)
+        # of a number that is too small the noise would take over what the plant lacks
+        found = [one for one in found if self._simulated(one) < _ASTRAY * float(model.losses.sum())]
+        return min(found, key=self.cost, default=model)
 
     def _simulated(self, model: FreeModel) -> float:
         """Squares that a model leaves of the data, the noise not foretold."""
