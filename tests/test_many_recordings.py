@@ -459,3 +459,14 @@ def test_a_cluster_is_named_by_its_address(files):
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as found:
         there = shell(*words, "--scheduler", found.scheduler_address)
     assert there.status == 0 and there.out == shell(*words).out
+
+
+def test_callbacks_and_titles_of_other_kinds_are_refused_before_a_fit(tmp_path):
+    with pytest.raises(phc.StructureError, match="callback is 'told'; pass a function"):
+        phc.fit_many([(np.ones(9), np.arange(9.0))], dt=1.0, callback="told")
+    u = np.random.default_rng(0).standard_normal(200)
+    result = phc.pem((u, np.cumsum(u)), 1, dt=1.0, structure="free", quantity="free")
+    for title in (np.ones(2), NotImplemented, 3):
+        with pytest.raises(phc.StructureError, match="pass a text"):
+            result.report(tmp_path / "fit.html", title=title)
+    assert not list(tmp_path.iterdir())

@@ -521,6 +521,8 @@ class PEMResult(Report, Frozen):
         ------
         OutputExistsError
             If the file exists and `overwrite` is false.
+        StructureError
+            If the title is no text.
 
         Notes
         -----
@@ -539,6 +541,8 @@ class PEMResult(Report, Frozen):
         """
         from ..validation.html_report import page_of
 
+        if title is not None and not isinstance(title, str):
+            raise StructureError(f"title is {_checks.shown(title)}; pass a text, or None")
         target = as_path(path)
         refuse_unwritable(target, overwrite)
         page = page_of(self, title or "Identification report")

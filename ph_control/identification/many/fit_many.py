@@ -92,7 +92,7 @@ def fit_many(
     Raises
     ------
     StructureError
-        If `recordings`, `workers` or `rng` is not of this form.
+        If `recordings`, `workers`, `callback` or `rng` is not of this form.
     OutputExistsError
         If `store` is a file.
     TypeError
@@ -133,6 +133,8 @@ def fit_many(
     array([0, 1, 0, 1, 0, 1])
     """
     check_workers(workers)
+    if callback is not None and not callable(callback):
+        raise StructureError(f"callback is {_checks.shown(callback)}; pass a function of one argument, or None")
     unknown = sorted(set(pem_options) - _OPTIONS)
     if unknown:
         raise TypeError(
