@@ -174,7 +174,8 @@ class FreeResponse:
     Of several entries (q, K) that were `observed` (K,) at the same frequencies, with errors in one `scale`.  The real
     constant is none of the background but what is fed `through`, except of a displacement.  Residues are of any phase,
     or those of `classical` damping: in place of their real parts stand real numbers `B` of `B s^k / (s - p) (s - p*)`,
-    k that of the quantity, in place of their imaginary parts zeros.  Where responses have a `delay`, rows are those of the responses without it.
+    k that of the quantity, in place of their imaginary parts zeros.  Where responses have a `delay`, rows are those of
+    the responses without it.
     """
 
     frequencies: Array
