@@ -5,10 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import EPS, dense_simulation
+from scipy.linalg import expm
 
 import ph_control as phc
 from ph_control.identification.regression import time_rows as experiment
-from ph_control.identification.regression.time_rows import Modal, RecordColumns, RecordRows, Shared, gram
+from ph_control.identification.regression.free import FreeProjection, GivenResidues
+from ph_control.identification.regression.frequency_rows import FreeResponse
+from ph_control.identification.regression.spectral_rows import ChannelSpectra, FreeWindow
+from ph_control.identification.regression.time_rows import FreeRecord, Modal, RecordColumns, RecordRows, Shared, gram
 from ph_control.identification.regression.variable_projection import Problem
 from ph_control.modal.discretization import Hold
 
@@ -250,3 +254,107 @@ def test_a_record_without_modes_has_its_mean_and_output_only(samples, offset):
     y, one = np.linspace(0.0, 1.0, samples), np.ones(samples, bool)
     here = Problem((RecordRows(y, y, one, Hold(1.0), offset=offset),)).project(np.zeros(0))
     assert np.isclose(here.loss, np.sum((y - offset * 0.5) ** 2), rtol=1e-11) and here.gram.shape == (0, 0)
+
+
+# --- delays ----------------------------------------------------------------------------------------------------------
+
+LATE_POLES = np.array([-0.06 + 1.1j, -0.15 + 4.6j, -1.7 + 0j])
+LATE_RESIDUES = np.array([0.4 + 0.3j, -0.2 + 0.5j, 0.6])
+LATE_THROUGH, LATE_STEP, LATE_SAMPLES, LATE_BEFORE = 0.4, 0.2, 130, 10
+
+
+def between(pole, state, value, slope, time):
+    """State after some time under an input `value + slope t`, by an exponential of the augmented matrix."""
+    A = np.array([[pole, value, slope], [0, 0, 0], [0, 1, 0]], complex)
+    return (expm(A * time) @ np.array([state, 1, 0]))[0]
+
+
+def late_output(u, delay, intersample):
+    """Output at `k - delay`, inputs known before and after the record."""
+    slopes = np.diff(u) / LATE_STEP if intersample == "foh" else np.zeros(len(u) - 1)
+    y = np.zeros(LATE_SAMPLES)
+    for pole, residue in zip(LATE_POLES, LATE_RESIDUES, strict=True):
+        states = np.zeros(len(u), complex)
+        for k in range(len(u) - 1):
+            states[k + 1] = between(pole, states[k], u[k], slopes[k], LATE_STEP)
+        for k in range(LATE_SAMPLES):
+            place = LATE_BEFORE + k - delay
+            j = int(np.floor(place))
+            seen = between(pole, states[j], u[j], slopes[j], (place - j) * LATE_STEP)
+            y[k] += 2 * (residue * seen).real
+    for k in range(LATE_SAMPLES):
+        place = LATE_BEFORE + k - delay
+        j = int(np.floor(place))
+        y[k] += LATE_THROUGH * (u[j] + slopes[j] * (place - j) * LATE_STEP)
+    return y
+
+
+def record_of(u, y, intersample):
+    inside = u[None, LATE_BEFORE : LATE_BEFORE + LATE_SAMPLES]
+    return FreeRecord(inside, y[None], np.ones(LATE_SAMPLES, bool), Hold(LATE_STEP, "exact", intersample))
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+@pytest.mark.parametrize("delay", [0.35, 1.0, 3.6, -0.45, -1.2])
+def test_rows_with_a_delay_are_those_of_the_exact_motion(intersample, delay):
+    u = np.random.default_rng(1).standard_normal(LATE_SAMPLES + 2 * LATE_BEFORE)
+    y = late_output(u, delay, intersample)
+    rows = record_of(u, y, intersample).delayed(delay * LATE_STEP)
+    for data in (rows, FreeWindow(spectra := ChannelSpectra.of(rows), np.arange(1, spectra.last + 1))):
+        at = FreeProjection([data], LATE_POLES)
+        np.testing.assert_allclose(at.residues[:, 0, 0], LATE_RESIDUES, atol=1e-12)
+        np.testing.assert_allclose(at.feedthrough, LATE_THROUGH, atol=1e-12)
+    predicted = rows.placed(FreeProjection([rows], LATE_POLES).predictions()[0])[0]
+    unknown = np.isnan(predicted)
+    assert unknown[: int(np.ceil(max(delay, 0)))].all() and unknown.sum() <= np.ceil(abs(delay))
+    np.testing.assert_allclose(predicted[~unknown], y[~unknown], atol=1e-12)
+
+
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+def test_the_derivative_by_the_delay_is_that_of_the_loss(intersample):
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal(LATE_SAMPLES + 2 * LATE_BEFORE)
+    y = late_output(u, 1.3, intersample) + 0.2 * rng.standard_normal(LATE_SAMPLES)
+    record = record_of(u, y, intersample).delayed(0.0, 0.0, 3 * LATE_STEP)
+    shared = 1.2 * FreeProjection([record.delayed(1.3 * LATE_STEP)], LATE_POLES).shared
+
+    def at(delay):
+        return GivenResidues(FreeProjection([record.delayed(delay)], LATE_POLES), shared)
+
+    here, e = at(1.4 * LATE_STEP), 1e-6
+    ((_, left, _, _),) = here.sensitivities()
+    numerical = (at(1.4 * LATE_STEP + e).loss - at(1.4 * LATE_STEP - e).loss) / (2 * e)
+    np.testing.assert_allclose(-2 * left @ here.delay_slopes(0), numerical, rtol=1e-5)
+
+
+def test_inner_products_of_long_records_are_those_of_the_columns():
+    rng = np.random.default_rng(3)
+    u, y = rng.standard_normal((2, 20_000)), rng.standard_normal((1, 20_000))
+    rows = FreeRecord(u, y, np.ones(20_000, bool), Hold(LATE_STEP, "exact", "foh")).delayed(0.7 * LATE_STEP)
+    evaluation = rows.at(LATE_POLES)
+    columns = np.concatenate(list(evaluation.blocks()), axis=1)
+    expected = columns @ columns.T
+    np.testing.assert_allclose(evaluation.gram(), expected, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+def test_responses_with_a_delay_turn_with_the_frequency(quantity):
+    rng, omega, delay = np.random.default_rng(4), np.linspace(0.3, 7.0, 90), 0.6
+    s = 1j * omega
+    response = sum(r / (s - p) + r.conj() / (s - p.conj()) for r, p in zip(LATE_RESIDUES, LATE_POLES, strict=True))
+    response = (response + LATE_THROUGH * (quantity == "acceleration")) * np.exp(-s * delay)
+    exact = FreeResponse(omega, response[None], np.ones(90), np.ones(90, bool), quantity)
+    at = FreeProjection([exact.delayed(delay)], LATE_POLES)
+    np.testing.assert_allclose(at.residues[:, 0, 0], LATE_RESIDUES, atol=1e-10)
+    np.testing.assert_allclose(at.predictions()[0][0], response, atol=1e-10)
+    noisy = exact.response + 0.1 * (rng.standard_normal(90) + 1j * rng.standard_normal(90))
+    rows = FreeResponse(omega, noisy, np.ones(90), np.ones(90, bool), quantity)
+    shared, e = 1.2 * at.shared, 1e-6
+
+    def loss(time):
+        return GivenResidues(FreeProjection([rows.delayed(time)], LATE_POLES), shared)
+
+    here = loss(delay)
+    ((_, left, _, _),) = here.sensitivities()
+    numerical = (loss(delay + e).loss - loss(delay - e).loss) / (2 * e)
+    np.testing.assert_allclose(-2 * left @ here.delay_slopes(0), numerical, rtol=1e-5)

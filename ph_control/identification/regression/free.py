@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,64 @@ _SHOWN = 1e-6  # part of a column of unit length that is not among others
 # `moving` at the start, then of each input those of the residues (2n), and what is fed `through` if that may be.
 # Derivatives are those of these columns by the pole.
 FreeRows = FreeRecord | FreeResponse | FreeWindow
+
+Rows = TypeVar("Rows", FreeRecord, FreeResponse)  # what may have a delay
+
+# --- delays of the outputs --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Delays:
+    """Delays that outputs of a projection share, in units of time.
+
+    Attributes
+    ----------
+    groups : ndarray of int, shape (outputs of the projection,)
+        Which delay each output has.
+    values : ndarray, shape (k,)
+        The delays.
+    step : float
+        Time within which an answer hardly turns: no step of a search is longer.
+    least, most : float or None
+        Bounds of a search; the samples of records that any delay between them leaves out are left out for all.
+    """
+
+    groups: Indices
+    values: Array
+    step: float = np.inf
+    least: float | None = None
+    most: float | None = None
+
+    @classmethod
+    def of_outputs(cls, delay: Array) -> Delays:
+        """The delays of all outputs."""
+        values, groups = np.unique(delay, return_inverse=True)
+        return cls(groups, values)
+
+    @property
+    def count(self) -> int:
+        """Number of delays."""
+        return len(self.values)
+
+    @property
+    def each(self) -> Array:
+        """Delay of each output."""
+        return self.values[self.groups]
+
+    def rows(self, experiments: Sequence[Rows]) -> list[Rows]:
+        """Rows with these delays, of outputs that share one."""
+        found = list[Rows]()
+        for one in experiments:
+            each = self.groups[one.outputs]
+            for group in np.unique(each).tolist():
+                part = one if np.all(each == group) else one.among_outputs(each == group)
+                found.append(part.delayed(float(self.values[group]), self.least, self.most))
+        return found
+
+    def inside(self, values: Array) -> Array:
+        """Delays brought to where they are allowed."""
+        return np.clip(values, self.least, self.most)
+
 
 # --- the linear problem ----------------------------------------------------------------------------------------------
 

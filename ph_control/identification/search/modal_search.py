@@ -22,8 +22,7 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
-from ..regression.delays import Delays
-from ..regression.free import FreeProjection, GivenResidues, refine_free
+from ..regression.free import Delays, FreeProjection, GivenResidues, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows

@@ -17,9 +17,8 @@ from scipy.linalg import lapack
 from ..._checks import EPS
 from ..._frozen import Frozen
 from ..._types import Array, ComplexArray, Indices, Mask, NDArray
-from ..regression.delays import Delays
 from ..regression.elimination import LinearProjection
-from ..regression.free import FreeProjection, GivenResidues
+from ..regression.free import Delays, FreeProjection, GivenResidues
 from ..regression.sections import PoleRegion
 from ..regression.triangular import reduced
 from ..regression.tuning import TUNING

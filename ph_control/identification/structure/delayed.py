@@ -13,8 +13,7 @@ import numpy as np
 from scipy.signal import argrelmin
 
 from ..._types import Array, Indices, Mask
-from ..regression.delays import Delays
-from ..regression.free import FreeProjection, FreeRows
+from ..regression.free import Delays, FreeProjection, FreeRows
 from ..regression.sections import PoleRegion
 from ..regression.tuning import TUNING
 from .constrained import StructuredFit, constrained
