@@ -69,7 +69,7 @@ class Finding:
         What it is.
     values : tuple of float
         Of a constant its value in each record; of a drift its change per unit time in each; of a delay the samples by
-        which the output lags; of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
+        which the output lags, behind each input where they differ; of coloured noise the coefficients `phi` of `e_k = sum phi_j e_(k-j) + white`; of noise
         on the input its size over that of the input, and the standard deviation of the white noise beside it; of noise
         that grows with the gain its standard deviation over the gain, of each entry row by row; of a hold
         0 for an input that was held, 1 for a linear one; of a hypothesis that is rejected its p-value and degrees of
@@ -367,6 +367,12 @@ def sentence_of(finding: Finding, intersample: str, time_unit: str | None = None
         if finding.gain < TUNING.sure:
             return f"These data cannot tell an input held between samples from a linear one; it was taken as {between}."
         return f"The input between samples was {between} ({certain} over the other)."
+    if finding.cause is Cause.DELAY and len(values) > 1:
+        each = ", ".join(f"{value:.0f}" for value in values)
+        return (
+            f"The outputs come {each} samples later than the responses to the inputs, in their order ({certain}): this "
+            "is the fit of inputs that are so much later."
+        )
     if finding.cause is Cause.DELAY:
         samples = int(values[0])
         which, remedy = ("later", f"u[:-{samples}], y[{samples}:]") if samples > 0 else (

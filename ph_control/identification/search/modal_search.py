@@ -54,6 +54,7 @@ _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
 _SWEEPS = 3  # over the delays of all inputs
 _LONGEST_DELAY = 24  # samples
+_LAGS = 4  # of different rates, with which delays are looked for
 _ASTRAY = 4.0  # times the squares left of the data, at which a model was left for the sake of its noise
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
 _LASTING = 0.05  # of a record: the part in which an input has to act
@@ -339,12 +340,13 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
     for delays in sorted(likely_delays(found)):
         best, least = _later(found, best, least, delays, anew)
     # poles that were found in wrong delays, or none, say little of the right ones
+    tried = {_delays_of(best)}
     for _ in range(_SCANS):
-        delays = scanned_delays(best, found.channels)
-        if not any(delays) or delays == _delays_of(best):
-            break
+        proposed = scanned_delays(best, found.channels) - tried
+        tried |= proposed
         before = best
-        best, least = _later(found, best, least, delays, anew)
+        for delays in sorted(one for one in proposed if any(one)):
+            best, least = _later(found, best, least, delays, anew)
         if best is before:
             break
     return best
@@ -415,35 +417,40 @@ def likely_delays(found: FreeFit) -> set[Delays]:
     return of_all(likely | {best} - {0})
 
 
-def scanned_delays(found: FreeFit, channels: Experiments) -> Delays:
-    """Samples by which outputs come after each input, one input after the other, for the poles and the noise there are.
+def scanned_delays(found: FreeFit, channels: Experiments) -> set[Delays]:
+    """Samples by which outputs may come after each input, for the poles and the noise there are, or a lag of any rate.
 
-    Without poles for real ones of all rates.  Nothing is looked for where what is left shows nothing of the inputs.
+    Poles of a fit may stand for a part of the delays, which a lag cannot.  Nothing is looked for where what is left
+    shows nothing of the inputs.
     """
     inputs = len(channels[0].input_labels)
-    none = (0,) * inputs
     if isinstance(channels[0], ResponseMatrix) or not inputs or found.rounding or not (
         found.noise or (found.order and np.any(found.projection.p.imag == 0) and _leaves_traces(found.projection))
     ):  # fmt: skip
-        return none
+        return set()
     some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
     shortest = min(one.samples for one in some)
     most = min(_LONGEST_DELAY, shortest // 10)
-    rates = np.geomspace(20.0 / shortest, 0.5, 4) / channels[0].dt
-    p = found.projection.p if found.order else (-rates).astype(complex)
-    delays = _delays_of(found)
-    for _ in range(_SWEEPS if inputs > 1 else 1):
-        before = delays
-        for k in range(inputs):
-            gains = sum(_gains_of_delays(one, found, p, delays, k, most) for one in some)
-            delays = (*delays[:k], int(np.argmax(gains)), *delays[k + 1 :])
-        if delays == before:
-            break
-    return delays
+
+    def scanned(p: ComplexArray) -> tuple[float, Delays]:
+        """Squares that are left with the best delays, one input after the other, and these."""
+        delays, least = _delays_of(found), np.inf
+        for _ in range(_SWEEPS if inputs > 1 else 1):
+            before = delays
+            for k in range(inputs):
+                left = sum(_left_by_delays(one, found, p, delays, k, most) for one in some)
+                delays, least = (*delays[:k], int(np.argmin(left)), *delays[k + 1 :]), float(np.min(left))
+            if delays == before:
+                break
+        return least, delays
+
+    rates = np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt
+    proposed = {min(scanned(np.array([-rate + 0j])) for rate in rates)[1]}
+    return proposed | {scanned(found.projection.p)[1]} if found.order else proposed
 
 
-def _gains_of_delays(one: Recording, found: FreeFit, p: ComplexArray, delays: Delays, place: int, most: int) -> Array:
-    """How much an input explains beside the others if the outputs come 0, 1, .. to `most` samples after it."""
+def _left_by_delays(one: Recording, found: FreeFit, p: ComplexArray, delays: Delays, place: int, most: int) -> Array:
+    """Squares that an input leaves beside the others if the outputs come 0, 1, .. to `most` samples after it."""
     stop = one.samples + min(0, *delays)
     shifted = np.array([one.u[k, most - min(d, most) : stop - min(d, most)] for k, d in enumerate(delays)])
     late = np.array([one.u[place, most - d : stop - d] for d in range(most + 1)])
@@ -451,7 +458,7 @@ def _gains_of_delays(one: Recording, found: FreeFit, p: ComplexArray, delays: De
     rows = Records(_records([some], found.intersample, found.offset, True))
     if found.noise:
         rows = rows.whitened(found.noise)
-    gains, n = np.zeros(most + 1), len(p)
+    squares, n = np.zeros(most + 1), len(p)
     for row in rows.data:
         b = found.noise[int(row.outputs[0])] if found.noise else np.ones(1)
         start = len(b) - 1
@@ -465,8 +472,8 @@ def _gains_of_delays(one: Recording, found: FreeFit, p: ComplexArray, delays: De
         every = np.concatenate(list(tried.at(p).blocks()), axis=1)
         for d in range(most + 1):
             basis_of, _ = orthogonal(without(every[d * (2 * n + 1) : (d + 1) * (2 * n + 1)].T, basis))
-            gains[d] += np.sum((basis_of.T @ left) ** 2)
-    return gains
+            squares[d] += np.sum(left**2) - np.sum((basis_of.T @ left) ** 2)
+    return squares
 
 
 def _leaves_traces(at: FreeProjection) -> bool:
