@@ -1,0 +1,84 @@
+"""Process plants: dead times, lags, and noise that is coloured and as large as the response.
+
+The references are recursions of `scipy.signal.lfilter`, whose poles and autoregressions are known.
+"""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import ph_control as phc
+
+
+def levels(rng, samples, each):
+    """Input of two levels, each for some time."""
+    return np.where(np.cumsum(rng.random(samples) < 1 / each) % 2, 1.0, -1.0)
+
+
+def chained(u, multipliers, delay=0):
+    """Output of lags of unit gain in a row, from sample to sample, after a dead time."""
+    x = np.concatenate([np.zeros(delay), u[: len(u) - delay]])
+    for a in multipliers:
+        x = lfilter([0.0, 1 - a], [1.0, -a], x)
+    return x
+
+
+def autoregressive(rng, samples, a):
+    """Noise of variance 1 that is `a` times what it was, and white noise, in its steady state."""
+    white = rng.standard_normal(samples)
+    white[0] /= np.sqrt(1 - a**2)
+    return np.sqrt(1 - a**2) * lfilter([1.0], [1.0, -a], white)
+
+
+def simulated_percent(result, u, x):
+    """Fit in percent of what a model makes of an input to the response without noise."""
+    y = result.predict(u, initial_state="zero").outputs
+    return 100 * (1 - np.linalg.norm(y - x) / np.linalg.norm(x - x.mean()))
+
+
+def test_a_lag_is_found_beside_load_noise_of_its_size_and_its_interval_covers():
+    off = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = levels(rng, 1500, 20)
+        x = chained(u, (0.9,))
+        result = phc.pem((u, 3.0 + x + np.std(x) * autoregressive(rng, 1500, 0.97)), dt=1.0, quantity="free")
+        assert result.states == 1 and result.outcome.name != "CONSISTENT"
+        off.append(float((result.real_poles[0] - np.log(0.9)) / result.stderr["real_poles"][0]))
+        assert "COLOURED_RESIDUALS" in {one.cause.name for one in result.findings}
+        assert simulated_percent(result, u, x) > 70
+    assert np.mean(np.square(off)) < 2.5 and np.sum(np.abs(off) < 1.96) >= 5
+
+
+def test_a_plant_that_a_noise_model_could_swallow_is_found_with_its_dead_time():
+    rng = np.random.default_rng(3)
+    u = levels(rng, 1500, 25)
+    x = chained(u, (0.95, 0.8), 5)
+    result = phc.pem((u, x + 0.3 * np.std(x) * autoregressive(rng, 1500, 0.95)), dt=1.0, quantity="free")
+    assert abs(result.delay[0] - 5) <= 1  # a sample may be fed through
+    assert "DELAY" in {one.cause.name for one in result.findings}
+    assert simulated_percent(result, u, x) > 80
+
+
+@pytest.mark.parametrize("a", [0.9, 0.99])
+def test_modes_beside_autoregressive_noise_have_errors_that_hold(a):
+    poles = np.array([-0.01 + 0.6j, -0.02 + 1.4j])
+    covered = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal(1200)
+        x = sum(2 * lfilter([0.0, 1.0], [1.0, -np.exp(p)], u + 0j).real for p in poles)
+        result = phc.pem((u, x + 0.2 * np.std(x) * autoregressive(rng, 1200, a)), dt=1.0, quantity="free")
+        assert result.order == 2 and result.states == 4
+        off = (np.abs(result.poles) - np.abs(poles)) / result.stderr["natural_frequencies"]
+        covered += (np.abs(off) < 1.96).tolist()
+    assert np.mean(covered) > 0.8
+
+
+def test_coloured_noise_alone_shows_no_plant():
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        u, y = levels(rng, 1000, 20), autoregressive(rng, 1000, 0.95)
+        result = phc.pem((u, y), dt=1.0, quantity="free")
+        assert result.states == 0 or result.fit_percent < 10
+        assert result.outcome.name != "CONSISTENT"
