@@ -59,6 +59,7 @@ _EXPLAINED = 0.5  # of the largest value of a line: what modes that explain it m
 _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
+_LAGS = 4  # of different rates, with which delays are looked for
 _ASTRAY = 4.0  # times the squares left of the data, at which a model was left for the sake of its noise
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
 _LASTING = 0.05  # of a record: the part in which an input has to act
@@ -489,17 +490,19 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
             if again.order < found.order and not _leaves_traces(again.projection):
                 break
     # poles that were found in a wrong delay, or none, say little of the right one
+    tried = {_samples_late(best)}
     for _ in range(_SCANS):
-        samples = scanned_delay(best)
-        if samples is None or samples == _samples_late(best):
+        proposed = scanned_delays(best) - tried
+        tried, before = tried | proposed, best
+        for samples in sorted(proposed - {0}):
+            again = anew(np.full(len(found.scales), samples * found.channels[0].dt), found.offset, None)
+            now = 0.5 * (found.criteria.bic - again.criteria.bic * found.projection.rows / again.projection.rows)
+            # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
+            each = 0.5 * float(np.log(found.projection.rows)) if again.noise else TUNING.likely
+            if now > (each if best is found else gain):
+                best, gain = replace(again, findings=found.findings, delay_gain=now), now
+        if best is before:
             break
-        again = anew(np.full(len(found.scales), samples * found.channels[0].dt), found.offset, None)
-        now = 0.5 * (found.criteria.bic - again.criteria.bic * found.projection.rows / again.projection.rows)
-        # with noise that is modelled a delay is one more parameter; without, what else leaves traces may ask for it
-        each = 0.5 * float(np.log(found.projection.rows)) if again.noise else TUNING.likely
-        if now <= max(gain - TUNING.likely * (best is found), each):
-            break
-        best, gain = replace(again, findings=found.findings, delay_gain=now), now
     return best
 
 
@@ -562,35 +565,34 @@ def _samples_late(found: FreeFit) -> int:
     return int(np.rint(np.median(found.delay) / found.channels[0].dt))
 
 
-def scanned_delay(found: FreeFit) -> int | None:
-    """Samples by which outputs come after the inputs, for the poles and the noise there are; None if nothing says so.
+def scanned_delays(found: FreeFit) -> set[int]:
+    """Samples by which outputs may come after the inputs, for the poles and the noise there are, or a lag of any rate.
 
-    Without poles for real ones of all rates.  Nothing is looked for where what is left shows nothing of the inputs.
+    Poles of a fit may stand for a part of a delay, which a lag cannot.  Nothing is looked for where what is left shows
+    nothing of the inputs.
     """
     channels = found.channels
     if isinstance(channels[0], ResponseMatrix) or not len(channels[0].input_labels) or found.rounding or not (
         found.noise or (found.order and np.any(found.projection.p.imag == 0) and _leaves_traces(found.projection))
     ):  # fmt: skip
-        return None
+        return set()
     some = [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in channels]
     shortest = min(one.samples for one in some)
     most = min(_LONGEST_DELAY, shortest // 10)
-    rates = np.geomspace(20.0 / shortest, 0.5, 4) / channels[0].dt
-    p = found.projection.p if found.order else (-rates).astype(complex)
-    return int(np.argmax(sum(_gains_of_delays(one, found, p, most) for one in some)))
+    records = _records(some, found.intersample, found.offset, True)
 
+    def scanned(p: ComplexArray) -> tuple[float, int]:
+        """Squares that poles leave with the best delay, and this."""
+        left = []
+        for samples in range(most + 1):
+            late = [row.delayed(samples * row.hold.h, 0.0, most * row.hold.h) for row in records]
+            rows = Records(late).whitened(found.noise) if found.noise else Records(late)
+            left.append(FreeProjection(rows.scaled(1.0 / found.scales).data, p).loss)
+        return min(left), int(np.argmin(left))
 
-def _gains_of_delays(one: Recording, found: FreeFit, p: ComplexArray, most: int) -> Array:
-    """How much inputs explain of outputs that come 0, 1, .. to `most` samples after them, for some poles."""
-    records = _records([one], found.intersample, found.offset, True)
-    gains = np.zeros(most + 1)
-    for d in range(most + 1):
-        rows = Records([row.delayed(d * one.dt, 0.0, most * one.dt) for row in records])
-        rows = rows.whitened(found.noise) if found.noise else rows
-        scaled = rows.scaled(1.0 / found.scales)
-        at = FreeProjection(scaled.data, p)
-        gains[d] = -at.loss
-    return gains
+    rates = np.geomspace(20.0 / shortest, 0.5, _LAGS) / channels[0].dt
+    proposed = {min(scanned(np.array([-rate + 0j])) for rate in rates)[1]}
+    return proposed | {scanned(found.projection.p)[1]} if found.order else proposed
 
 
 def _leaves_traces(at: FreeProjection) -> bool:
