@@ -62,7 +62,7 @@ ANSWERS = (
     "ExpressivePower", "FittedChannels", "FittedExperiment", "GradientResult", "KalmanDecomposition", "LosslessResult",
     "ModalSamples", "MorphismCheck", "Netlist", "OrderSelection", "PEMResult", "PassivityReport", "ResidualAnalysis",
     "ScaledCoefficients", "StructuralModes", "Symmetry", "Verdict", "UniversalModes", "FitTable", "ModeTracks",
-    "OptimalDamping", "RecordingFitted", "Stabilisation",
+    "OptimalDamping", "RecordingFitted", "ResponseBackground", "Stabilisation",
 )  # fmt: skip
 
 # share of the calls, next to 1 for what takes less than a millisecond or so

@@ -220,6 +220,9 @@ ROLES: dict[str, Callable[[Draw], Any]] = {
     "M": lambda draw: draw.stiffness() + 0.1 * np.eye(draw.n),
     "K": Draw.stiffness,
     "from_second_order.F": lambda draw: draw.rng.standard_normal((draw.n, draw.m)),
+    "SecondOrderSystem.F": lambda draw: draw.rng.standard_normal((draw.n, draw.m)),
+    "SecondOrderSystem.C": Draw.stiffness,
+    "SecondOrderSystem.sensors": lambda draw: {"acceleration": draw.rng.standard_normal((1, draw.n))},
     "from_second_order.C": Draw.stiffness,
     "from_second_order.G": lambda draw: np.triu(np.ones((draw.n, draw.n)), 1) - np.tril(np.ones((draw.n, draw.n)), -1),
     "from_second_order.modes": _choice(None, None, 1),
@@ -404,6 +407,13 @@ def pool(kind: str) -> list[Any]:
         return list(_POOLS[kind]())
 
 
+def _on_a_background() -> phc.ResponseBackground:
+    """Background of a mode in series with a coil."""
+    s, rng = 1j * np.linspace(0.1, 3.0, 120), np.random.default_rng(0)
+    noise = 1e-3 * (rng.standard_normal(120) + 1j * rng.standard_normal(120))
+    return phc.pem(ct.frd(s / (s**2 + 0.04 * s + 1) + 0.05 * s + noise, s.imag), 1, structure="free").background
+
+
 def _written_modes() -> list[Any]:
     phc.write_uff(pool("DampedResult")[0], "modes.uff", places=["1+Z"], overwrite=True)
     return list(phc.read_uff("modes.uff"))
@@ -528,6 +538,7 @@ _POOLS |= {
         one for result in pool("PEMResult") for one in result.experiments if isinstance(one, phc.FittedExperiment)
     ],
     "ModeSamples": lambda: [pool("PEMResult")[0].sample(4, 0)],
+    "ResponseBackground": lambda: [_on_a_background()],
     "ResidualAnalysis": lambda: [
         phc.residual_analysis(_record(5)[1:], pool("PEMResult")[0], dt=0.1),
         phc.residual_analysis(_data()[5], pool("PEMResult")[1]),

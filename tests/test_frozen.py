@@ -33,6 +33,8 @@ def _results():
     many = phc.fit_many([(u, y)], dt=0.1, order=2)
     start = [0.52, 1.9], [1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0]
     bootstrap = fits[0].bootstrap(10, rng=1)
+    fixture = ct.frd(plant(1j * w) + 0.3 + 0.2j * w + noise, w)
+    background = phc.pem(fixture, structure="free").experiments[0].background
     return [
         *fits, bootstrap, bootstrap.stderr, fits[1].bootstrap(10, rng=1).interval(), fits[0].confidence_interval(),
         fits[0].sample(3, rng=1), fits[-1].sample(3, rng=1),
@@ -48,6 +50,7 @@ def _results():
         phc.ph(np.eye(2), [0.0, 1.0], R=np.eye(2)), phc.passivity(ct.ss(-1.0, 1.0, 1.0, 0.0)),
         plant.modes.scaled_coefficients()[0], phc.netlist(plant), canonical,
         phc.from_second_order(np.eye(2), np.diag([1.0, 4.0]), [1.0, 1.0], modes=1).structural_modes,
+        phc.SecondOrderSystem(np.eye(2), np.diag([1.0, 4.0]), [1.0, 1.0]), background,
         phc.oh([1.0, 2.0], [1.0, 1.0, 1.0, 1.0]), phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0]),
         phc.is_even(phc.affine(np.diag([4.0, 1.0]), [1.0, 0.0])), phc.kalman_decomposition(plant),
         phc.canonical_margins(plant), phc.split_casimirs(np.eye(3), [1, 0, 0], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]),

@@ -119,6 +119,7 @@ CALLS: dict[str, list[Callable[..., Any]]] = {
     "FitTable.plot": [lambda **k: phc.fit_many([]).plot(**k)],
     "ModeTracks.plot": [lambda **k: phc.fit_many([]).track().plot(**k)],
     "fit_plot": [lambda **k: phc.fit_plot(T, T, T, **k), lambda **k: phc.fit_plot(fitted(), **k)],
+    "SecondOrderSystem": [lambda **k: phc.SecondOrderSystem(np.eye(2), np.diag([1.0, 4.0]), [1.0, 0.0], **k)],
     "from_second_order": [lambda **k: phc.from_second_order([[1.0]], [[4.0]], [1.0], **k)],
     "oh": [lambda **k: phc.oh([1.0], [1.0, 0.0], **k), lambda **k: phc.oh(plant(), **k)],
     "sample": [lambda **k: phc.sample(plant(), 0.1, **k)],

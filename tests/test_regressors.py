@@ -343,12 +343,13 @@ def test_responses_with_a_delay_turn_with_the_frequency(quantity):
     s = 1j * omega
     response = sum(r / (s - p) + r.conj() / (s - p.conj()) for r, p in zip(LATE_RESIDUES, LATE_POLES, strict=True))
     response = (response + LATE_THROUGH * (quantity == "acceleration")) * np.exp(-s * delay)
-    exact = FreeResponse(omega, response[None], np.ones(90), np.ones(90, bool), quantity)
+    felt = {"through": quantity == "acceleration"}
+    exact = FreeResponse(omega, response[None], np.ones(90), np.ones(90, bool), quantity, **felt)
     at = FreeProjection([exact.delayed(delay)], LATE_POLES)
     np.testing.assert_allclose(at.residues[:, 0, 0], LATE_RESIDUES, atol=1e-10)
     np.testing.assert_allclose(at.predictions()[0][0], response, atol=1e-10)
     noisy = exact.response + 0.1 * (rng.standard_normal(90) + 1j * rng.standard_normal(90))
-    rows = FreeResponse(omega, noisy, np.ones(90), np.ones(90, bool), quantity)
+    rows = FreeResponse(omega, noisy, np.ones(90), np.ones(90, bool), quantity, **felt)
     shared, e = 1.2 * at.shared, 1e-6
 
     def loss(time):

@@ -188,7 +188,7 @@ def test_a_mixed_list_has_a_line_for_each_on_one_axis_of_time():
     np.testing.assert_allclose(lines[5].get_ydata(), 1 - np.exp(-lines[5].get_xdata()), atol=1e-12)
     longest = ct.step_response(damped).time[-1]
     assert longest > 6 * np.pi / chain.d[0]
-    assert plot.axes[0, 0].get_xlim() == (0.0, longest)
+    assert plot.axes[0, 0].get_xlim() == pytest.approx((0.0, longest), rel=1e-12)
     assert plot.axes[0, 0].get_ylabel() == "Output"
 
 

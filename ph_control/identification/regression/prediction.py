@@ -132,6 +132,11 @@ class ResponseBackground(Frozen):
         ndarray of complex, shape (p, m, K)
             What is added to the response of modes and feedthrough.
 
+        Raises
+        ------
+        StructureError
+            If the frequencies are no vector of finite numbers, or out of range.
+
         Examples
         --------
         >>> import control as ct, numpy as np, ph_control as phc
@@ -142,7 +147,9 @@ class ResponseBackground(Frozen):
         >>> result.background.slope.real.round(3), result.background.response([2.0]).round(2)
         (array([[0.05]]), array([[[0.+0.1j]]]))
         """
-        s = 1j * np.asarray(omega, float)
+        points = _checks.real_array("omega", omega, 1)
+        _checks.in_range("omega", points)
+        s = 1j * points
         powers = np.array([np.where(s == 0, float(k == 0), np.where(s == 0, 1.0, s) ** k) for k in _POWERS])
         return np.asarray(np.tensordot(self.coefficients, powers, (0, 0)))
 

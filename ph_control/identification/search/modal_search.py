@@ -22,7 +22,7 @@ from ...exceptions import IdentificationError, StructureError
 from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
-from ..regression.free import Delays, FreeProjection, GivenResidues, refine_free
+from ..regression.free import Delays, FreeProjection, refine_free
 from ..regression.frequency_rows import FURTHER_TERMS, FreeResponse, FrequencyRows, Term
 from ..regression.sections import PoleRegion, Sections
 from ..regression.time_rows import FreeRecord, RecordRows
@@ -60,7 +60,6 @@ _SWAPS = 6  # modes that are looked for elsewhere, at most
 _SCANS = 3  # searches with the delays that the last one says
 _LONGEST_DELAY = 24  # samples
 _LAGS = 4  # of different rates, with which delays are looked for
-_ASTRAY = 4.0  # times the squares left of the data, at which a model was left for the sake of its noise
 _AGREED = 0.1  # of the criterion: less is gained where a model and its noise agree
 _LASTING = 0.05  # of a record: the part in which an input has to act
 
@@ -491,7 +490,7 @@ def _on_time(found: FreeFit, anew: Anew) -> FreeFit:
                 break
     # poles that were found in a wrong delay, or none, say little of the right one
     tried = {_samples_late(best)}
-    for _ in range(_SCANS):
+    for _ in range(_SCANS * (not best.rounding)):
         proposed = scanned_delays(best) - tried
         tried, before = tried | proposed, best
         for samples in sorted(proposed - {0}):
@@ -1030,33 +1029,14 @@ class FreePath:
         if getattr(self.search, "innovations", ()):
             return self._joint(start, most, automatic)
         model = self._in_rows(start, most, automatic)
-        if not self._coloured(model):
+        # noise of a number of poles that is given, and may be too small, would take over what the plant lacks
+        if not (automatic and self.real_poles in ("auto", 0) and self._coloured(model)):
             return model
         # noise of a model that is too small has what this lacks: in its rows others are looked for, and from nothing
         found = [self.in_its_noise(model)]
-        if automatic and self.real_poles == "auto":
+        if self.real_poles == "auto":
             found.append(self._in_rows(found[0].p, most, automatic))
-        if self.real_poles in ("auto", 0):
-            found.append(self._joint(start, most, automatic))
-        if automatic and self.real_poles == "auto":
-            return min(found, key=self.cost)
-        # of a number that is too small the noise would take over what the plant lacks
-        found = [one for one in found if self._simulated(one) < _ASTRAY * float(model.losses.sum())]
-        return min(found, key=self.cost, default=model)
-
-    def _simulated(self, model: FreeModel) -> float:
-        """Squares that a model leaves of the data, the noise not foretold."""
-        if not model.innovations or not len(model.p):
-            return float(model.losses.sum())
-        self.whiten(model.innovations, model.losses)
-        at = FreeProjection(self.scaled.data, model.p)
-        data = GivenResidues(FreeProjection(self.plain.scaled(self.sizes).data, model.p), at.shared)
-        left = 0.0
-        for rows, predicted in zip(data.experiments, data.predictions(), strict=True):
-            if isinstance(rows, FreeRecord):
-                errors = (rows.measured - predicted)[:, rows.observed] / self.sizes[rows.outputs, None]
-                left += float(np.sum(errors**2))
-        return left
+        return min([*found, self._joint(start, most, automatic)], key=self.cost)
 
     def _coloured(self, model: FreeModel) -> bool:
         """Whether the criterion prefers coloured noise, of records in which something acts all along."""
