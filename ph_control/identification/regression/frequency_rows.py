@@ -356,7 +356,7 @@ class FreeResponseEvaluation(Evaluation):
         ahead, behind = rows.poles(self._p)
         slopes = [rows.slopes(self._p, (ahead, behind))]
         if rows.delay is not None:  # what is fed through changes with s, and modes by the force beside themselves
-            s, felt = 1j * rows.omega, rows.weight[None]
+            s, felt = 1j * rows.omega, rows.weight[None].astype(complex)
             slopes += [s * felt if rows.through else felt, s * rows.background]
         yield real_rows([rows.columns(self._p, (ahead, behind)), *slopes, rows.target])
 
