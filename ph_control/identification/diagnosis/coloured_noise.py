@@ -45,7 +45,7 @@ def beside_coloured_noise(free: FreeFit) -> FreeFit:
     """
     at = free.projection
     records = [one for one in at.experiments if isinstance(one, FreeRecord)]
-    if len(records) < len(at.experiments) or not free.order or free.rounding:
+    if len(records) < len(at.experiments) or not free.states or free.rounding:
         return free
     noise = noise_of(free, records)
     findings = tuple(one.finding for one in noise if one.finding is not None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,8 @@ class FittedChannels(FittedData):
         Constant that is added to each output, and its change per unit time; 0 if not estimated.
     predicted : ndarray, shape (p, T) or (p, m, K)
         Predicted outputs; complex for a frequency response.
+    offset_stderr : ndarray, shape (p,)
+        Standard errors of the offsets; NaN where none was estimated.
     """
 
     record: Recording | ResponseMatrix
@@ -36,6 +38,7 @@ class FittedChannels(FittedData):
     offsets: Array
     drifts: Array
     predicted: NDArray[Any]
+    offset_stderr: Array = field(default_factory=lambda: np.zeros(0))
 
     def __str__(self) -> str:
         """Say how much there is of it, and how well it is fitted."""

@@ -50,19 +50,6 @@ class SampledModes(Multipliers):
         b0, b1, b0_slope, b1_slope = hold.weights_and_derivatives(p)
         return cls(*hold.log_multiplier(p), b0, b1, hold.log_derivative(p), b0_slope, b1_slope)
 
-    @classmethod
-    def lossless(cls, hold: Hold, d: Array, quantity: str, sign: int = -1) -> SampledModes:
-        """Modes without losses and of unit residue, with the poles `-i d`, or `i d`; derivatives by the frequencies."""
-        weight, slope = output_weight(d, quantity)
-        if sign > 0:
-            weight, slope = weight.conj(), slope.conj()
-        return cls.of(hold, imaginary(sign * d)).along(1j * sign).weighted(weight, slope)
-
-    def along(self, direction: complex) -> SampledModes:
-        """The same with derivatives by a real number along which the poles move."""
-        slopes = (direction * part for part in (self.turn, self.b0_slope, self.b1_slope))
-        return SampledModes(self.growth, self.phase, self.b0, self.b1, *slopes)
-
     def weighted(self, weight: ComplexArray, slope: ComplexArray) -> SampledModes:
         """The same for inputs with a weight that changes with the pole by a slope."""
         return replace(

@@ -24,7 +24,6 @@ from ..regression.sections import PoleRegion
 from ..regression.spectral_rows import ChannelSpectra, FreeWindow
 from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from .screening import highest_peaks
 
 _ROUNDS = 3  # of the local problem, weighted with the pole found
 _EVERYWHERE = 1 << 12  # bins up to which all are centres of windows, and rows; above, those where most is left
@@ -319,6 +318,13 @@ def _windows(left: ComplexArray, first: int, count: int) -> Iterator[tuple[int, 
         size = max(1, TUNING.piece // (len(left) * (2 * half + 1)))
         for k in range(0, len(centres), size):
             yield half, centres[k : k + size]
+
+
+def highest_peaks(values: Array, most: int) -> Indices:
+    """Places of at most so many local maxima, the highest first."""
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+    return peaks[np.argsort(-values[peaks], kind="stable")[:most]]
 
 
 def _joined(found: Sequence[tuple[ComplexArray, Array]]) -> tuple[ComplexArray, Array]:

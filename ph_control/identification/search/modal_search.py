@@ -22,18 +22,17 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from ..data.parts import cut, is_long, searched_part, stages
 from ..regression.free import FreeProjection, refine_free
-from ..regression.frequency_rows import FreeResponse, FrequencyRows
+from ..regression.frequency_rows import FreeResponse
 from ..regression.sections import PoleRegion, Sections
-from ..regression.time_rows import FreeRecord, RecordRows
+from ..regression.time_rows import FreeRecord
 from ..regression.tuning import TUNING
-from ..regression.variable_projection import Interrupted, Problem, Progress
+from ..regression.variable_projection import Interrupted, Progress
 from ..uncertainty.residual_tests import ljung_box
 from .circumstances import Cause, Finding, autoregression, beside_one_another, correlations
-from .criteria import Criteria, past_of_noise
+from .criteria import Criteria, past_of_noise, stands_out
 from .free_search import FreeModel, FreeSearch, Records, Responses
 from .held_out import foretelling_order
 from .response_noise import ROUNDS, SETTLED, NoiseLaw, balanced, entry_laws
-from .steps import stands_out
 
 Experiments = Sequence[Recording] | Sequence[ResponseMatrix]
 Reports = Callable[[int], Progress | None]  # what is told of the iterations of so many modes
@@ -116,14 +115,25 @@ class FreeFit(Frozen):
         return rows.hold.intersample if isinstance(rows, FreeRecord) else "zoh"
 
     @property
+    def method(self) -> str:
+        """Discretisation by which the modes meet the samples."""
+        rows = self.projection.experiments[0]
+        return rows.hold.method if isinstance(rows, FreeRecord) else "exact"
+
+    @property
     def offset(self) -> int:
         """Terms of what outputs have beside the modes: none, a constant, or a constant and a drift."""
         return max(getattr(one, "offset", 0) for one in self.projection.experiments)
 
     @property
     def order(self) -> int:
-        """Number of modes."""
-        return len(self.projection.p)
+        """Number of modes: pairs of complex poles."""
+        return _modes(self.projection.p)
+
+    @property
+    def states(self) -> int:
+        """Number of all poles."""
+        return self.order + len(self.projection.p)
 
     @property
     def variance(self) -> float:
@@ -157,6 +167,7 @@ def free_fit(
     start: ComplexArray | None = None,
     weighted: bool = True,
     real_poles: int | str = "auto",
+    method: str = "exact",
 ) -> FreeFit:
     """Fit modes of any damping and residues to all channels, from nothing or from some poles.
 
@@ -192,6 +203,8 @@ def free_fit(
     weighted : bool
         Whether the weights of responses are those of their noise.  If not, and the noise grows with the gain, the fit
         is repeated with the weights of the law of each entry, which is estimated.
+    method : {'exact', 'midpoint', 'euler'}
+        How the modes meet the samples.
 
     Returns
     -------
@@ -208,7 +221,7 @@ def free_fit(
     if is_long(channels):
         how: dict[str, Any] = {
             "quantities": quantities, "moving": moving, "criterion": criterion, "reports": reports,
-            "real_poles": real_poles,
+            "real_poles": real_poles, "method": method,
         }  # fmt: skip
         return _of_long(channels, order, intersample, offset, how, max_order=max_order, start=start)
 
@@ -216,7 +229,9 @@ def free_fit(
     real_poles = 0 if real_poles == "auto" and not automatic else real_poles
 
     def posed(channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample) -> FreePath:
-        return FreePath.of(channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles)
+        return FreePath.of(
+            channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method
+        )  # fmt: skip
 
     path = posed(channels)
     path.check(1 if automatic else int(order))
@@ -225,7 +240,7 @@ def free_fit(
     if automatic and criterion == "holdout":
         most, automatic = foretelling_order(channels, begin, most, posed), False
     found = path.fit(begin, most, automatic, channels, either_hold=intersample == "auto")
-    if found.interrupted or not found.order or found.rounding or (found.per_entry and weighted):
+    if found.interrupted or not found.states or found.rounding or (found.per_entry and weighted):
         return found
     if not found.per_entry:
 
@@ -343,7 +358,7 @@ def likely_delays(found: FreeFit) -> set[int]:
     p, some = found.projection.p, [cut(one, slice(0, min(one.samples, _DELAYS_FROM))) for one in found.channels]
 
     def late(delay: int, p: ComplexArray = p) -> FreeProjection:
-        rows = _records([_delayed(one, delay) for one in some], found.intersample, found.offset, True)
+        rows = _records([_delayed(one, delay) for one in some], found.intersample, found.offset, True, found.method)
         return FreeProjection([replace(one, y=one.y / found.scales[one.outputs, None]) for one in rows], p)
 
     def bic(at: FreeProjection) -> float:
@@ -449,7 +464,7 @@ def _inverse_variances(fit: FreeFit, laws: Sequence[NoiseLaw]) -> list[Array]:
 
 def orders_about(
     channels: Experiments, poles: ComplexArray, most: int, *, quantities: Sequence[str], intersample: str, offset: bool,
-    moving: bool,
+    moving: bool, method: str = "exact",
 ) -> list[tuple[ComplexArray, ComplexArray]]:  # fmt: skip
     """Poles and residues (n, p, m) of ascending orders, one more mode each: to some poles, and from these to the most.
 
@@ -457,7 +472,7 @@ def orders_about(
     Without inputs the residues are motions in the experiments.
     """
     channels = [cut(one, searched_part(one, not moving)) for one in channels]
-    path = FreePath.of(channels, quantities, intersample, offset, moving)
+    path = FreePath.of(channels, quantities, intersample, offset, moving, method=method)
     found = []
     for start, end in ((poles[poles.imag == 0], _modes(poles) - 1), (poles, min(most, path.carried))):
         model: FreeModel | None = path.reweighted(path.model(start))
@@ -472,7 +487,9 @@ def orders_about(
 # --- data ------------------------------------------------------------------------------------------------------------
 
 
-def _records(channels: Sequence[Recording], hold: str, offset: int, moving: bool) -> list[FreeRecord]:
+def _records(
+    channels: Sequence[Recording], hold: str, offset: int, moving: bool, method: str = "exact"
+) -> list[FreeRecord]:
     found = []
     for one in channels:
         acting = np.flatnonzero(one.u.any(axis=1))
@@ -480,7 +497,7 @@ def _records(channels: Sequence[Recording], hold: str, offset: int, moving: bool
         options = {"offset": offset, "driven": driven, "moving": moving or not driven, "among": acting}
         u = one.u if driven and len(acting) == len(one.u) else one.u[acting]
         u = u if driven else np.broadcast_to(0.0, (1, one.samples))
-        found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, "exact", hold), **options)
+        found += FreeRecord.by_observation(u, one.y, one.observed, Hold(one.dt, method, hold), **options)
     return found
 
 
@@ -548,7 +565,7 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto",
+        real_poles: int | str = "auto", method: str = "exact",
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -557,19 +574,11 @@ class FreePath:
         if not isinstance(first, ResponseMatrix):
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
-            return cls(Records(_records(recordings, held, offset, moving)), felt, criterion, reports, best, real_poles)
+            rows = _records(recordings, held, offset, moving, method)
+            return cls(Records(rows), felt, criterion, reports, best, real_poles)
         search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
-
-    @classmethod
-    def over(cls, problem: Problem, criterion: str = "bic", reports: Reports = lambda order: None) -> FreePath:
-        """The search in the data of a problem of lossless modes."""
-        rows = [one for one in problem.experiments if isinstance(one, RecordRows | FrequencyRows)]
-        records = [FreeRecord.of(one) for one in rows if isinstance(one, RecordRows)]
-        responses = [FreeResponse.of(one) for one in rows if isinstance(one, FrequencyRows)]
-        search = Records(records) if records else Responses(responses)
-        return cls(search, np.array([[rows[0].quantity == "acceleration"]]), criterion, reports, real_poles=0)
 
     # --- likelihood
 
@@ -728,6 +737,12 @@ class FreePath:
         shown = [stands_out(gain, loss, int(self.counts.sum()), now, then - now) for gain in gains.tolist()]
         self._shown = model, (p, gains * np.array(shown, bool))
         return self._shown[1]
+
+    def through_orders(self, start: ComplexArray, most: int) -> None:
+        """Let modes join one by one from a start up to a number of them; the table has the best of each order."""
+        model: FreeModel | None = self.reweighted(self.model(start))
+        while model is not None and _modes(model.p) < most:
+            model = self.with_modes(model, _modes(model.p) + 1, False)
 
     def chosen(self, start: ComplexArray, most: int, automatic: bool) -> FreeModel:
         """The model of an order, or of that which the criterion prefers."""
@@ -958,7 +973,7 @@ class FreePath:
         try:
             self.best = self.best or self.chosen(start, most, automatic)
             found = self.finished(self.best, channels, automatic)
-            if not (either_hold and isinstance(self.search, Records) and found.order and found.projection.inputs):
+            if not (either_hold and isinstance(self.search, Records) and found.states and found.projection.inputs):
                 return found
             # residues and feedthrough of one hold say what others say of the other: told apart only where some are 0
             kept = replace(self.best, at=found.projection)

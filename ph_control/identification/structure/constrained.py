@@ -228,10 +228,6 @@ class ConstrainedProblem:
         found[: len(kept)] = self.region.reach(at.sections)[kept]
         return found
 
-    def elsewhere(self, at: ConstrainedProjection) -> Iterator[Array]:
-        """No other places are known."""
-        return iter(())
-
 
 def constrained(
     at: FreeProjection, layout: ChannelLayout, hypothesis: str, region: PoleRegion, iterations: int | None = None
