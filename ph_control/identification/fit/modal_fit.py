@@ -39,7 +39,7 @@ from ..search.modal_search import FreeFit, feedthrough_of, free_fit
 from ..search.progress import Callback, reporter
 from ..search.starting_poles import poles_of
 from ..structure.constrained import StructuredFit, constrained
-from ..structure.hypothesis_tests import LEVEL, choose, structure_tests
+from ..structure.hypothesis_tests import LEVEL, choose, given_structure, structure_tests
 from ..structure.layout import POWERS, ChannelLayout
 from ..uncertainty.residual_tests import ljung_box
 from .pem_result import PEMResult, residue_of_unit_weight, weights_of
@@ -223,10 +223,8 @@ def _structure_of(free: FreeFit, request: Request) -> tuple[StructuredFit, tuple
         return constrained(free.projection, layout, given, free.region, 1 if free.interrupted else None), ()
     if given == "auto":
         return _tested(free, request)
-    tested = structure_tests(free.projection, layout, free.region, (given,))
-    if given not in tested.fits:
-        return constrained(free.projection, layout, given, free.region), tested.tests
-    return tested.fits[given], tested.tests
+    fit, test = given_structure(free.projection, layout, given, free.region)
+    return fit, (test,)
 
 
 def _refuse_still(channels: Channels, moving: bool) -> None:

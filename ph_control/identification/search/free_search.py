@@ -166,6 +166,10 @@ class Records(FreeSearch):
         """The same with inputs held otherwise between the samples."""
         return replace(self, data=[replace(one, hold=replace(one.hold, intersample=intersample)) for one in self.data])
 
+    def without_constants(self) -> Records:
+        """The same with outputs that have no constant."""
+        return replace(self, data=[replace(rows, offset=0) for rows in self.data])
+
     def scaled(self, sizes: Array) -> Records:
         """The same with outputs (q,) so many times as large."""
         records = [replace(one, scale=sizes[one.outputs]) for one in self.data]

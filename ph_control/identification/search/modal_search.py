@@ -230,7 +230,8 @@ def free_fit(
 
     def posed(channels: Experiments, terms: int = int(bool(offset)), hold: str = intersample) -> FreePath:
         return FreePath.of(
-            channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method
+            channels, quantities, hold, terms, moving, criterion, reports, real_poles=real_poles, method=method,
+            constant_open=offset == "auto" and terms == 1,
         )  # fmt: skip
 
     path = posed(channels)
@@ -254,8 +255,11 @@ def free_fit(
         try:
             level = _beside_drift(found, anew) if offset == "auto" else found
             late = _on_time(level, anew)
+            if offset != "auto":
+                return late
             # poles that stand for a delay may hide a drift
-            return _beside_drift(late, anew) if offset == "auto" and late is not level and late.offset < 2 else late
+            late = _beside_drift(late, anew) if late is not level and late.offset < 2 else late
+            return _with_constants(late)
         except KeyboardInterrupt:
             return replace(found, interrupted=True)
 
@@ -324,6 +328,27 @@ def _beside_drift(found: FreeFit, anew: Anew) -> FreeFit:
     gain = max(best.criteria.loglik - level.criteria.loglik, 0.5 * (found.criteria.bic - best.criteria.bic))
     finding = Finding(Cause.DRIFT, tuple(drifts), gain)
     return replace(best, findings=(*found.findings, finding))
+
+
+def _with_constants(found: FreeFit) -> FreeFit:
+    """Return the fit with a finding of the constants of its outputs, if there are any."""
+    if found.offset != 1:
+        return found
+    values = [
+        float(value) for rows, own in zip(found.projection.experiments, found.projection.own, strict=True)
+        for value in found.scales[rows.outputs] * own[-1]
+    ]  # fmt: skip
+    finding = Finding(Cause.CONSTANT, tuple(values), 0.5 * float(_evidence_of_constants(found.projection)))
+    return replace(found, findings=(*found.findings, finding))
+
+
+def _evidence_of_constants(at: FreeProjection) -> float:
+    """How much the loss would grow without the constants of the outputs."""
+    pairs = (
+        (own[-1], inverse[-1, -1]) for k, outputs in enumerate(at.own)
+        for own, (inverse, *_) in zip(outputs.T, at.own_sensitivities(k), strict=True)
+    )  # fmt: skip
+    return float(sum(value**2 / variance for value, variance in pairs))
 
 
 def _leans(rows: FreeRecord, predicted: NDArray[Any]) -> bool:
@@ -543,8 +568,9 @@ class FreePath:
 
     def __init__(
         self, search: FreeSearch, felt: Mask, criterion: str = "bic", reports: Reports = lambda order: None,
-        best: FreeModel | None = None, real_poles: int | str = "auto",
+        best: FreeModel | None = None, real_poles: int | str = "auto", constant_open: bool = False,
     ) -> None:  # fmt: skip
+        self.constant_open = constant_open  # whether outputs need not have a constant
         self.real_poles, self.search = real_poles, search.with_kinds(real_poles == "auto")
         self.felt, self.criterion, self.reports = felt, criterion, reports
         self.table: dict[int, FreeOrder] = {}
@@ -565,7 +591,7 @@ class FreePath:
     def of(
         cls, channels: Experiments, quantities: Sequence[str] | None, intersample: str, offset: int, moving: bool,
         criterion: str = "bic", reports: Reports = lambda order: None, best: FreeModel | None = None,
-        real_poles: int | str = "auto", method: str = "exact",
+        real_poles: int | str = "auto", method: str = "exact", constant_open: bool = False,
     ) -> FreePath:  # fmt: skip
         """The search in channels, or what ends one whose best model is known."""
         first = channels[0]
@@ -575,7 +601,7 @@ class FreePath:
             held = "zoh" if intersample == "auto" else intersample
             recordings = [one for one in channels if isinstance(one, Recording)]
             rows = _records(recordings, held, offset, moving, method)
-            return cls(Records(rows), felt, criterion, reports, best, real_poles)
+            return cls(Records(rows), felt, criterion, reports, best, real_poles, constant_open)
         search = Responses(_responses([one for one in channels if isinstance(one, ResponseMatrix)], each))
         _refuse_unmeasured(first, np.concatenate([one.outputs for one in search.data]))
         return cls(search, felt.reshape(-1, 1), criterion, reports, best, real_poles)
@@ -1008,6 +1034,12 @@ class FreePath:
             fed = self.felt | self.stands_out(at)
             if not fed.all():
                 at, losses = self.settled(at.p, fed, interrupted)
+        if self.constant_open and isinstance(self.search, Records) and not interrupted and len(at.p):
+            constants = sum(len(rows.outputs) for rows in self.search.data)
+            if _evidence_of_constants(at) < constants * np.log(at.rows):
+                self.search = self.search.without_constants()
+                self.weigh(losses)
+                at, losses = self.settled(at.p, fed, False)
         rank = np.argsort(at.d)
         at = FreeProjection(at.experiments, at.p[rank], fed)
         unknowns = self.search.unknowns_of(at.p) - (0 if fed is None else int(np.sum(~fed)))
