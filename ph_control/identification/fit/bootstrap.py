@@ -211,10 +211,10 @@ class Resampled:
         refit = _Refit.of(self)
         seeds = np.random.SeedSequence(int(random.integers(2**63))).spawn(count)
         found = list(mapped(refit, seeds, workers, tuple))
-        nothing = tuple(np.full(part.shape, np.nan, part.dtype) for part in (self.poles, self.residues, self.feedthrough))
-        poles, residues, through = (
-            np.stack(parts) for parts in zip(*(one or nothing for one in found), strict=True)
+        nothing = tuple(
+            np.full(part.shape, np.nan, part.dtype) for part in (self.poles, self.residues, self.feedthrough)
         )
+        poles, residues, through = (np.stack(parts) for parts in zip(*(one or nothing for one in found), strict=True))
         return Bootstrap(poles, residues, through, failed=sum(not one for one in found))
 
 
@@ -262,7 +262,9 @@ class _Refit:
             output = np.where(one.observed, predicted, 0.0)
             drawn = np.stack([random.choice(values, len(values)) for values in noise])
             output[:, one.observed] += drawn / _weight(one)
-            rows.append(replace(one, y=output, scale=None) if isinstance(one, FreeRecord) else replace(one, response=output))
+            rows.append(
+                replace(one, y=output, scale=None) if isinstance(one, FreeRecord) else replace(one, response=output)
+            )
         samples = sum(one.samples for one in rows)
         try:
             at = refine_free(lambda _: rows, self.poles, self.region, _EXACT / samples, self.fed)

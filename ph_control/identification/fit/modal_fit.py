@@ -14,14 +14,17 @@ from ..._display import counted, p_value
 from ..._types import Array, ComplexArray, Indices, NDArray
 from ..._units import common_unit
 from ...exceptions import IdentificationError, StructureError
+from ...modal.discretization import Hold
 from ...modal.modal_form import from_frequencies
 from ..data.channels import Recording, ResponseMatrix, single
 from ..data.frequency_record import FrequencyRecord
 from ..data.parts import Difference, Signal
 from ..data.quantities import checked_quantities
+from ..data.time_record import Record
 from ..diagnosis.coloured_noise import beside_coloured_noise
 from ..diagnosis.outliers import outliers, saturation
 from ..diagnosis.verdict import CUT_SHORT, GOOD_FIT, WHITE, HypothesisTest, Outcome, slower_than_record
+from ..excitation.excitation import examine
 from ..regression.free import FreeProjection, GivenResidues
 from ..regression.free_prediction import FittedChannels, natural_jacobian
 from ..regression.modal_regressors import output_weight
@@ -41,6 +44,7 @@ from ..search.starting_poles import poles_of
 from ..structure.constrained import StructuredFit, constrained
 from ..structure.hypothesis_tests import LEVEL, choose, given_structure, structure_tests
 from ..structure.layout import POWERS, ChannelLayout
+from ..uncertainty.fisher import PortRecord
 from ..uncertainty.residual_tests import ljung_box
 from .pem_result import PEMResult, residue_of_unit_weight, weights_of
 from .result import STRUCTURES, OrderRow, cut_short
@@ -101,6 +105,8 @@ class Options:
             raise StructureError(f"real_poles is {real_poles!r}; it must be 'auto' or a whole number of at least 0")
         reporter(most, options["callback"])
         _refuse_still(channels, options["moving"])
+        if options["method"] == "euler" and options["intersample"] == "auto":
+            options["intersample"] = "zoh"
         return cls(**{**options, "order": order, "max_order": most, "real_poles": real_poles})
 
     @property
@@ -306,7 +312,11 @@ def starting_poles(guess: Any, channels: Channels, options: Options) -> ComplexA
 
 
 def _result(
-    free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], request: Request, findings: tuple[Finding, ...]
+    free: FreeFit,
+    fit: StructuredFit,
+    tests: tuple[HypothesisTest, ...],
+    request: Request,
+    findings: tuple[Finding, ...],
 ) -> PEMResult:
     """The result of a fit, of one that is interrupted here without what is looked for beside the modes."""
     try:
@@ -316,7 +326,11 @@ def _result(
 
 
 def _judged(
-    free: FreeFit, fit: StructuredFit, tests: tuple[HypothesisTest, ...], request: Request, findings: tuple[Finding, ...]
+    free: FreeFit,
+    fit: StructuredFit,
+    tests: tuple[HypothesisTest, ...],
+    request: Request,
+    findings: tuple[Finding, ...],
 ) -> PEMResult:
     """Parameters, experiments and judgement of a fit."""
     rank = np.lexsort((np.abs(fit.p), fit.p.imag == 0))
@@ -360,7 +374,7 @@ def _judged(
             for data, error in zip(experiments, errors_of_states, strict=True)
         )
     far = any(one.cause is Cause.OUTLIERS for one in findings)
-    blind = bool(free.projection.deficiency) and not free.rounding
+    blind = bool(free.projection.deficiency)
     refused = any(test.p < LEVEL for test in tests if test.hypothesis == request.structure)
     outcome = _outcome(free, fitted, whiteness, spare, far or blind, refused)
     return PEMResult(
@@ -393,7 +407,10 @@ def _judged(
         findings=findings,
         success=fit.converged and not free.interrupted,
         outcome=outcome,
-        message=_message(free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome, blind),
+        message=_message(
+            free, growing, slow, tests, findings, shapes, fitted, whiteness, outcome,
+            _what_is_blind(shown, poles, residues, request, free) if blind else "",
+        ),
         intersample="zoh" if free.per_entry else free.intersample,
         method=free.method,
         blind=blind,
@@ -435,7 +452,9 @@ def _covariance(fit: StructuredFit, free: FreeFit, rank: Indices) -> Array:
     found = inner[np.ix_(order, order)] * np.outer(size, size)
     # a structure may tell of residues that no experiment shows
     unknown = split(free.projection.blind.astype(float))
-    hidden = np.concatenate([np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))])
+    hidden = np.concatenate(
+        [np.zeros(2 * n), *(part.ravel() for part in (unknown[0][rank], unknown[1][rank], unknown[2]))]
+    )
     absent = (order < 0) | ((lost > 0) & (np.diag(found) == 0)) | (hidden > 0)
     found[absent] = np.nan
     found[:, absent] = np.nan
@@ -450,9 +469,7 @@ def _in_data(fit: StructuredFit, free: FreeFit) -> FreeProjection:
     return GivenResidues(at, fit.projection.shared)
 
 
-def _experiments(
-    at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices
-) -> tuple[FittedChannels, ...]:
+def _experiments(at: FreeProjection, fit: StructuredFit, free: FreeFit, rank: Indices) -> tuple[FittedChannels, ...]:
     """Predictions, free motions and offsets of each experiment, from the rows of its outputs."""
     n, found = len(at.p), []
     predictions = at.predictions() if n else [None] * len(at.experiments)
@@ -551,7 +568,9 @@ def _shapes(
     motions = np.stack([one.free_amplitudes[:n] for one in experiments], axis=2)
     shapes = ModeShapes.of(poles, motions, request.quantities, ())
     shapes = ModeShapes(shapes.shapes, np.zeros((n, 0), complex), shapes.scaled)
-    return shapes, shape_errors(poles, motions, request.quantities, (), _motion_covariances(_in_data(fit, free), fit, free, rank)[:n])
+    return shapes, shape_errors(
+        poles, motions, request.quantities, (), _motion_covariances(_in_data(fit, free), fit, free, rank)[:n]
+    )
 
 
 def _own_spreads(at: FreeProjection, fit: StructuredFit, experiment: int) -> list[tuple[Array, Array]]:
@@ -690,19 +709,36 @@ def _outcome(free: FreeFit, fitted: float, whiteness: float, spare: int, far: bo
     return Outcome.CONSISTENT if spare >= 20 or free.rounding else Outcome.UNJUDGED
 
 
+def _what_is_blind(
+    experiments: Any, poles: ComplexArray, residues: ComplexArray, request: Request, free: FreeFit
+) -> str:  # fmt: skip
+    """Say what the inputs do not show, and of one record which input would."""
+    data = experiments[0]
+    if len(experiments) == 1 and isinstance(data, FittedExperiment) and np.all(poles.imag) and len(residues[0, 0]):
+        record, n = data.record, len(poles)
+        if isinstance(record, Record) and "free" not in request.quantities:
+            hold = Hold(record.dt, free.method, free.intersample)
+            y = np.where(record.observed, record.y, 0.0)
+            rest = not data.free_amplitudes.any()
+            port = PortRecord(record.u, y, record.observed, hold, rest, request.quantities[0], record.driven)
+            shown = examine(port, np.abs(poles), np.ones(n), data.free_amplitudes.conj(), time_unit=record.time_unit)
+            if shown.information.is_weak:
+                return f"The record {shown.headline}. {shown.message}"
+    return (
+        "The inputs do not show the residues: others, with other initial motions, give the same outputs. Record with "
+        "inputs of more frequencies, independent of one another; phc.excitation says which."
+    )
+
+
 def _message(
     free: FreeFit, growing: Indices, slow: Indices, tests: tuple[HypothesisTest, ...], findings: tuple[Finding, ...],
-    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome, blind: bool,
+    shapes: ModeShapes, fitted: float, whiteness: float, outcome: Outcome, blind: str,
 ) -> str:  # fmt: skip
     """What the judgement rests on, in sentences."""
     if outcome is Outcome.NOTHING:
         return "Nothing to model: no mode improves the BIC."
     parts = [CUT_SHORT] * (outcome is Outcome.INTERRUPTED)
-    if blind:
-        parts.append(
-            "The input does not show the residues: other residues, with another initial motion, give the same outputs. "
-            "Record with an input of more frequencies; phc.excitation says which."
-        )
+    parts += [blind] * bool(blind)
     if outcome is Outcome.NOT_DESCRIBED:
         parts.append(f"With a fit of {fitted:.0f} % a model of this structure does not describe the data.")
     elif outcome is Outcome.DOUBTFUL and not blind:

@@ -183,7 +183,9 @@ def pem(
     start = starting_poles(initial_guess, channels, options)
     result = _beside_hammer_noise(channels, lambda data, **more: fit_channels(data, request, options, start, **more))
     if result.blind:
-        warnings.warn(result.message, IdentifiabilityWarning, stacklevel=3)  # the line that calls the decorated function
+        warnings.warn(
+            result.message, IdentifiabilityWarning, stacklevel=3
+        )  # the line that calls the decorated function
     return result
 
 

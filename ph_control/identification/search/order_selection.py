@@ -241,7 +241,9 @@ def order_selection(
     quantity = options.get("quantity") or quantity_of(data)
     channels: Any = as_channels(data, dt, weights=weights)
     quantities = checked_quantities(quantity, channels[0].output_labels)
-    moving = _checks.choice("initial_state", options.get("initial_state", "estimate"), ("estimate", "zero")) == "estimate"
+    moving = (
+        _checks.choice("initial_state", options.get("initial_state", "estimate"), ("estimate", "zero")) == "estimate"
+    )
     hold = _checks.choice("intersample", options.get("intersample", "auto"), ("auto", *INTERSAMPLE))
     method = _checks.choice("method", options.get("method", "exact"), METHODS)
 
@@ -273,6 +275,7 @@ def order_selection(
     chosen = [rows[k] for k in kept]
     ahead, losses = 0, None
     if part:
+
         def searched(path: FreePath) -> None:
             path.check(wanted[-1])
             path.through_orders(start, wanted[-1])

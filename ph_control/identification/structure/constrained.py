@@ -263,7 +263,11 @@ def constrained(
         )  # fmt: skip
     if hypothesis == "passive":
         return nearest_passive_fit(at, layout, lambda: constrained(at, layout, "classical", region, _ITERATIONS))
-    x = coordinates.start(*layout.split(at.shared, len(at.p)))
+    residues, through = layout.split(at.shared, len(at.p))
+    if at.deficiency and isinstance(coordinates, ShapeCoordinates) and coordinates.real:
+        # where an input shows sums of residues only, those of the free fit may have any sign
+        residues = coordinates.turned_to_positive(residues)
+    x = coordinates.start(residues, through)
     problem = ConstrainedProblem(coordinates, at, region, coordinates.free(x))
     most, last = _ITERATIONS if iterations is None else iterations, iterations is None
     x = problem.inside(x)
