@@ -103,6 +103,22 @@ def test_files_pictures_and_pages_have_the_delay(tmp_path):
     assert abs(analysed.fit_percent[0] - result.fit_percent) < 0.1
 
 
+def test_pictures_of_a_response_have_the_delay():
+    u, y, _ = skewed(3, (0.6, 0.6))
+    result = fitted(u, y)
+    omega = np.linspace(0.8, 5.5, 30)
+    late = result.observed_system(1j * omega)[:, 0] * np.exp(-1j * np.multiply.outer(result.delay, omega))
+    pictures = phc.frf_plot(result, Hz=False).lines[1], phc.bode_plot(result, Hz=False).lines[1::2, 0]
+    for phases in pictures:
+        for k, (line, *_) in enumerate(phases):
+            drawn = np.interp(omega, *line.get_data())
+            np.testing.assert_allclose(np.exp(1j * np.radians(drawn)), late[k] / np.abs(late[k]), atol=2e-2)
+    for k in range(2):
+        low, high = result.sample(100, 0).phase_band(omega, output=k)
+        middle = np.exp(0.5j * np.radians(low + high))
+        np.testing.assert_allclose(middle, late[k] / np.abs(late[k]), atol=2e-2)
+
+
 def test_a_rational_approximation_has_the_phase_of_the_delay():
     u, y, _ = skewed(4, (0.9, 0.0))
     result = fitted(u, y)

@@ -93,6 +93,8 @@ def test_files_and_pictures_have_the_background(tmp_path):
         x, y = (np.asarray(part, float) for part in curve.get_data())
         drawn = np.interp(OMEGA[200] / (2 * np.pi if x.max() < 4 else 1.0), x, y)
         assert abs(drawn - exact[200]) < 0.2
+    low, high = 20 * np.log10(result.sample(200, 0).magnitude_band(OMEGA[200:]))
+    assert np.all(low < exact[200:] + 0.05) and np.all(high > exact[200:] - 0.05) and np.all(high - low < 0.2)
     other = np.linspace(1.0, 19.0, 100)
     unseen = measured(np.stack([modal(1j * other) + 0.4j * other, 0.1j + modal(1j * other)])[:, None], other)
     assert phc.compare(unseen, result).fit_percent[0] > 99.0

@@ -18,7 +18,7 @@ from ..analysis.spectral_estimate import SpectralEstimate, spectral_estimate
 from ..exceptions import StructureError
 from ..numerics.rational import poles as poles_of
 from ..systems.base import in_normal_form
-from .inputs import Subject, is_damped, is_fit, models_around, subjects_of, timebase, title_of
+from .inputs import Subject, as_measured, is_damped, is_fit, models_around, subjects_of, timebase, title_of
 
 _PER_DECADE = 200
 _AROUND_ALL = 6000  # grid points on each side of all poles and zeros together
@@ -296,11 +296,7 @@ def _curve(subject: Subject, grid: Array | None, low: float, high: float, count:
     grid = grid if nyquist is None else grid[grid <= nyquist]
     s = 1j * grid
     response = _balanced(sys)(s if nyquist is None else np.exp(s * timebase(sys)), squeeze=False, warn_infinite=False)
-    background, delay = (getattr(subject.given, name, None) for name in ("background", "delay"))
-    if background is not None:
-        response = response + background.response(grid)
-    if delay is not None and np.any(delay):
-        response = response * np.exp(-np.multiply.outer(np.asarray(delay), s))[:, None]
+    response = as_measured(subject.given, response, grid)
     power = _power_of_s(subject)
     if power:
         # a zero without sign leaves the phase of a lossless response at one side of half a turn

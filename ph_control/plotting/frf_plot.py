@@ -21,7 +21,7 @@ from ..exceptions import StructureError
 from ..modal.modal_form import ModalForm
 from ..numerics.rational import poles as poles_of
 from .bode_data import POWERS, band_of, decibels, degrees_from
-from .inputs import measurements_of, recording_in, table_in, timebase
+from .inputs import as_measured, measurements_of, recording_in, table_in, timebase
 from .style import (
     BAND,
     DOTS,
@@ -79,7 +79,8 @@ def frf_plot(
     Parameters
     ----------
     model : PEMResult, modal form or linear system
-        Model of p outputs and m inputs; of a result the response of what was measured, on its background.
+        Model of p outputs and m inputs; of a result the response of what was measured, on its background and with
+        its delay.
     data : control.FrequencyResponseData, control.TimeResponseData, or list of them, optional
         Measurement to draw as dots: responses, or recordings, of which they are estimated; by default those that a
         result was fitted to.
@@ -197,9 +198,8 @@ def model_source(given: Any) -> ModelSource:
     """Response of a result, a modal form, or a linear system."""
     if hasattr(given, "residues") and hasattr(given, "poles") and not isinstance(given, ModalForm | ct.lti.LTI):
         return _source_of_fractions(given)
-    label, delay = "model", np.zeros(1)
+    label = "model"
     if hasattr(given, "observed_system"):
-        delay = np.asarray(getattr(given, "delay", delay))
         label, given = f"fit ({counted(len(given.d), 'mode')})", given.observed_system
     if isinstance(given, ModalForm):
         shape = given.noutputs, given.ninputs
@@ -215,14 +215,8 @@ def model_source(given: Any) -> ModelSource:
     poles = poles_of(given)
     if discrete:
         poles = np.log(poles[poles != 0]) / step
-
-    def response(omega: Array) -> ComplexArray:
-        points = np.exp(1j * omega * step) if discrete else 1j * omega
-        found = np.asarray(given(points, squeeze=False, warn_infinite=False))
-        return found * np.exp(-1j * np.multiply.outer(delay, omega))[:, None] if delay.any() else found
-
     return ModelSource(
-        response,
+        lambda omega: given(np.exp(1j * omega * step) if discrete else 1j * omega, squeeze=False, warn_infinite=False),
         _upper(poles), (given.noutputs, given.ninputs), given.output_labels, given.input_labels, label,
         np.pi / step if discrete else np.inf,
     )  # fmt: skip
@@ -243,14 +237,12 @@ def _source_of_fractions(given: Any) -> ModelSource:
         )
     D = np.asarray(given.feedthrough, float).reshape(residues.shape[1:])
     flat, pairs = residues.reshape(len(poles), -1), poles.imag != 0
-    background = getattr(given, "background", None)
 
     def response(omega: Array) -> ComplexArray:
         s = 1j * omega[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             found = (1.0 / (s - poles)) @ flat + (1.0 / (s - poles[pairs].conj())) @ flat[pairs].conj()
-        modes = found.T.reshape(*residues.shape[1:], -1) + D[:, :, None]
-        return modes if background is None else modes + background.response(omega)
+        return as_measured(given, found.T.reshape(*residues.shape[1:], -1) + D[:, :, None], omega)
 
     names = _names_of(given, "output", len(D)), _names_of(given, "input", len(D.T))
     return ModelSource(response, _upper(poles), (len(D), len(D.T)), *names, f"fit ({counted(len(poles), 'mode')})")

@@ -55,6 +55,16 @@ def is_damped(given: Any) -> bool:
     return is_fit(given) and hasattr(given, "quantities")
 
 
+def as_measured(given: Any, response: ComplexArray, omega: Array) -> ComplexArray:
+    """Response (p, m, K) of a model as it was measured: of a result on its background, and with its delay."""
+    background, delay = (getattr(given, name, None) for name in ("background", "delay"))
+    if background is not None:
+        response = response + background.response(omega)
+    if delay is not None and np.any(delay):
+        response = response * np.exp(-1j * np.multiply.outer(np.asarray(delay), omega))[:, None]
+    return response
+
+
 def measurements_of(model: Any, data: Any) -> list[Any]:
     """Measurements that were given, or else those that a result was fitted to."""
     if data is None:

@@ -379,7 +379,8 @@ class DampedResult(DampedReport, PEMResult):
             modes, of_modes = (part[:, : self.order] for part in (poles, residues))
             shaped = ModeShapes.of(modes.ravel(), of_modes.reshape(-1, p, m), self.quantities, self._scaling)
             shapes = shaped.shapes.reshape(len(found), self.order, p)
-        return ModalSamples(poles, residues, found[:, 2 * n + 2 * size :].reshape(len(found), p, m), shapes)
+        through = found[:, 2 * n + 2 * size :].reshape(len(found), p, m)
+        return ModalSamples(poles, residues, through, shapes, self.background, self.delay)
 
     def sample_systems(self, k: int, rng: Any = None) -> list[Any]:
         """Systems of models drawn as by `sample`, for controllers that must do for all of them.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from ... import _checks
 from ..._types import Array, ArrayLike, ComplexArray, NDArray
 from ...exceptions import StructureError
+from ..regression.prediction import ResponseBackground
 from .draws import Draws
 
 
@@ -28,6 +29,10 @@ class ModalSamples(Draws):
         Responses at infinity.
     shapes : ndarray of complex, shape (k, n, p)
         Mode shapes, scaled as those of the result.
+    background : ResponseBackground or None
+        What bands of gain and phase have beside the modes: that of the estimate.
+    delay : ndarray, shape (p,)
+        Delay of each output that bands of the phase have: that of the estimate.
 
     Notes
     -----
@@ -38,6 +43,8 @@ class ModalSamples(Draws):
     residues: ComplexArray
     feedthrough: Array
     shapes: ComplexArray
+    background: ResponseBackground | None = None
+    delay: Array = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
         for name in ("poles", "residues", "shapes"):
@@ -50,6 +57,7 @@ class ModalSamples(Draws):
             raise StructureError(
                 f"poles, feedthrough, shapes have shapes {found}; expected {(k, n)}, {(k, p, m)}, {(k, modes, p)}"
             )
+        object.__setattr__(self, "delay", np.array(np.broadcast_to(self.delay, p), float))
         super().__post_init__()
 
     @property
@@ -243,7 +251,10 @@ class ModalSamples(Draws):
 
         def response(w: Array, p: ComplexArray) -> ComplexArray:
             terms = residues / (1j * w - p) + (p.imag != 0) * residues.conj() / (1j * w - p.conj())
-            return np.asarray(terms.sum(axis=-1) + through)
+            found = terms.sum(axis=-1) + through
+            if self.background is not None:
+                found = found + self.background.entry(output, input).response(w.ravel())[0, 0][:, None]
+            return np.asarray(found * np.exp(-1j * self.delay[output] * w[..., 0]))
 
         return response
 
