@@ -12,9 +12,7 @@ from ...modal.discretization import Hold
 from ..data.channels import Recording, ResponseMatrix
 from .free import FreeProjection
 from .prediction import FittedData, ResponseBackground, shares_left
-from .time_rows import FreeRecord
-
-_WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
+from .time_rows import WHOLE, FreeRecord
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +81,7 @@ def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Ar
     outputs = residues.shape[1]
     if not len(u):
         return np.zeros((outputs, u.shape[1]))
-    early = max(0, -int(np.floor(delay / hold.h + _WHOLE)))
+    early = max(0, -int(np.floor(delay / hold.h + WHOLE)))
     u = np.concatenate([u, np.repeat(u[:, -1:], early, axis=1)], axis=1) if early else u
     y = np.zeros((outputs, u.shape[1]))
     rows = FreeRecord(u, y, np.ones(u.shape[1], bool), hold, moving=False, outputs=np.arange(outputs))
@@ -95,7 +93,7 @@ def _late_outputs(p: ComplexArray, residues: ComplexArray, through: Array, u: Ar
 
 def unknown_samples(delay: Array, dt: float) -> Indices:
     """First samples of each output that depend on inputs before the record."""
-    return np.maximum(np.ceil(delay / dt - _WHOLE), 0).astype(int)
+    return np.maximum(np.ceil(delay / dt - WHOLE), 0).astype(int)
 
 
 def moved_freely(p: ComplexArray, motion: ComplexArray, dt: float, samples: int, first: Indices) -> Array:

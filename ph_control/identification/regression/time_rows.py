@@ -24,7 +24,7 @@ from .triangular import triangle
 
 _BLOCK = 1 << 19  # numbers in a block of columns: a few megabytes, whatever the length of the record
 _FEWEST = 32  # groups of samples in a block
-_WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
+WHOLE = 1e-9  # samples: a delay so near to a whole number of samples is one
 _LONG = 1 << 14  # samples from which on inner products are cheaper without columns, whatever the number of modes
 
 
@@ -248,7 +248,7 @@ class FreeRecord(SampledRecord):
         if not self.driven:
             return self
         samples = time / self.hold.h
-        samples = float(np.rint(samples)) if abs(samples - np.rint(samples)) < _WHOLE else samples
+        samples = float(np.rint(samples)) if abs(samples - np.rint(samples)) < WHOLE else samples
         known = self.whole_record or WholeRecord(self.u, self.y, self.observed, 0, 0)
         ends = [samples, *(one / self.hold.h for one in (least, most) if one is not None)]
         first = max(known.first, int(np.ceil(max(ends)))) * self.moving

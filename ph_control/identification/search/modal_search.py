@@ -1029,8 +1029,8 @@ class FreePath:
         if getattr(self.search, "innovations", ()):
             return self._joint(start, most, automatic)
         model = self._in_rows(start, most, automatic)
-        # noise of a number of poles that is given, and may be too small, would take over what the plant lacks; so it
-        # would beside modes with a peak, which are told from broad noise as they are, and weak ones among them
+        # coloured noise would take over what a plant lacks that has too few poles, when their number is given; beside
+        # modes with a peak it would take over the weak ones, though broad noise is no mode with a peak in any case
         peaks = bool(np.any((model.p.imag > 0) & ~_broad(model.p)))
         if peaks or not (automatic and self.real_poles in ("auto", 0) and self._coloured(model)):
             return model
